@@ -1,0 +1,29 @@
+"""The one exception that bad input raises."""
+
+
+class InputError(ValueError):
+    """Input that cannot be used; the message is one line for the user.
+
+    The message says the file, the row, the column where they are known, and what was expected.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
+
+
+def located(file: object, expected: str, *, row: int | None = None, column: str | None = None) -> InputError:
+    """Build the message ``file: row R, column C: what was expected``.
+
+    Parameters
+    ----------
+    file
+        Name of the file as the user gave it.
+    expected
+        What stands there and what was expected.
+    row
+        Line in the file, 1 being its first line.
+    column
+        Name of the column or key.
+    """
+    place = [text for text in (f"row {row}" if row is not None else "", f"column {column}" if column else "") if text]
+    return InputError(": ".join([str(file), *([", ".join(place)] if place else []), expected]))

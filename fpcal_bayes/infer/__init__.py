@@ -1,0 +1,1 @@
+"""Inference: from sweeps to estimates, and what the sweeps can tell."""

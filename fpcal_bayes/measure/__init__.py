@@ -1,0 +1,1 @@
+"""Measurements: sweeps, protocols, campaign files, a simulated cell."""

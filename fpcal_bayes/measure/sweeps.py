@@ -1,0 +1,206 @@
+"""Sweeps: what was moved from where to where, and how the cavity length changed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.errors import InputError, located
+from fpcal_bayes.model.cell import Cell, check_joints
+
+Floats = NDArray[np.float64]
+Texts = NDArray[np.str_]
+
+KINDS = ("sweep", "absolute", "path")
+MAX_TEXT = 1000
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """An ordered set of sweeps; lengths in um, angles in rad, times in hours.
+
+    Attributes
+    ----------
+    session, label
+        Shape (n,). Rows of one session belong together.
+    time_h
+        Hours since the campaign began, shape (n,).
+    q_start, q_end
+        Joint vectors, shape (n, n_joints).
+    dl, sigma
+        Measured change of cavity length and its standard deviation, shape (n,); NaN in a plan.
+    signed
+        False where only the size of `dl` is known, shape (n,).
+    group
+        Rows of one session with the same non-empty group share the reading at their start, shape (n,).
+    kind
+        ``sweep``, ``absolute`` (`dl` is L at `q_end`) or ``path`` (a closed or multi-joint path), shape (n,).
+    trace
+        File of the recorded trace, or empty, shape (n,).
+    utc
+        Clock time as ISO 8601, or empty, shape (n,).
+    temperature_c
+        Or NaN, shape (n,).
+    file, rows
+        Where the sweeps were read: file name and line of each, shape (n,); used in messages.
+    """
+
+    session: Texts
+    label: Texts
+    time_h: Floats
+    q_start: Floats
+    q_end: Floats
+    dl: Floats
+    sigma: Floats
+    signed: NDArray[np.bool_]
+    group: Texts
+    kind: Texts
+    trace: Texts
+    utc: Texts
+    temperature_c: Floats
+    file: str
+    rows: NDArray[np.int64]
+
+    @classmethod
+    def make(
+        cls,
+        q_start: Floats,
+        q_end: Floats,
+        *,
+        session: str | Sequence[str] = "session-1",
+        label: str | Sequence[str] = "",
+        time_h: float | Floats = 0.0,
+        dl: float | Floats = np.nan,
+        sigma: float | Floats = np.nan,
+        signed: bool | NDArray[np.bool_] = True,
+        group: str | Sequence[str] = "",
+        kind: str | Sequence[str] = "sweep",
+        trace: str | Sequence[str] = "",
+        utc: str | Sequence[str] = "",
+        temperature_c: float | Floats = np.nan,
+        file: str = "sweeps",
+        rows: NDArray[np.int64] | None = None,
+    ) -> "Sweeps":
+        """Build sweeps from joint vectors (n, n_joints); single values hold for all rows."""
+        q_start, q_end = np.array(q_start, dtype=float), np.array(q_end, dtype=float)
+        n = len(q_start)
+
+        def texts(value: str | Sequence[str]) -> Texts:
+            return np.broadcast_to(np.asarray(value, dtype=np.str_), n).copy()
+
+        def numbers(value: float | Floats) -> Floats:
+            return np.broadcast_to(np.asarray(value, dtype=float), n).copy()
+
+        return cls(
+            session=texts(session),
+            label=texts(label),
+            time_h=numbers(time_h),
+            q_start=q_start,
+            q_end=q_end,
+            dl=numbers(dl),
+            sigma=numbers(sigma),
+            signed=np.broadcast_to(np.asarray(signed, dtype=bool), n).copy(),
+            group=texts(group),
+            kind=texts(kind),
+            trace=texts(trace),
+            utc=texts(utc),
+            temperature_c=numbers(temperature_c),
+            file=file,
+            rows=np.arange(2, n + 2) if rows is None else rows,
+        )
+
+    def __len__(self) -> int:
+        return len(self.dl)
+
+    def __repr__(self) -> str:
+        return f"Sweeps({len(self)} rows, sessions {', '.join(self.sessions)})"
+
+    @property
+    def measured(self) -> bool:
+        """Whether every row carries a measurement (a plan carries none)."""
+        return bool(np.isfinite(self.dl).all() and np.isfinite(self.sigma).all())
+
+    @property
+    def absolute(self) -> NDArray[np.bool_]:
+        """Rows whose `dl` is the cavity length at `q_end`, shape (n,)."""
+        return np.asarray(self.kind == "absolute")
+
+    @cached_property
+    def sessions(self) -> tuple[str, ...]:
+        """Names of the sessions in the order of their first time."""
+        first: dict[str, float] = {}
+        for name, time in zip(self.session.tolist(), self.time_h.tolist(), strict=True):
+            first[name] = min(time, first.get(name, time))
+        return tuple(sorted(first, key=first.__getitem__))
+
+    def take(self, chosen: NDArray[Any]) -> "Sweeps":
+        """The rows picked by a mask or by positions."""
+        picked = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "file"}
+        return replace(self, **picked)
+
+    def of_session(self, name: str | None = None) -> "Sweeps":
+        """The rows of one session, by default the first.
+
+        Raises
+        ------
+        InputError
+            If there is no such session.
+        """
+        wanted = self.sessions[0] if name is None else name
+        if wanted not in self.sessions:
+            raise InputError(f"{self.file}: no session {wanted!r}: expected one of {', '.join(self.sessions)}")
+        return self.take(self.session == wanted)
+
+    def with_measurement(self, dl: Floats, sigma: float | Floats) -> "Sweeps":
+        """The same sweeps with measured changes (n,) and their standard deviations."""
+        return replace(self, dl=np.asarray(dl, dtype=float), sigma=np.broadcast_to(sigma, len(self)).astype(float))
+
+
+def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
+    """Sweeps of several sets, one after the other, counted anew as rows of `file`."""
+    names = [f.name for f in fields(Sweeps) if f.name not in ("file", "rows")]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Sweeps(**joined, file=file, rows=np.arange(2, sum(map(len, parts)) + 2))
+
+
+def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
+    """Hold sweeps to the rules that no single field shows.
+
+    Raises
+    ------
+    InputError
+        If there is no row, a joint leaves the cell's limits, a sweep goes nowhere, a standard deviation is not
+        positive, a kind is unknown, or the rows of a group do not share their start and their standard deviation.
+    """
+    if len(sweeps) == 0:
+        raise InputError(f"{sweeps.file}: no rows, expected at least one sweep")
+
+    def refuse(bad: NDArray[np.bool_], column: str, expected: str) -> None:
+        if bad.any():
+            raise located(sweeps.file, expected, row=int(sweeps.rows[np.argmax(bad)]), column=column)
+
+    columns = [c.split("_") for c in cell.joint_columns]
+    for q, end in ((sweeps.q_start, "start"), (sweeps.q_end, "end")):
+        names = [f"{joint}_{end}_{unit}" for joint, unit in columns]
+        check_joints(cell, q, sweeps.file, sweeps.rows.tolist(), names)
+    refuse(~np.isin(sweeps.kind, KINDS), "kind", f"expected one of {', '.join(KINDS)}")
+    still = (sweeps.q_start == sweeps.q_end).all(axis=1) & (sweeps.kind == "sweep")
+    refuse(still, f"{columns[0][0]}_end_{columns[0][1]}", "start and end are the same, expected a sweep that moves")
+    refuse(sweeps.sigma <= 0, "sigma_um", "expected a standard deviation above zero")
+    refuse((sweeps.group != "") & sweeps.absolute, "group", "an absolute length has no start to share, expected no group")
+
+    # Rows of a group: compared with the first of them.
+    keys: dict[tuple[str, str], int] = {}
+    for i in np.flatnonzero(sweeps.group != ""):
+        first = keys.setdefault((str(sweeps.session[i]), str(sweeps.group[i])), int(i))
+        same = (sweeps.q_start[first] == sweeps.q_start[i]).all()
+        if not same or (sweeps.measured and not np.isclose(sweeps.sigma[first], sweeps.sigma[i], rtol=1e-9)):
+            raise located(
+                sweeps.file,
+                f"group {str(sweeps.group[i])!r}: expected the start pose and sigma_um of its row {sweeps.rows[first]}",
+                row=int(sweeps.rows[i]),
+                column="group",
+            )

@@ -1,0 +1,1 @@
+"""The geometric model: parameters, cell, chain, cavity, estimate."""

@@ -1,0 +1,194 @@
+"""The cavity model: lengths, their changes and their derivatives, for one cell and one choice of free parameters."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.kernel import RUNOUT_COS, STRIDE, THETA, R, batch_lengths
+from fpcal_bayes.model.kernel_jacobian import batch_jacobians, derivative_columns
+from fpcal_bayes.model.kernel_mirror import batch_mirrors
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.poses import PoseGroups, group_poses
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows to predict, laid out for the kernels: each is L(end) - L(start), or L(end) where start is -1."""
+
+    poses: PoseGroups
+    starts: Ints
+    ends: Ints
+
+
+@dataclass(frozen=True)
+class CavityModel:
+    """Cavity length of a cell as a function of its free parameters.
+
+    Attributes
+    ----------
+    cell
+        The cell, which also says along which path light is counted.
+    free
+        Parameters that `values` hold, in this order.
+    held
+        Model vector of the parameters that are not free, shape (model size,), in um and rad.
+    """
+
+    cell: Cell
+    free: ParameterSet
+    held: Floats
+
+    @classmethod
+    def of(cls, cell: Cell, free: ParameterSet | None = None, held: Floats | None = None) -> "CavityModel":
+        """The model of `cell`; by default the cell's own free parameters, the others at nominal."""
+        return cls(cell, cell.free if free is None else free, cell.parameters.nominal if held is None else held)
+
+    @cached_property
+    def _perpendicular(self) -> bool:
+        return self.cell.opd == "perpendicular"
+
+    @cached_property
+    def _axis_is_z(self) -> bool:
+        return self.cell.optical_axis == "z"
+
+    @cached_property
+    def _columns(self) -> Ints:
+        return derivative_columns(self.cell.revolute, self.free.slots)
+
+    def vector(self, values: Floats) -> Floats:
+        """Model vector (model size,) with the free parameters at `values` (n,)."""
+        vector = self.held.copy()
+        vector[self.free.slots] = values
+        return vector
+
+    def rows(self, q_start: Floats, q_end: Floats, absolute: NDArray[np.bool_] | None = None) -> Rows:
+        """Lay out sweeps for the kernels.
+
+        Parameters
+        ----------
+        q_start, q_end
+            Joint vectors, shape (n_rows, n_joints), in um and rad.
+        absolute
+            Rows that give L(end) itself, shape (n_rows,).
+        """
+        poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
+        starts, ends = np.split(poses.inverse, 2)
+        if absolute is not None:
+            starts = np.where(absolute, -1, starts)
+        return Rows(poses, np.ascontiguousarray(starts), np.ascontiguousarray(ends))
+
+    def pose_rows(self, q: Floats) -> Rows:
+        """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted."""
+        poses = group_poses(self.cell, q)
+        return Rows(poses, np.full(len(q), -1, dtype=np.int64), poses.inverse)
+
+    def predict(self, values: Floats, rows: Rows) -> Floats:
+        """Predict rows for one or many parameter vectors.
+
+        Parameters
+        ----------
+        values
+            Free parameters in um and rad, shape (n,) or (n_vectors, n).
+        rows
+            From `rows` or `pose_rows`.
+
+        Returns
+        -------
+        ndarray
+            Shape (n_rows,) or (n_vectors, n_rows), in um.
+        """
+        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        result = batch_lengths(*self._arguments(many, rows))
+        return result[0] if np.ndim(values) == 1 else result
+
+    def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
+        """Predict rows with their derivatives by the free parameters.
+
+        Returns
+        -------
+        tuple of ndarray
+            Predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
+            one; in um, and um per um or rad.
+        """
+        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        result, jacobian = batch_jacobians(*self._arguments(many, rows), self._columns)
+        return (result[0], jacobian[0]) if np.ndim(values) == 1 else (result, jacobian)
+
+    def joint_jacobian(self, values: Floats, q: Floats) -> Floats:
+        """Derivatives of the cavity length by the joints.
+
+        Parameters
+        ----------
+        values
+            Free parameters, shape (n,).
+        q
+            Joint vectors, shape (n_poses, n_joints).
+
+        Returns
+        -------
+        ndarray
+            Shape (n_poses, n_joints), in um per um or rad.
+        """
+        n_joints = len(self.cell.joints)
+        links = np.arange(n_joints) * STRIDE
+        wanted = np.concatenate([links + np.where(self.cell.revolute, THETA, R), links + R]).astype(np.int64)
+        many = np.ascontiguousarray(values, dtype=float)[None]
+        _, columns = batch_jacobians(*self._arguments(many, self.pose_rows(q)), derivative_columns(self.cell.revolute, wanted))
+        moved, along = columns[0][:, :n_joints], columns[0][:, n_joints:]
+        link_values = self.vector(values)[: STRIDE * n_joints].reshape(n_joints, STRIDE)
+        gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
+        turned = q * (1.0 + gain)
+        climb = np.where(self.cell.revolute, runout_sin * np.cos(turned) - runout_cos * np.sin(turned), 0.0)
+        derivative: Floats = (moved + climb * along) * (1.0 + gain)
+        return derivative
+
+    def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
+        """Mirror normals and origins in the world frame, columns three and four of wTt.
+
+        Parameters
+        ----------
+        values
+            Free parameters, shape (n,) or (n_vectors, n).
+        q
+            Joint vectors, shape (n_poses, n_joints).
+
+        Returns
+        -------
+        tuple of ndarray
+            Normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        """
+        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        joints = np.ascontiguousarray(q, dtype=float)
+        normals, origins = batch_mirrors(self.held, self.free.slots, many, self.cell.revolute, joints)
+        return (normals[0], origins[0]) if np.ndim(values) == 1 else (normals, origins)
+
+    def reflection_points(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
+        """Reflection points wPr and tPr, paper equations (28), (29), for poses `q`; each of shape (n_poses, 3)."""
+        vector = self.vector(values)
+        points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
+        return np.array([w for w, _ in points]), np.array([t for _, t in points])
+
+    def _arguments(self, values: Floats, rows: Rows):  # type: ignore[no-untyped-def]
+        poses = rows.poses
+        return (
+            self.held,
+            self.free.slots,
+            values,
+            self._perpendicular,
+            self._axis_is_z,
+            self.cell.revolute,
+            poses.group_q,
+            poses.group_cos,
+            poses.group_sin,
+            poses.group_start,
+            poses.prismatic_q,
+            rows.starts,
+            rows.ends,
+        )

@@ -1,0 +1,259 @@
+"""A cell: robot chain, mirror, fibre and optics, as described by a TOML file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.errors import InputError, located
+from fpcal_bayes.files import content_sha256
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
+
+JointKind = Literal["prismatic", "revolute"]
+Opd = Literal["axis", "perpendicular"]
+OpticalAxis = Literal["minus-y", "z"]
+
+JOINT_UNITS: dict[JointKind, str] = {"prismatic": "um", "revolute": "deg"}
+
+
+@dataclass(frozen=True)
+class ControllerAxis:
+    """How a motion controller names and counts one joint.
+
+    The controller shows ``zero + sign * q`` in its own `unit`, q being the joint variable of the model.
+    `per_unit` is the length of that unit in um or its angle in rad.
+    """
+
+    name: str
+    channel: str
+    sign: int
+    zero: float
+    unit: str
+    per_unit: float
+
+    def to_controller(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Controller readings of joint values `q` (um or rad), same shape."""
+        return self.zero + self.sign * q / self.per_unit
+
+    def to_model(self, reading: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Joint values (um or rad) of controller readings, same shape."""
+        return self.sign * (reading - self.zero) * self.per_unit
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller.
+
+    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position.
+    """
+
+    kind: JointKind
+    low: float
+    high: float
+    repeatability: float
+    controller: ControllerAxis | None
+
+    @property
+    def unit(self) -> str:
+        """Unit in which a person reads the joint: um or deg."""
+        return JOINT_UNITS[self.kind]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A robot, its mirror, the fibre that faces it, and the optics.
+
+    Attributes
+    ----------
+    name
+        As given in the TOML file.
+    joints
+        From base to tool.
+    parameters
+        Every parameter of the model vector, in its order, freed or not.
+    wavelength
+        In um.
+    opd
+        Length the interferometer sees: ``axis`` (along the optical axis) or ``perpendicular``.
+    optical_axis
+        Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    parameters: ParameterSet
+    wavelength: float
+    opd: Opd
+    optical_axis: OpticalAxis
+
+    @cached_property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Whether each joint turns, shape (n_joints,)."""
+        return np.array([j.kind == "revolute" for j in self.joints])
+
+    @cached_property
+    def joint_scales(self) -> NDArray[np.float64]:
+        """Internal units per shown unit of each joint, shape (n_joints,)."""
+        return np.where(self.revolute, np.pi / 180.0, 1.0)
+
+    @cached_property
+    def joint_columns(self) -> tuple[str, ...]:
+        """Name and unit of each joint as in file headers: ``q1_um``, ``q4_deg``."""
+        return tuple(f"q{i}_{j.unit}" for i, j in enumerate(self.joints, 1))
+
+    @cached_property
+    def low(self) -> NDArray[np.float64]:
+        """Lower joint limits, shape (n_joints,)."""
+        return np.array([j.low for j in self.joints])
+
+    @cached_property
+    def high(self) -> NDArray[np.float64]:
+        """Upper joint limits, shape (n_joints,)."""
+        return np.array([j.high for j in self.joints])
+
+    @cached_property
+    def repeatability(self) -> NDArray[np.float64]:
+        """Standard deviation of each joint's reached position, shape (n_joints,)."""
+        return np.array([j.repeatability for j in self.joints])
+
+    @cached_property
+    def free(self) -> ParameterSet:
+        """The parameters identified by default: those with a prior that are not optional."""
+        return ParameterSet(p for p in self.parameters if p.prior_sd > 0 and not p.optional)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of everything that the cell's numbers depend on; layout and comments of the file do not."""
+        return content_sha256(
+            {
+                "name": self.name,
+                "wavelength": self.wavelength,
+                "opd": self.opd,
+                "optical_axis": self.optical_axis,
+                "joints": [[j.kind, _finite(j.low), _finite(j.high), j.repeatability] for j in self.joints],
+                "parameters": [[p.name, p.nominal, p.prior_sd, p.optional] for p in self.parameters],
+            }
+        )
+
+    def with_opd(self, opd: Opd) -> "Cell":
+        """The same cell with the other path model."""
+        return replace(self, opd=opd)
+
+    def select(self, names: str | Sequence[str]) -> ParameterSet:
+        """Choose parameters to identify, in the cell's order.
+
+        Parameters
+        ----------
+        names
+            ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or the cell gives the parameter no prior.
+        """
+        wanted: set[str] = set()
+        for name in names.split(",") if isinstance(names, str) else names:
+            if name in ("all", "intrinsic", "extrinsic"):
+                wanted |= {p.name for p in self.free if name in ("all", p.kind)}
+            elif name not in self.parameters:
+                known = ", ".join(p.name for p in self.parameters if p.prior_sd > 0)
+                raise InputError(f"unknown parameter {name!r}: expected all, intrinsic, extrinsic, or some of {known}")
+            elif self.parameters[name].prior_sd == 0:
+                raise InputError(f"parameter {name!r} has no prior_sd in cell {self.name!r}: it cannot be freed")
+            else:
+                wanted.add(name)
+        return ParameterSet(p for p in self.parameters if p.name in wanted)
+
+    def __repr__(self) -> str:
+        chain = "".join("P" if j.kind == "prismatic" else "R" for j in self.joints)
+        return f"Cell({self.name!r}, chain {chain}, {len(self.free)} free parameters, opd {self.opd!r})"
+
+
+def make_parameters(
+    entries: dict[str, tuple[float, float, bool]],
+    n_joints: int,
+) -> ParameterSet:
+    """Every parameter of the model vector of a chain.
+
+    Parameters
+    ----------
+    entries
+        Nominal value, prior standard deviation (both in internal units) and `optional`, by name;
+        what is missing is zero and cannot be freed.
+    n_joints
+        Number of links of the chain.
+    """
+    names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
+    names += [(name, UNITS[name], "extrinsic") for name in EXTRINSICS]
+    unknown = set(entries) - {name for name, _, _ in names}
+    if unknown:
+        raise InputError(f"unknown parameter {sorted(unknown)[0]!r} for a chain of {n_joints} joints")
+    made = []
+    for slot, (name, unit, kind) in enumerate(names):
+        nominal, prior_sd, optional = entries.get(name, (0.0, 0.0, False))
+        made.append(Parameter(name, unit, nominal, prior_sd, kind, slot, optional))  # type: ignore[arg-type]
+    return ParameterSet(made)
+
+
+def check_joints(
+    cell: Cell, q: NDArray[np.float64], file: object, rows: Sequence[int] | None, columns: Sequence[str]
+) -> None:
+    """Raise `InputError` at the first joint value outside the cell's limits.
+
+    Parameters
+    ----------
+    q
+        Joint vectors in internal units, shape (n, n_joints).
+    file, rows, columns
+        For the message: the source, the line of each row, the column of each joint.
+    """
+    # The tolerance lets a limit written in degrees survive its conversion to radians.
+    slack = 1e-9 * (1.0 + np.abs(q))
+    outside = (q < cell.low - slack) | (q > cell.high + slack)
+    if not outside.any():
+        return
+    row, column = (int(i) for i in np.argwhere(outside)[0])
+    joint, scale = cell.joints[column], cell.joint_scales[column]
+    raise located(
+        file,
+        f"{q[row, column] / scale:g} {joint.unit} is outside the limits of cell {cell.name!r}, "
+        f"expected {joint.low / scale:g} to {joint.high / scale:g} {joint.unit}",
+        row=rows[row] if rows is not None else row + 1,
+        column=columns[column],
+    )
+
+
+def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cell:
+    """Read a cell by the name of a built-in one or from a TOML file.
+
+    Parameters
+    ----------
+    source
+        ``femto-st`` or the path of a TOML file.
+    opd
+        Overrides the path model of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
+    """
+    # The reader is imported here because it builds the classes above.
+    from fpcal_bayes.model.cell_toml import read_cell
+
+    cell = read_cell(source)
+    return cell.with_opd(opd) if opd is not None else cell
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def describe(cell: Cell) -> dict[str, Any]:
+    """Name and hash of a cell, as written into estimates and campaigns."""
+    return {"name": cell.name, "sha256": cell.sha256, "opd": cell.opd}

@@ -1,0 +1,203 @@
+"""Read a cell from its TOML description, with a message for everything that can be wrong in it."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any, get_args
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.files import read_text
+from fpcal_bayes.model.cell import JOINT_UNITS, Cell, ControllerAxis, Joint, Opd, OpticalAxis, make_parameters
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS
+from fpcal_bayes.resources import built_in_cells, data_file
+
+SCHEMA = "fpcal-cell/1"
+
+#: Units a motion controller may count in: um or rad per unit.
+_CONTROLLER_UNITS = {
+    "prismatic": {"pm": 1e-6, "nm": 1e-3, "um": 1.0, "mm": 1e3, "m": 1e6},
+    "revolute": {
+        "udeg": math.radians(1e-6),
+        "mdeg": math.radians(1e-3),
+        "deg": math.radians(1.0),
+        "urad": 1e-6,
+        "mrad": 1e-3,
+        "rad": 1.0,
+    },
+}
+
+
+def read_cell(source: str | Path) -> Cell:
+    """Read the cell `source`: the name of a built-in one or the path of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or anything in it is not as documented.
+    """
+    path = data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"{error}; built-in cells: {', '.join(built_in_cells())}") from error
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not a TOML file: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
+    return _Reader(str(source)).cell(table)
+
+
+class _Reader:
+    """Turns the tables of one file into a cell; every refusal names the file and the key."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+
+    def cell(self, table: dict[str, Any]) -> Cell:
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic"})
+        if table.get("schema") != SCHEMA:
+            raise self.error("schema", f"expected {SCHEMA!r}, found {table.get('schema')!r}")
+        name = self.text(table, "", "name")
+        optics = self.table(table, "", "optics")
+        self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis"})
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=1.0, high=100_000.0) * 1e-3
+        opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
+        optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
+
+        joints, entries = [], {}
+        joint_tables = table.get("joint")
+        if not isinstance(joint_tables, list) or not joint_tables:
+            raise self.error("joint", "expected one [[joint]] table for each joint, from base to tool")
+        for number, joint_table in enumerate(joint_tables, 1):
+            place = f"joint {number}"
+            if not isinstance(joint_table, dict):
+                raise self.error(place, "expected a table")
+            joints.append(self.joint(joint_table, place))
+            for stem in LINK_SLOTS:
+                if stem in joint_table:
+                    optional = stem in LINK_SLOTS[5:]
+                    entry = self.parameter(joint_table, place, stem, optional)
+                    entries[f"{stem}_{number}"] = entry
+                    if stem.startswith("runout") and joints[-1].kind == "prismatic":
+                        raise self.error(f"{place}.{stem}", "a prismatic joint has no runout")
+        extrinsic = self.table(table, "", "extrinsic")
+        self.keys(extrinsic, "extrinsic", set(EXTRINSICS))
+        for stem in EXTRINSICS:
+            if stem in extrinsic:
+                entries[stem] = self.parameter(extrinsic, "extrinsic", stem, optional=False)
+        cell = Cell(
+            name=name,
+            joints=tuple(joints),
+            parameters=make_parameters(entries, len(joints)),
+            wavelength=wavelength,
+            opd=opd,
+            optical_axis=optical_axis,
+        )
+        if not cell.free:
+            raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
+        return cell
+
+    def joint(self, table: dict[str, Any], place: str) -> Joint:
+        kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
+        unit = JOINT_UNITS[kind]
+        self.keys(table, place, {"kind", f"limits_{unit}", f"repeatability_{unit}", "controller", *LINK_SLOTS})
+        low, high = -math.inf, math.inf
+        if f"limits_{unit}" in table:
+            limits = table[f"limits_{unit}"]
+            if not (isinstance(limits, list) and len(limits) == 2 and all(map(_is_number, limits))):
+                raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {limits!r}")
+            low, high = (float(x) * SCALES[unit] for x in limits)
+            if not low < high:
+                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {limits!r}")
+        repeatability = self.number(table, place, f"repeatability_{unit}", low=0.0, default=0.0) * SCALES[unit]
+        controller = self.controller(table, place, kind) if "controller" in table else None
+        return Joint(kind, low, high, repeatability, controller)
+
+    def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
+        axis = self.table(table, place, "controller")
+        place = f"{place}.controller"
+        self.keys(axis, place, {"name", "channel", "sign", "zero", "unit"})
+        units = _CONTROLLER_UNITS[kind]
+        unit = self.choice(axis, place, "unit", tuple(units), JOINT_UNITS[kind])  # type: ignore[index]
+        sign = axis.get("sign", 1)
+        if sign not in (1, -1) or isinstance(sign, bool):
+            raise self.error(f"{place}.sign", f"expected 1 or -1, found {sign!r}")
+        return ControllerAxis(
+            name=self.text(axis, place, "name"),
+            channel=self.text(axis, place, "channel"),
+            sign=int(sign),
+            zero=self.number(axis, place, "zero", default=0.0),
+            unit=unit,
+            per_unit=units[unit],
+        )
+
+    def parameter(
+        self, parent: dict[str, Any], place: str, stem: str, optional: bool
+    ) -> tuple[float, float, bool]:
+        table = self.table(parent, place, stem)
+        place, unit = f"{place}.{stem}", UNITS[stem]
+        self.keys(table, place, {f"nominal_{unit}", f"prior_sd_{unit}", "optional"})
+        nominal = self.number(table, place, f"nominal_{unit}", default=0.0) * SCALES[unit]
+        prior_sd = self.number(table, place, f"prior_sd_{unit}", low=0.0, default=0.0) * SCALES[unit]
+        flag = table.get("optional", optional)
+        if not isinstance(flag, bool):
+            raise self.error(f"{place}.optional", f"expected true or false, found {flag!r}")
+        return nominal, prior_sd, flag
+
+    def error(self, key: str, expected: str) -> InputError:
+        return InputError(f"{self.file}: key {key}: {expected}")
+
+    def keys(self, table: dict[str, Any], place: str, known: set[str]) -> None:
+        for key in table:
+            if key not in known:
+                at = f"{place}.{key}" if place else key
+                raise self.error(at, f"unknown key, expected one of {', '.join(sorted(known))}")
+
+    def table(self, parent: dict[str, Any], place: str, key: str) -> dict[str, Any]:
+        value = parent.get(key)
+        if not isinstance(value, dict):
+            raise self.error(f"{place}.{key}" if place else key, "expected a table")
+        return value
+
+    def text(self, table: dict[str, Any], place: str, key: str) -> str:
+        value = table.get(key)
+        if not isinstance(value, str) or not 0 < len(value.strip()) <= 1000 or not value.isprintable():
+            raise self.error(f"{place}.{key}" if place else key, "expected a line of text in quotes")
+        return value
+
+    def choice[T: str](
+        self, table: dict[str, Any], place: str, key: str, choices: tuple[T, ...], default: T | None
+    ) -> T:
+        value = table.get(key, default)
+        for choice in choices:
+            if value == choice:
+                return choice
+        raise self.error(f"{place}.{key}", f"expected one of {', '.join(choices)}, found {value!r}")
+
+    def number(
+        self,
+        table: dict[str, Any],
+        place: str,
+        key: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        default: float | None = None,
+    ) -> float:
+        value = table.get(key, default)
+        if not _is_number(value):
+            raise self.error(f"{place}.{key}", f"expected a finite number, found {value!r}")
+        if not low <= value <= high:
+            raise self.error(f"{place}.{key}", f"expected a number from {low:g} to {high:g}, found {value!r}")
+        return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False

@@ -1,0 +1,144 @@
+"""The direct geometric model (DGM) as 4x4 transforms, written to be read.
+
+The compiled kernels in `fpcal_bayes.model.kernel` compute the same cavity lengths faster; tests hold them to this.
+All functions also take complex model vectors, so that derivatives can be checked by complex steps.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
+
+Matrix = NDArray[Any]
+
+_STRIDE = len(LINK_SLOTS)
+
+
+def rot_x(angle: complex) -> Matrix:
+    """Rotation about X as a 4x4 transform, paper equation (6)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+def rot_y(angle: complex) -> Matrix:
+    """Rotation about Y as a 4x4 transform, paper equation (5)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+
+
+def rot_z(angle: complex) -> Matrix:
+    """Rotation about Z as a 4x4 transform, paper equation (8)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def translation(x: complex, y: complex, z: complex) -> Matrix:
+    """Translation as a 4x4 transform, paper equations (7) and (9)."""
+    return np.array([[1, 0, 0, x], [0, 1, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
+
+
+def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
+    """Transform i-1Ti of one link at joint value `q`, paper equation (4).
+
+    Parameters
+    ----------
+    link
+        The link's eight numbers in `LINK_SLOTS` order.
+    q
+        Joint variable in um or rad.
+    prismatic
+        Whether `q` adds to r (else to theta).
+    """
+    beta, alpha, d, theta, r, gain, runout_cos, runout_sin = link
+    travel = q * (1 + gain)
+    if prismatic:
+        r = r + travel
+    else:
+        theta = theta + travel
+        # A rotary axis with axial runout moves along itself once per turn.
+        r = r + runout_cos * np.cos(travel) + runout_sin * np.sin(travel)
+    return rot_y(beta) @ rot_x(alpha) @ translation(d, 0, 0) @ rot_z(theta) @ translation(0, 0, r)
+
+
+def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
+    """DGM: wTe, the end-effector frame in the world frame, paper equation (12).
+
+    Parameters
+    ----------
+    vector
+        Model vector, shape (8 n_joints + 8,), in um and rad.
+    q
+        Joint vector, shape (n_joints,), in um and rad.
+
+    Returns
+    -------
+    ndarray
+        Transform, shape (4, 4).
+    """
+    pose = np.eye(4)
+    for i, joint in enumerate(cell.joints):
+        link = vector[_STRIDE * i : _STRIDE * (i + 1)]
+        pose = pose @ link_transform(link, q[i], joint.kind == "prismatic")
+    return pose
+
+
+def mirror_in_tool(vector: Matrix) -> Matrix:
+    """eTt, the mirror frame in the end-effector frame, paper equation (14)."""
+    beta_et, theta_et, _, _, z_et, *_ = _extrinsics(vector)
+    return translation(0, 0, z_et) @ rot_x(beta_et) @ rot_y(theta_et)
+
+
+def fibre_in_world(vector: Matrix) -> Matrix:
+    """wTf, the fibre frame in the world frame, paper equation (13)."""
+    _, _, beta_wf, theta_wf, _, x_wf, y_wf, z_wf = _extrinsics(vector)
+    return translation(x_wf, y_wf, z_wf) @ rot_x(beta_wf) @ rot_z(theta_wf)
+
+
+def mirror_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
+    """wTt, the mirror frame in the world frame, paper equation (19); shape (4, 4)."""
+    return tool_pose(cell, vector, q) @ mirror_in_tool(vector)
+
+
+def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
+    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,).
+
+    The paper names Zf, the third column of (13), which stands across the mirror normal; minus the second column
+    points from the fibre to the mirror.
+    """
+    frame = fibre_in_world(vector)
+    return frame[:3, 2] if cell.optical_axis == "z" else -frame[:3, 1]
+
+
+def path_length(cell: Cell, vector: Matrix, q: Matrix) -> Any:
+    """Cavity length L in um at one joint vector, paper equation (24), for the cell's own path model."""
+    mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
+    normal, to_mirror = mirror[:3, 2], mirror[:3, 3] - fibre[:3, 3]
+    distance = normal @ to_mirror
+    if cell.opd == "axis":
+        return distance / (normal @ optical_axis(cell, vector))
+    return distance if np.real(distance) >= 0 else -distance
+
+
+def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:
+    """Reflection point in the world frame and in the mirror frame, paper equations (28), (29).
+
+    On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane.
+
+    Returns
+    -------
+    tuple of ndarray
+        wPr and tPr, each of shape (3,), in um.
+    """
+    mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
+    normal, origin = mirror[:3, 2], fibre[:3, 3]
+    distance = normal @ (mirror[:3, 3] - origin)
+    along = optical_axis(cell, vector) if cell.opd == "axis" else normal
+    point = origin + along * (distance / (normal @ along))
+    return point, mirror[:3, :3].T @ (point - mirror[:3, 3])
+
+
+def _extrinsics(vector: Matrix) -> Matrix:
+    return vector[-len(EXTRINSICS) :]

@@ -1,0 +1,172 @@
+"""The parameters of a cell: their names, units, nominal values and priors."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fpcal_bayes.errors import InputError
+
+Kind = Literal["intrinsic", "extrinsic"]
+
+#: Internal units (um, rad, 1) per unit shown to a person.
+SCALES = {"um": 1.0, "deg": float(np.pi / 180.0), "ppm": 1e-6}
+
+LINK_SLOTS = ("beta", "alpha", "d", "theta", "r", "gain", "runout_cos", "runout_sin")
+EXTRINSICS = ("beta_et", "theta_et", "beta_wf", "theta_wf", "z_et", "x_wf", "y_wf", "z_wf")
+UNITS = {
+    **dict.fromkeys(("beta", "alpha", "theta", "beta_et", "theta_et", "beta_wf", "theta_wf"), "deg"),
+    **dict.fromkeys(("d", "r", "runout_cos", "runout_sin", "z_et", "x_wf", "y_wf", "z_wf"), "um"),
+    "gain": "ppm",
+}
+_LATEX = {
+    "beta": r"\beta",
+    "alpha": r"\alpha",
+    "theta": r"\theta",
+    "gain": "g",
+    "runout_cos": "c",
+    "runout_sin": "s",
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One geometric parameter of a cell.
+
+    Attributes
+    ----------
+    name
+        As in every file, table and plot: ``alpha_2``, ``beta_wf``.
+    unit
+        ``deg``, ``um`` or ``ppm``: the unit in which a person reads and writes it.
+    nominal, prior_sd
+        In internal units (rad, um, 1). ``prior_sd`` is zero where the parameter cannot be freed.
+    kind
+        ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit).
+    slot
+        Position in the model vector (see `model_size`).
+    optional
+        Freed only when it is asked for by name.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    prior_sd: float
+    kind: Kind
+    slot: int
+    optional: bool = False
+
+    @property
+    def scale(self) -> float:
+        """Internal units per shown unit."""
+        return SCALES[self.unit]
+
+    @property
+    def latex(self) -> str:
+        """Label for plots, in LaTeX mathematics with the unit."""
+        stem, _, index = self.name.rpartition("_")
+        unit = {"deg": r"^\circ", "um": r"\mu m", "ppm": r"\mathrm{ppm}"}[self.unit]
+        return rf"${_LATEX.get(stem, stem)}_{{{index}}}\ [{unit}]$"
+
+    def shown(self, internal: float) -> float:
+        """Convert a value from internal units to the shown unit."""
+        return internal / self.scale
+
+
+def model_size(n_links: int) -> int:
+    """Length of the model vector: eight numbers a link in `LINK_SLOTS` order, then `EXTRINSICS`."""
+    return len(LINK_SLOTS) * n_links + len(EXTRINSICS)
+
+
+class ParameterSet(Sequence[Parameter]):
+    """An ordered set of parameters, found by position or by name.
+
+    Parameters
+    ----------
+    parameters
+        With distinct names.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self._parameters = tuple(parameters)
+        self._positions = {p.name: i for i, p in enumerate(self._parameters)}
+        if len(self._positions) != len(self._parameters):
+            raise ValueError("parameter names repeat")
+
+    def __len__(self) -> int:
+        return len(self._parameters)
+
+    def __getitem__(self, key):  # type: ignore[no-untyped-def]
+        if isinstance(key, str):
+            return self._parameters[self.position(key)]
+        return ParameterSet(self._parameters[key]) if isinstance(key, slice) else self._parameters[key]
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self._parameters)
+
+    def __contains__(self, item: object) -> bool:
+        return item in self._positions if isinstance(item, str) else item in self._parameters
+
+    def __repr__(self) -> str:
+        return f"ParameterSet({', '.join(self.names)})"
+
+    def position(self, name: str) -> int:
+        """Position of the parameter called `name`; `InputError` if there is none."""
+        if name not in self._positions:
+            raise InputError(f"unknown parameter {name!r}: expected one of {', '.join(self._positions)}")
+        return self._positions[name]
+
+    def positions(self, names: Iterable[str]) -> NDArray[np.int64]:
+        """Positions of the parameters called `names`, in their order."""
+        return np.array([self.position(name) for name in names], dtype=np.int64)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(p.name for p in self._parameters)
+
+    @cached_property
+    def slots(self) -> NDArray[np.int64]:
+        """Positions in the model vector, shape (n,)."""
+        return np.array([p.slot for p in self._parameters], dtype=np.int64)
+
+    @cached_property
+    def nominal(self) -> NDArray[np.float64]:
+        """Nominal values in internal units, shape (n,)."""
+        return np.array([p.nominal for p in self._parameters])
+
+    @cached_property
+    def prior_sd(self) -> NDArray[np.float64]:
+        """Prior standard deviations in internal units, shape (n,)."""
+        return np.array([p.prior_sd for p in self._parameters])
+
+    @cached_property
+    def scales(self) -> NDArray[np.float64]:
+        """Internal units per shown unit, shape (n,)."""
+        return np.array([p.scale for p in self._parameters])
+
+    def to_shown(self, internal: ArrayLike) -> NDArray[np.float64]:
+        """Convert values (..., n) from internal units to those a person reads."""
+        return np.asarray(internal, dtype=float) / self.scales
+
+    def to_internal(self, shown: ArrayLike) -> NDArray[np.float64]:
+        """Convert values (..., n) from the units a person reads to internal ones."""
+        return np.asarray(shown, dtype=float) * self.scales
+
+    def from_mapping(self, shown: dict[str, float]) -> NDArray[np.float64]:
+        """Internal values (n,) from shown values by name; the rest is nominal.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown.
+        """
+        values = self.nominal.copy()
+        for name, value in shown.items():
+            position = self.position(name)
+            values[position] = value * self._parameters[position].scale
+        return values

@@ -98,7 +98,8 @@ def read_text(path: Path) -> str:
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = path.read_bytes()[: error.start].count(b"\n") + 1
-        raise InputError(f"{path}: row {line}: expected UTF-8 text, found byte 0x{error.object[error.start]:02x}") from error
+        byte = error.object[error.start]
+        raise InputError(f"{path}: row {line}: expected UTF-8 text, found byte 0x{byte:02x}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
 

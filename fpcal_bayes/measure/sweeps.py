@@ -190,7 +190,9 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     still = (sweeps.q_start == sweeps.q_end).all(axis=1) & (sweeps.kind == "sweep")
     refuse(still, f"{columns[0][0]}_end_{columns[0][1]}", "start and end are the same, expected a sweep that moves")
     refuse(sweeps.sigma <= 0, "sigma_um", "expected a standard deviation above zero")
-    refuse((sweeps.group != "") & sweeps.absolute, "group", "an absolute length has no start to share, expected no group")
+    refuse(
+        (sweeps.group != "") & sweeps.absolute, "group", "an absolute length has no start to share, expected no group"
+    )
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str], int] = {}

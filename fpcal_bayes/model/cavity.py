@@ -16,6 +16,10 @@ from fpcal_bayes.model.poses import PoseGroups, group_poses
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+#: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
+_Arguments = tuple[Floats, Ints, Floats, bool, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ class CavityModel:
         vector[self.free.slots] = values
         return vector
 
-    def rows(self, q_start: Floats, q_end: Floats, absolute: NDArray[np.bool_] | None = None) -> Rows:
+    def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None) -> Rows:
         """Lay out sweeps for the kernels.
 
         Parameters
@@ -140,7 +144,8 @@ class CavityModel:
         links = np.arange(n_joints) * STRIDE
         wanted = np.concatenate([links + np.where(self.cell.revolute, THETA, R), links + R]).astype(np.int64)
         many = np.ascontiguousarray(values, dtype=float)[None]
-        _, columns = batch_jacobians(*self._arguments(many, self.pose_rows(q)), derivative_columns(self.cell.revolute, wanted))
+        asked = derivative_columns(self.cell.revolute, wanted)
+        _, columns = batch_jacobians(*self._arguments(many, self.pose_rows(q)), asked)
         moved, along = columns[0][:, :n_joints], columns[0][:, n_joints:]
         link_values = self.vector(values)[: STRIDE * n_joints].reshape(n_joints, STRIDE)
         gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
@@ -175,7 +180,33 @@ class CavityModel:
         points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
-    def _arguments(self, values: Floats, rows: Rows):  # type: ignore[no-untyped-def]
+    def reflection_sd(self, values: Floats, covariance: Floats, q: Floats) -> tuple[Floats, Floats]:
+        """Standard deviations of the coordinates of wPr and tPr, to first order.
+
+        Parameters
+        ----------
+        values, covariance
+            Free parameters and their covariance in um and rad, shapes (n,) and (n, n).
+        q
+            One joint vector, shape (n_joints,).
+
+        Returns
+        -------
+        tuple of ndarray
+            Each of shape (3,), in um.
+        """
+        vector = self.vector(values).astype(complex)
+        step = 1e-30
+        columns = []
+        for slot in self.free.slots:
+            shifted = vector.copy()
+            shifted[slot] += 1j * step
+            columns.append(np.concatenate(chain.reflection_point(self.cell, shifted, q)).imag / step)
+        jacobian = np.array(columns).T
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
+        return sd[:3], sd[3:]
+
+    def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
         poses = rows.poses
         return (
             self.held,

@@ -42,7 +42,8 @@ def read_cell(source: str | Path) -> Cell:
         raise InputError(f"{error}; built-in cells: {', '.join(built_in_cells())}") from error
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
+        # Beside TOMLDecodeError: an integer of more digits than Python converts.
         raise InputError(f"{source}: not a TOML file: {error}") from error
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
@@ -58,7 +59,7 @@ class _Reader:
     def cell(self, table: dict[str, Any]) -> Cell:
         self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic"})
         if table.get("schema") != SCHEMA:
-            raise self.error("schema", f"expected {SCHEMA!r}, found {table.get('schema')!r}")
+            raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis"})
@@ -107,10 +108,10 @@ class _Reader:
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
             if not (isinstance(limits, list) and len(limits) == 2 and all(map(_is_number, limits))):
-                raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {limits!r}")
+                raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {_shown(limits)}")
             low, high = (float(x) * SCALES[unit] for x in limits)
             if not low < high:
-                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {limits!r}")
+                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {_shown(limits)}")
         repeatability = self.number(table, place, f"repeatability_{unit}", low=0.0, default=0.0) * SCALES[unit]
         controller = self.controller(table, place, kind) if "controller" in table else None
         return Joint(kind, low, high, repeatability, controller)
@@ -123,7 +124,7 @@ class _Reader:
         unit = self.choice(axis, place, "unit", tuple(units), JOINT_UNITS[kind])  # type: ignore[index]
         sign = axis.get("sign", 1)
         if sign not in (1, -1) or isinstance(sign, bool):
-            raise self.error(f"{place}.sign", f"expected 1 or -1, found {sign!r}")
+            raise self.error(f"{place}.sign", f"expected 1 or -1, found {_shown(sign)}")
         return ControllerAxis(
             name=self.text(axis, place, "name"),
             channel=self.text(axis, place, "channel"),
@@ -133,9 +134,7 @@ class _Reader:
             per_unit=units[unit],
         )
 
-    def parameter(
-        self, parent: dict[str, Any], place: str, stem: str, optional: bool
-    ) -> tuple[float, float, bool]:
+    def parameter(self, parent: dict[str, Any], place: str, stem: str, optional: bool) -> tuple[float, float, bool]:
         table = self.table(parent, place, stem)
         place, unit = f"{place}.{stem}", UNITS[stem]
         self.keys(table, place, {f"nominal_{unit}", f"prior_sd_{unit}", "optional"})
@@ -143,7 +142,7 @@ class _Reader:
         prior_sd = self.number(table, place, f"prior_sd_{unit}", low=0.0, default=0.0) * SCALES[unit]
         flag = table.get("optional", optional)
         if not isinstance(flag, bool):
-            raise self.error(f"{place}.optional", f"expected true or false, found {flag!r}")
+            raise self.error(f"{place}.optional", f"expected true or false, found {_shown(flag)}")
         return nominal, prior_sd, flag
 
     def error(self, key: str, expected: str) -> InputError:
@@ -174,7 +173,7 @@ class _Reader:
         for choice in choices:
             if value == choice:
                 return choice
-        raise self.error(f"{place}.{key}", f"expected one of {', '.join(choices)}, found {value!r}")
+        raise self.error(f"{place}.{key}", f"expected one of {', '.join(choices)}, found {_shown(value)}")
 
     def number(
         self,
@@ -187,10 +186,10 @@ class _Reader:
         default: float | None = None,
     ) -> float:
         value = table.get(key, default)
-        if not _is_number(value):
-            raise self.error(f"{place}.{key}", f"expected a finite number, found {value!r}")
+        if value is None or not _is_number(value):
+            raise self.error(f"{place}.{key}", f"expected a finite number, found {_shown(value)}")
         if not low <= value <= high:
-            raise self.error(f"{place}.{key}", f"expected a number from {low:g} to {high:g}, found {value!r}")
+            raise self.error(f"{place}.{key}", f"expected a number from {low:g} to {high:g}, found {_shown(value)}")
         return float(value)
 
 
@@ -201,3 +200,12 @@ def _is_number(value: Any) -> bool:
         return math.isfinite(value)
     except OverflowError:
         return False
+
+
+def _shown(value: Any) -> str:
+    """Value as a message shows it: short, and also for an integer of more digits than Python prints."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number out of range"
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -2,22 +2,21 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numba
 
-_F = TypeVar("_F", bound=Callable[..., Any])
 _kernels: list[Any] = []
 
 
-def compiled(function: _F) -> _F:
+def compiled[F: Callable[..., Any]](function: F) -> F:
     """Compile a kernel with numba; the machine code is kept on disk for the next process.
 
     Products and sums may be fused; nothing else that changes results is allowed.
     """
     kernel = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
     _kernels.append(kernel)
-    return cast(_F, kernel)
+    return cast(F, kernel)
 
 
 def needs_compilation() -> bool:

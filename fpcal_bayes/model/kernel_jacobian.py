@@ -1,8 +1,8 @@
 """Compiled kernel: cavity lengths with their derivatives by any parameter of the model vector.
 
-A rotation parameter turns everything behind it about an axis w through a point c, a translation parameter shifts it along
-u. With N = n.(o - f), D = n.a and L = N / D (paper equation (24)), turning changes n by w x n and N by (w x n).(c - f),
-shifting changes N by n.u, and
+A rotation parameter turns everything behind it about an axis w through a point c, a translation parameter shifts it
+along u. With N = n.(o - f), D = n.a and L = N / D (paper equation (24)), turning changes n by w x n and N by
+(w x n).(c - f), shifting changes N by n.u, and
 
     dL = (dN - L dD) / D.
 
@@ -91,11 +91,12 @@ def derivative_columns(revolute: Bools, slots: Ints) -> Ints:
 @compiled
 def dot(axes: Floats, link: int, which: int, other_link: int, other: int) -> float:
     """Scalar product of two of the vectors of `chain_axes`."""
-    return (
+    product: float = (
         axes[link, which, 0] * axes[other_link, other, 0]
         + axes[link, which, 1] * axes[other_link, other, 1]
         + axes[link, which, 2] * axes[other_link, other, 2]
     )
+    return product
 
 
 @compiled
@@ -217,7 +218,7 @@ def group_changes(
             changes[0, j] = along
         elif mode == TRAVEL:
             changes[2 + before, j] = along
-        if mode == TURN or mode == TURN_GAIN:
+        if mode in (TURN, TURN_GAIN):
             wx, wy, wz = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
             changes[0, j] = (
                 wx * (axes[link, point, 0] - fibre[0])
@@ -271,7 +272,7 @@ def batch_jacobians(
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
     out, jacobian = np.empty((values.shape[0], n_rows)), np.empty((values.shape[0], n_rows, n_wanted))
-    block_vector, block_cosine, block_sine = start_block(base, n_links, 1)
+    block_vector, block_cosine, block_sine = start_block(base, n_links, 1, 1)
     vector, cosine, sine = np.empty(base.size), np.empty(base.size), np.empty(base.size)
     frame, axes = np.empty((4, 3)), np.empty((n_links + 1, 5, 3))
     block_axis, axis_moves, prismatic_axes = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
@@ -279,7 +280,7 @@ def batch_jacobians(
     slope, lengths, derivatives = np.empty(n_prismatic), np.empty(n_poses), np.empty((n_poses, n_wanted))
     for k in range(values.shape[0]):
         fill_block(slots, values[k : k + 1], n_links, block_vector, block_cosine, block_sine)
-        optical_axis(block_cosine, block_sine, n_links, axis_is_z, block_axis)
+        optical_axis(block_cosine, block_sine, n_links, axis_is_z, block_axis, 1)
         vector[:], cosine[:], sine[:] = block_vector[:, 0], block_cosine[:, 0], block_sine[:, 0]
         optical, fibre = block_axis[:, 0].copy(), vector[first + X_WF : first + Z_WF + 1]
         optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
@@ -291,9 +292,7 @@ def batch_jacobians(
                     for i in range(3):
                         prismatic_axes[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
                     prismatic += 1
-            group_changes(
-                columns, vector, group_q[g], axes, fibre, optical, axis_moves, prismatic_axes, changes
-            )
+            group_changes(columns, vector, group_q[g], axes, fibre, optical, axis_moves, prismatic_axes, changes)
             height, facing = dot(axes, n_links, 3, n_links, 4), 0.0
             for i in range(3):
                 height -= axes[n_links, 3, i] * fibre[i]

@@ -47,7 +47,7 @@ def batch_mirrors(base: Floats, slots: Ints, values: Floats, revolute: Bools, q:
     n_links, n_poses = revolute.size, q.shape[0]
     first = STRIDE * n_links
     normals, origins = np.empty((values.shape[0], n_poses, 3)), np.empty((values.shape[0], n_poses, 3))
-    block, block_cosine, block_sine = start_block(base, n_links, 1)
+    block, block_cosine, block_sine = start_block(base, n_links, 1, 1)
     joint_cos, joint_sin = np.cos(q), np.sin(q)
     for k in range(values.shape[0]):
         fill_block(slots, values[k : k + 1], n_links, block, block_cosine, block_sine)

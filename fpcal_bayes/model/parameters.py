@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,7 +100,13 @@ class ParameterSet(Sequence[Parameter]):
     def __len__(self) -> int:
         return len(self._parameters)
 
-    def __getitem__(self, key):  # type: ignore[no-untyped-def]
+    @overload
+    def __getitem__(self, key: int | str) -> Parameter: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> "ParameterSet": ...
+
+    def __getitem__(self, key: int | str | slice) -> "Parameter | ParameterSet":
         if isinstance(key, str):
             return self._parameters[self.position(key)]
         return ParameterSet(self._parameters[key]) if isinstance(key, slice) else self._parameters[key]

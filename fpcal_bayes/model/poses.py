@@ -45,7 +45,7 @@ class PoseGroups:
     @property
     def n_groups(self) -> int:
         """Number of distinct revolute joint vectors."""
-        return self.group_q.shape[0]
+        return len(self.group_q)
 
 
 def group_poses(cell: Cell, q: Floats) -> PoseGroups:

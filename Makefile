@@ -1,0 +1,48 @@
+# Every target makes its own environment in .venv when it is missing or older than what it is made from.
+.DELETE_ON_ERROR:
+.PHONY: help week test lint bench clean
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
+
+# One thread a process: the tests and the benchmarks share out the cores themselves.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+help:
+	@echo "make week   the whole protocol on the simulated cell, with report, into week/"
+	@echo "make test   ruff, mypy and every test"
+	@echo "make lint   ruff and mypy only"
+	@echo "make bench  time the kernels on one core, beside NumPy and Pinocchio"
+	@echo "make clean  remove .venv, caches, build products and week/"
+
+week: $(VENV)/.test
+	$(BIN)/fpcal week -o week
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+lint: $(VENV)/.test
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: $(VENV)/.bench
+	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name
+
+clean:
+	rm -rf $(VENV) week build dist .benchmarks .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.test: pyproject.toml .python-version
+	@python3 -c 'import sys; v = sys.version.split()[0]; sys.exit(0 if sys.version_info >= (3, 12) else "fpcal_bayes needs Python 3.12 or newer as python3, found " + v)'
+	python3 -m venv --clear $(VENV)
+	$(PIP) -e '.[test]'
+	@touch $@
+
+$(VENV)/.bench: $(VENV)/.test
+	$(PIP) -e '.[bench]'
+	@touch $@

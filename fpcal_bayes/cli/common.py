@@ -1,0 +1,100 @@
+"""What commands share: options, announcements, output."""
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.files import require_writable, write_json
+from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.estimate import SCHEMA
+
+Commands = Any  # argparse names the type of its subparsers only privately
+
+
+def add_command(
+    commands: Commands, name: str, summary: str, run: Callable[[argparse.Namespace], int], epilog: str = ""
+) -> argparse.ArgumentParser:
+    """Add a command with the options that every command takes."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument("--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)")
+    parser.add_argument("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
+    return parser
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--json``."""
+    parser.add_argument("--json", metavar="OUT", type=Path, help="write the result as JSON")
+
+
+def cell_of(options: argparse.Namespace) -> Cell:
+    """The cell that the options name."""
+    return load_cell(options.cell, opd=options.opd)
+
+
+def check_output(output: Path | None, *inputs: str | Path | None) -> None:
+    """Refuse an output that cannot be written or that is one of the inputs, before any work is done."""
+    if output is None:
+        return
+    for other in inputs:
+        if other is not None and Path(other).exists() and output.exists() and output.samefile(other):
+            raise InputError(f"{output}: is an input of this command, expected another name for the output")
+    require_writable(output)
+
+
+def write_result(output: Path | None, command: str, content: dict[str, Any]) -> None:
+    """Write the JSON of a command, if it is wanted."""
+    if output is not None:
+        write_json(output, {"schema": SCHEMA, "command": command, **content})
+
+
+def announce_compilation() -> None:
+    """Say so if the first use of the kernels will take a while."""
+    from fpcal_bayes.model.compiled import needs_compilation
+
+    if needs_compilation():
+        print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings, a line each."""
+    for warning in warnings:
+        print(f"fpcal: warning: {warning}", file=sys.stderr)
+
+
+def console(options: argparse.Namespace) -> Console:
+    """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
+    terminal = sys.stdout.isatty()
+    return Console(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+
+
+def positive(text: str) -> float:
+    """Parse an option that must be a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    return value
+
+
+def seed(text: str) -> int:
+    """Parse a seed: a whole number from 0."""
+    if not (text.isascii() and text.isdigit() and len(text) < 19):
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, found {text!r}")
+    return int(text)

@@ -1,0 +1,106 @@
+"""``fpcal week``: the whole protocol on the simulated cell."""
+
+import argparse
+import io
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from fpcal_bayes.cli.common import (
+    Commands,
+    add_command,
+    announce_compilation,
+    cell_of,
+    console,
+    positive,
+    seed,
+    warn,
+)
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.files import write_json, write_text
+from fpcal_bayes.model.estimate import SCHEMA
+
+if TYPE_CHECKING:
+    from fpcal_bayes.week import Week
+
+_EPILOG = """\
+Writes into DIR: campaign.h5 (sweeps, truth and estimates), an estimate JSON a session, report.txt (the paper's
+Tables II to VII anew, beside the truth), extrinsics.svg.
+"""
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command to the program."""
+    parser = add_command(commands, "week", "run the paper's week on a simulated cell", run, _EPILOG)
+    parser.add_argument("-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)")
+    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from fpcal_bayes.measure.campaign import Campaign, write_campaign
+    from fpcal_bayes.report.week_figure import draw_week, save_figure
+    from fpcal_bayes.week import SESSIONS, Week, identify_session, measure_week
+
+    cell = cell_of(options)
+    folder: Path = options.output
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: expected a folder that can be made ({error.strerror})") from error
+    announce_compilation()
+    began = time.perf_counter()
+    truth, sweeps = measure_week(cell, sigma=options.sigma_nm * 1e-3, seed=options.seed)
+
+    out = console(options)
+    results, full = {}, None
+    with out.status("identifying") as status:
+        for session in SESSIONS:
+            status.update(f"identifying {session.name} ({len(results) + 1} of {len(SESSIONS)})")
+            results[session.name] = identify_session(cell, sweeps, session, full, {"file": "campaign.h5"})
+            if session.free == "all":
+                full = results[session.name]
+    week = Week(cell, truth, sweeps, results)
+
+    contents = {name: {"schema": SCHEMA, "command": "identify", **r.content()} for name, r in results.items()}
+    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
+    campaign = Campaign.of(
+        sweeps, cell, command=command, seed=options.seed, truth=truth.record(), estimates=contents
+    )
+    write_campaign(folder / "campaign.h5", campaign, cell)
+    for name, content in contents.items():
+        write_json(folder / f"{name}.json", content)
+    save_figure(draw_week(week), folder / "extrinsics.svg")
+    text = io.StringIO()
+    print_week(week, Console(file=text, width=120, highlight=False))
+    write_text(folder / "report.txt", text.getvalue())
+
+    print_week(week, out)
+    warn(f"{name}: {warning}" for name, result in results.items() for warning in result.warnings)
+    out.print(
+        f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {folder}/",
+        markup=False,
+        soft_wrap=True,
+    )
+    return 0 if all(result.converged for result in results.values()) else 1
+
+
+def print_week(week: "Week", out: Console) -> None:
+    """Print each session's parameters beside the truth, as the paper's tables have them."""
+    from fpcal_bayes.report.tables import fit_lines, reflection_lines, truth_table
+    from fpcal_bayes.week import SESSIONS
+
+    for session in SESSIONS:
+        result = week.identifications[session.name]
+        truth = week.truth.at(24.0 * session.day)
+        names = week.truth.parameters.names
+        shown = [i for i, name in enumerate(names) if session.free == "all" or name in result.free.names]
+        held = "" if session.free == "all" else "; intrinsic parameters held at day 2, with their uncertainty"
+        title = f"Day {session.day:g}: {session.tables} of the paper anew{held}"
+        out.print(truth_table(result.estimate, truth[shown], [names[i] for i in shown], title))
+        for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result):
+            out.print(line, markup=False, soft_wrap=True)
+        out.print()

@@ -1,0 +1,393 @@
+"""Identify a cell from sweeps: the maximum of the posterior, its covariance, and how far to trust them."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, Solution, minimise
+from fpcal_bayes.infer.mirror import mirror_images
+from fpcal_bayes.infer.observability import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.problem import Considered, Problem
+from fpcal_bayes.infer.signs import DOUBTFUL, SignDecision, decide_signs
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+
+Floats = NDArray[np.float64]
+Hold = Literal["consider", "exact"]
+
+#: Below this probability of a sum of squares as large as the one found, other starts are tried.
+RETRY_BELOW = 1e-3
+#: Below this probability of the data's chi-square, the fit is called poor.
+POOR_FIT_BELOW = 1e-3
+#: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
+RIVAL_EXCESS = 9.2
+_RELINEARISATIONS = 100
+
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """How well the data are met at the maximum of the posterior.
+
+    Attributes
+    ----------
+    chi2_data
+        Sum of squares of the whitened data rows.
+    expected
+        Its expected value: the number of rows less those that the parameters absorb.
+    p_value
+        Probability of a larger value if model, prior and noise are right.
+    standardised
+        Residual of each whitened row over its own standard deviation, shape (n_rows,).
+    """
+
+    chi2_data: float
+    expected: float
+    p_value: float
+    standardised: Floats
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of `identify`.
+
+    Attributes
+    ----------
+    estimate
+        Maximum of the posterior with its Laplace covariance.
+    problem, solution
+        The least-squares problem as it was solved last, and its minimum.
+    free
+        The parameters that were identified.
+    spectrum
+        What the data tell about them.
+    fit
+        How well the data are met.
+    signs
+        How the unsigned rows were decided, or None.
+    starts
+        Number of starting points that were tried.
+    seconds
+        Time of the identification itself.
+    warnings
+        Sentences about what is not to be trusted.
+    """
+
+    estimate: Estimate
+    problem: Problem
+    solution: Solution
+    free: ParameterSet
+    spectrum: Spectrum
+    fit: GoodnessOfFit
+    signs: SignDecision | None
+    starts: int
+    seconds: float
+    warnings: tuple[str, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the minimum was reached."""
+        return self.solution.converged
+
+    @property
+    def doubtful_signs(self) -> list[tuple[str, float]]:
+        """Labels of the rows whose sign may be the other one, with that probability, likeliest first."""
+        return _doubtful(self.problem.sweeps, self.signs)
+
+    def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
+        """Labels of the rows with the largest standardised residuals, largest first."""
+        standardised = self.fit.standardised
+        order = np.argsort(-np.abs(standardised), kind="stable")[:n]
+        return [(str(self.problem.sweeps.label[i]), float(standardised[i])) for i in order]
+
+    def content(self) -> dict[str, Any]:
+        """What ``identify --json`` writes, without schema and command."""
+        return {
+            **self.estimate.content(),
+            "fit": {
+                "sum_of_squares": self.solution.sum_of_squares,
+                "chi2_data": self.fit.chi2_data,
+                "chi2_expected": self.fit.expected,
+                "p_value": self.fit.p_value,
+                "n_sweeps": len(self.problem.sweeps),
+                "rank": self.spectrum.rank,
+                "converged": self.converged,
+                "starts": self.starts,
+                "seconds": self.seconds,
+            },
+            "residuals": [{"label": label, "standardised": value} for label, value in self.largest_residuals()],
+            "doubtful_signs": [{"label": label, "probability": p} for label, p in self.doubtful_signs],
+            "warnings": list(self.warnings),
+        }
+
+
+def identify(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    free: str | Sequence[str] = "all",
+    start: Estimate | None = None,
+    hold: Hold = "consider",
+    seed: int = 0,
+    max_starts: int = 10,
+) -> Identification:
+    """Identify the free parameters of a cell by Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    cell
+        The cell with its priors and its path model.
+    sweeps
+        The sweeps of one session, measured.
+    free
+        ``all``, ``intrinsic``, ``extrinsic`` or parameter names; the others are held at `start` (nominal without).
+    start
+        An earlier estimate: starting point of the free parameters, value and covariance of the held ones.
+    hold
+        ``consider``: held parameters are uncertain by the covariance of `start` (the prior without one) and that
+        uncertainty reaches the result (Schmidt's consider parameters). ``exact``: they are taken as known.
+    seed
+        Of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
+    max_starts
+        How many starting points to try at most.
+
+    Raises
+    ------
+    InputError
+        If a parameter name is unknown, nothing is free, or the sweeps carry no measurement.
+    """
+    began = time.perf_counter()
+    warnings: list[str] = []
+    used = sweeps.take(sweeps.kind != "path")
+    if len(used) < len(sweeps):
+        warnings.append(f"{len(sweeps) - len(used)} rows of kind path are not used in the identification")
+    if len(used) == 0 or not used.measured:
+        raise InputError(f"{sweeps.file}: expected at least one sweep with dl_um and sigma_um")
+    chosen = cell.select(free)
+    if not len(chosen):
+        raise InputError("nothing is free: expected at least one parameter to identify")
+    problem = _set_up(cell, used, chosen, start, hold)
+    first = problem.unknowns(_starting_values(chosen, start))
+
+    signs = None
+    if not (used.signed | used.absolute).all():
+        problem, signs = _fit_signs(problem, first)
+        first = signs.solution.unknowns
+        if not signs.complete:
+            warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
+    problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
+    unknowns = solution.unknowns
+    spectrum = spectrum_of(problem.data_jacobian(unknowns)[:, : len(chosen)])
+    covariance = problem.covariance(unknowns)
+    status = statuses(spectrum, np.diag(covariance)[: len(chosen)] / chosen.prior_sd**2)
+    fit = _goodness(problem, unknowns)
+
+    if not solution.converged:
+        warnings.append(f"the fit did not converge from {starts} starting points: do not use this estimate")
+    if spectrum.rank < len(chosen):
+        gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
+        warnings.append(
+            f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
+            f"prior: {gauges or 'no single parameter stands out'}"
+        )
+    if fit.p_value < POOR_FIT_BELOW:
+        warnings.append(
+            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} (p = {fit.p_value:.1e}): "
+            "the path model or sigma_um is wrong, some sweeps are off, or held values are stale"
+        )
+    rival = _rival(problem, solution, found)
+    if rival is not None:
+        apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
+        named = ", ".join(chosen.names[i] for i in sorted(apart))
+        warnings.append(
+            f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
+            f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small: midpoints tell them apart"
+        )
+    doubtful = _doubtful(used, signs)
+    if doubtful:
+        named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
+        more = ", ..." if len(doubtful) > 5 else ""
+        warnings.append(f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}")
+    return Identification(
+        estimate=_estimate(cell, used, problem, covariance, status, unknowns),
+        problem=problem,
+        solution=solution,
+        free=chosen,
+        spectrum=spectrum,
+        fit=fit,
+        signs=signs,
+        starts=starts,
+        seconds=time.perf_counter() - began,
+        warnings=tuple(warnings),
+    )
+
+
+def _set_up(cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold) -> Problem:
+    """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
+    known = start.parameters.names if start is not None else ()
+    held = ParameterSet(
+        p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free)
+    )
+    vector = cell.parameters.nominal.copy()
+    covariance = np.diag(held.prior_sd**2)
+    if start is not None:
+        shared = [name for name in held.names if name in known]
+        values, block = start.block(shared)
+        at = held.positions(shared)
+        vector[held.slots[at]] = values
+        covariance[np.ix_(at, at)] = block
+    considered = None
+    if hold == "consider" and len(held):
+        considered = Considered.of(held, covariance)
+    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered)
+
+
+def _starting_values(chosen: ParameterSet, start: Estimate | None) -> Floats:
+    values = chosen.nominal.copy()
+    if start is not None:
+        for i, name in enumerate(chosen.names):
+            if name in start.parameters:
+                values[i] = start.values[start.parameters.position(name)]
+    return values
+
+
+def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
+    """Minimise, with the measurement covariance and the considered rows taken at the minimum itself."""
+    solution = minimise(problem, start)
+    if not problem.depends_on_point:
+        return problem, solution
+    for _ in range(_RELINEARISATIONS):
+        problem = problem.relinearised(solution.unknowns)
+        before = problem.residuals(solution.unknowns)
+        solution = minimise(problem, solution.unknowns)
+        # The new weights no longer move the minimum.
+        excess = float(before @ before) - solution.sum_of_squares
+        if excess < DECREMENT_TOLERANCE * max(1.0, solution.sum_of_squares / len(problem.sweeps)):
+            return problem, solution
+    return problem, Solution(solution.unknowns, solution.sum_of_squares, converged=False)
+
+
+def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
+    """Decide the unknown signs, again if the measurement covariance depends on the point."""
+    signs = decide_signs(problem, start)
+    if problem.depends_on_point:
+        signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
+    return problem.with_target(signs.target), signs
+
+
+def _fit(
+    problem: Problem, first: Floats, rng: np.random.Generator, max_starts: int
+) -> tuple[Problem, Solution, list[Solution], int]:
+    """Minimise from `first`, from its mirror images, and from draws of the prior while the fit is worse than chance.
+
+    Returns
+    -------
+    tuple
+        The problem and its lowest minimum, every minimum that was found, and the number of starting points.
+    """
+    problem, solution = _converge(problem, first)
+    found = [solution]
+    found += [minimise(problem, image) for image in mirror_images(problem, solution)[: max_starts - 1]]
+    best = min(found, key=_rank)
+    while len(found) < max_starts and (
+        not best.converged or chi2_tail(best.sum_of_squares, len(problem.sweeps)) < RETRY_BELOW
+    ):
+        start = np.zeros(problem.n_unknowns)
+        start[: problem.n_free] = rng.standard_normal(problem.n_free)
+        found.append(minimise(problem, start))
+        best = min(found, key=_rank)
+    if best is not solution and problem.depends_on_point:
+        moved, better = _converge(problem, best.unknowns)
+        # Each minimum has its own linearisation; what counts is where the iteration ends.
+        if _rank(better) < _rank(solution):
+            problem, best = moved, better
+        else:
+            best = solution
+    return problem, best, found, len(found)
+
+
+def _rank(solution: Solution) -> tuple[bool, float]:
+    """Order of solutions: converged ones first, then the lowest."""
+    return not solution.converged, solution.sum_of_squares
+
+
+def _rival(problem: Problem, best: Solution, found: list[Solution]) -> Solution | None:
+    """The best other minimum, if its sum of squares is within `RIVAL_EXCESS` of the lowest."""
+    jacobian = problem.jacobian(best.unknowns)
+    rivals = []
+    for other in found:
+        distance = jacobian @ (other.unknowns - best.unknowns)
+        if other.converged and float(distance @ distance) > 1.0:
+            rivals.append(other)
+    rival = min(rivals, key=lambda other: other.sum_of_squares, default=None)
+    if rival is None or rival.sum_of_squares - best.sum_of_squares > RIVAL_EXCESS:
+        return None
+    return rival
+
+
+def _goodness(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
+    residuals = problem.data_residuals(unknowns)
+    chi2_data = float(residuals @ residuals)
+    jacobian = problem.data_jacobian(unknowns)
+    orthonormal, triangle = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")
+    leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
+    standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
+    # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,
+    # h the eigenvalues of H; a scaled chi-square with the same mean and variance stands for it (Satterthwaite 1946).
+    shrink = linalg.svdvals(jacobian)[: problem.n_unknowns]
+    weights = np.ones(max(len(residuals), len(shrink)))
+    weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
+    weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
+    mean, square = float(weights.sum()), float((weights**2).sum())
+    p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
+    return GoodnessOfFit(chi2_data, mean, p_value, standardised)
+
+
+def _estimate(
+    cell: Cell,
+    sweeps: Sweeps,
+    problem: Problem,
+    covariance: Floats,
+    status: tuple[Status, ...],
+    unknowns: Floats,
+) -> Estimate:
+    """Free parameters, considered ones and those held as exact, in the cell's order."""
+    chosen = problem.model.free
+    uncertain = list(chosen.names) + list(problem.considered.parameters.names if problem.considered else ())
+    vector = problem.model.vector(problem.values(unknowns))
+    parameters = ParameterSet(
+        p for p in cell.parameters if p.name in uncertain or p.name in cell.free or vector[p.slot] != p.nominal
+    )
+    at = parameters.positions(uncertain)
+    full = np.zeros((len(parameters), len(parameters)))
+    full[np.ix_(at, at)] = covariance
+    by_name = dict(zip(chosen.names, status, strict=True))
+    return Estimate(
+        cell=cell,
+        parameters=parameters,
+        values=vector[parameters.slots],
+        covariance=full,
+        status=tuple(by_name.get(name, "fixed") for name in parameters.names),
+        time_h=float(sweeps.time_h.max()),
+    )
+
+
+def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, float]]:
+    if signs is None:
+        return []
+    rows = [int(i) for i in np.argsort(-signs.doubt, kind="stable") if signs.doubt[i] > DOUBTFUL]
+    return [(str(sweeps.label[i]), float(signs.doubt[i])) for i in rows]
+
+
+def chi2_tail(value: float, dof: float) -> float:
+    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
+    return float(special.gammaincc(dof / 2.0, value / 2.0))

@@ -1,0 +1,45 @@
+"""Second minima that the symmetry of the nominal cell hides.
+
+Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and to
+a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against alpha_5 is
+such a direction: from random starting points about half of the fits end on either side, often with sums of squares that
+differ by less than ten.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fpcal_bayes.infer.least_squares import Solution
+from fpcal_bayes.infer.observability import spectrum_of
+from fpcal_bayes.infer.problem import Problem
+
+Floats = NDArray[np.float64]
+
+_MOST_IMAGES = 3
+
+
+def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
+    """Points across the directions that the data see at `solution` but hardly at the prior mean.
+
+    Hardly means: they tell less than the prior (singular value below one), or nothing.
+
+    Returns
+    -------
+    list of ndarray
+        Starting points for further fits, each of shape (n_unknowns,); empty where there is no such direction.
+    """
+    n, unknowns = problem.n_free, solution.unknowns
+    at_mean = spectrum_of(problem.data_jacobian(np.zeros(problem.n_unknowns))[:, :n])
+    here = spectrum_of(problem.data_jacobian(unknowns)[:, :n])
+    weak = at_mean.observable[at_mean.singular_values[: at_mean.rank] < 1.0]
+    # Of the directions invisible at the mean, those farthest from the invisible ones here; gauges only bend a little.
+    n_hidden = max(here.rank - at_mean.rank, 0)
+    outside = at_mean.null_space - (at_mean.null_space @ here.null_space.T) @ here.null_space
+    hidden = linalg.svd(outside)[0].T[:n_hidden] @ at_mean.null_space if n_hidden else np.zeros((0, n))
+    images = []
+    for direction in [*weak[::-1], *hidden][:_MOST_IMAGES]:
+        image = unknowns.copy()
+        image[:n] -= 2.0 * (direction @ unknowns[:n]) * direction
+        images.append(image)
+    return images

@@ -1,0 +1,90 @@
+"""What a set of sweeps can tell about the parameters: rank, unobservable directions, status of each parameter."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+Floats = NDArray[np.float64]
+Status = Literal["identified", "weak", "gauge", "fixed"]
+
+#: A singular value below this share of the largest one counts as zero. The weakest direction that the paper's sweeps see
+#: stands at 7e-5, rounding errors at 1e-14.
+RELATIVE_TOLERANCE = 1e-9
+#: A parameter whose share in the null space exceeds this is a gauge.
+GAUGE_SHARE = 0.1
+#: A parameter is weak if the data leave more than this share of its prior variance.
+WEAK_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular values and vectors of a whitened, prior-scaled Jacobian.
+
+    Attributes
+    ----------
+    singular_values
+        Descending, shape (n,): information of each direction, in prior standard deviations per noise standard deviation.
+    directions
+        Right singular vectors as rows, shape (n, n), in prior-scaled units.
+    tolerance
+        Singular values at or below it count as zero.
+    rank
+        Number of singular values above it.
+    gap
+        Ratio of the last singular value that counts to the first that does not; infinite at full rank.
+    """
+
+    singular_values: Floats
+    directions: Floats
+    tolerance: float
+    rank: int
+    gap: float
+
+    @property
+    def observable(self) -> Floats:
+        """Directions that the data see, shape (rank, n)."""
+        return self.directions[: self.rank]
+
+    @property
+    def null_space(self) -> Floats:
+        """Directions that the data do not see at all, shape (n - rank, n)."""
+        return self.directions[self.rank :]
+
+    @property
+    def null_share(self) -> Floats:
+        """Share of each parameter in the null space, from 0 to 1, shape (n,)."""
+        share: Floats = (self.null_space**2).sum(axis=0)
+        return share
+
+
+def spectrum_of(jacobian: Floats) -> Spectrum:
+    """Singular value analysis of a whitened Jacobian (n_rows, n) in prior-scaled units."""
+    n = jacobian.shape[1]
+    # The triangle has the same singular values and is small, however many rows there are.
+    triangle = linalg.qr(jacobian, mode="r")[0][:n]
+    _, found, directions = linalg.svd(triangle, full_matrices=True)
+    values = np.zeros(n)
+    values[: len(found)] = found
+    tolerance = RELATIVE_TOLERANCE * float(values[0]) if n else 0.0
+    rank = int(np.count_nonzero(values > tolerance))
+    beyond = float(values[rank]) if rank < n else 0.0
+    gap = float(values[rank - 1]) / beyond if rank and beyond > 0 else float("inf")
+    return Spectrum(values, directions, tolerance, rank, gap)
+
+
+def statuses(spectrum: Spectrum, posterior_share: Floats) -> tuple[Status, ...]:
+    """Status of each parameter.
+
+    Parameters
+    ----------
+    spectrum
+        Of the free parameters.
+    posterior_share
+        Posterior over prior variance, shape (n,).
+    """
+    gauge = spectrum.null_share > GAUGE_SHARE
+    weak = posterior_share > WEAK_SHARE
+    return tuple("gauge" if g else "weak" if w else "identified" for g, w in zip(gauge, weak, strict=True))

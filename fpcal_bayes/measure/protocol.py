@@ -1,0 +1,194 @@
+"""Which sweeps to measure: the paper's protocol, single sweeps, and which signs are known."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.truth import paper_tables
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.chain import tool_pose
+
+Floats = NDArray[np.float64]
+
+#: Half the side of the cube of nodes, in um; the paper does not print it.
+NODE_HALF_SIDE = 150.0
+
+#: World axes along and about which the six joints move in the paper's chain: X 0, Y 1, Z 2.
+_PAPER_AXES = (2, 1, 0, 0, 2, 1)
+_PAPER_CHAIN = ("prismatic",) * 3 + ("revolute",) * 3
+
+_MIDPOINT = "-mid"
+#: The paper knows the sign of these sweeps from wavelength scans before and after them.
+_SIGN_KNOWN = ("-tx", "-tz")
+
+
+def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-T0", time_h: float = 0.0) -> Sweeps:
+    """The paper's protocol as a plan: 45 rotations at 15 nodes, then 24 translations at 8 orientations.
+
+    Parameters
+    ----------
+    cell
+        With the paper's chain: translations along Zw, Yw, Xw, then rotations about Xw, Zw, Yw.
+    midpoints
+        Read each sweep at its middle too: two rows, start to middle (label ends in ``-mid``) and start to end, in
+        one group named after the sweep.
+    session, time_h
+        Of all rows.
+
+    Returns
+    -------
+    Sweeps
+        69 rows, or 138 with midpoints.
+
+    Raises
+    ------
+    InputError
+        If the cell has another chain, or its limits do not let it make the sweeps.
+    """
+    _require_paper_chain(cell)
+    labels, starts, ends = zip(*_paper_sweeps(), strict=True)
+    q_start, q_end = np.array(starts) * cell.joint_scales, np.array(ends) * cell.joint_scales
+    if midpoints:
+        middle = (q_start + q_end) / 2.0
+        q_start, q_end = np.repeat(q_start, 2, axis=0), np.stack([middle, q_end], axis=1).reshape(-1, q_end.shape[1])
+        rows = [name for label in labels for name in (label + _MIDPOINT, label)]
+        group = [label for label in labels for _ in range(2)]
+        sweeps = Sweeps.make(q_start, q_end, session=session, label=rows, time_h=time_h, group=group, file="protocol")
+    else:
+        sweeps = Sweeps.make(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
+    check_sweeps(sweeps, cell)
+    return sweeps
+
+
+def single_sweep(
+    cell: Cell,
+    joint: int,
+    start: float,
+    end: float,
+    *,
+    pose: Floats | None = None,
+    session: str = "session-1",
+    label: str = "",
+    time_h: float = 0.0,
+) -> Sweeps:
+    """A plan of one sweep: one joint moves, the others stand still.
+
+    Parameters
+    ----------
+    joint
+        Number of the joint, 1 for ``q1``.
+    start, end
+        Of that joint, in um or rad.
+    pose
+        Joint vector at which the others stand, in um and rad, shape (n_joints,); by default zero.
+
+    Raises
+    ------
+    InputError
+        If there is no such joint, it does not move, or a joint leaves its limits.
+    """
+    n_joints = len(cell.joints)
+    if not 1 <= joint <= n_joints:
+        raise InputError(f"joint {joint}: expected 1 to {n_joints}")
+    q = np.zeros((2, n_joints)) if pose is None else np.tile(np.asarray(pose, dtype=float), (2, 1))
+    q[:, joint - 1] = start, end
+    label = label or f"q{joint}"
+    sweeps = Sweeps.make(q[:1], q[1:], session=session, label=label, time_h=time_h, file="single sweep")
+    check_sweeps(sweeps, cell)
+    return sweeps
+
+
+#: Protocols by the name a user gives.
+PROTOCOLS: dict[str, Callable[[Cell], Sweeps]] = {
+    "paper": paper_protocol,
+    "paper-mid": lambda cell: paper_protocol(cell, midpoints=True),
+}
+
+
+def protocol_by_name(name: str, cell: Cell) -> Sweeps:
+    """The protocol called `name` in `PROTOCOLS`, as a plan; `InputError` if none is or the cell cannot make it."""
+    if name not in PROTOCOLS:
+        raise InputError(f"unknown protocol {name!r}: expected one of {', '.join(PROTOCOLS)} or a sweep file")
+    return PROTOCOLS[name](cell)
+
+
+def mark_signs(sweeps: Sweeps, signs: str) -> Sweeps:
+    """Mark which rows know the sign of their change of length.
+
+    Parameters
+    ----------
+    sweeps
+        A plan or measured; where the sign is unknown, a measured change becomes its size. A sign that was lost
+        before stays lost.
+    signs
+        ``all``, or ``paper``: only X and Z translations (labels that end in ``-tx``, ``-tz``, their midpoints
+        included) and absolute lengths, which have no sign to lose.
+
+    Raises
+    ------
+    InputError
+        If `signs` is another word.
+    """
+    if signs not in ("all", "paper"):
+        raise InputError(f"unknown signs {signs!r}: expected all or paper")
+    known = np.ones(len(sweeps), dtype=bool)
+    if signs == "paper":
+        labels = [label.removesuffix(_MIDPOINT) for label in sweeps.label.tolist()]
+        known = np.array([label.endswith(_SIGN_KNOWN) for label in labels]) | sweeps.absolute
+    known &= sweeps.signed | np.isnan(sweeps.dl)
+    return replace(sweeps, signed=known, dl=np.where(known, sweeps.dl, np.abs(sweeps.dl)))
+
+
+def _paper_sweeps() -> Iterator[tuple[str, list[float], list[float]]]:
+    """Label, start and end of each sweep, in um and deg."""
+    setup = paper_tables()["setup"]
+    tilt, spin = setup["tilt_sweep_deg"], setup["spin_sweep_deg"]
+    rotations = {"rx": (3, tilt), "rz": (4, tilt), "ry": (5, spin)}
+    across, along = setup["translation_sweep_xz_um"], setup["translation_sweep_y_um"]
+    translations = {"tx": (2, across), "ty": (1, along), "tz": (0, across)}
+
+    def moves(name: str, pose: list[float], swept: dict[str, tuple[int, list[float]]]):  # type: ignore[no-untyped-def]
+        for suffix, (joint, (low, high)) in swept.items():
+            start, end = pose.copy(), pose.copy()
+            start[joint], end[joint] = low, high
+            yield f"{name}-{suffix}", start, end
+
+    for number, node in enumerate(_nodes()):
+        yield from moves(f"node{number}", [*node, 0.0, 0.0, 0.0], rotations)
+    for q4, q5, q6 in product((0.0, tilt[1]), (0.0, tilt[1]), spin):
+        yield from moves(f"orient{q4:g}-{q5:g}-{q6:g}", [0.0, 0.0, 0.0, q4, q5, q6], translations)
+
+
+def _nodes() -> list[list[float]]:
+    """Values of q1, q2, q3 at the centre, the corners and the face centres of a cube."""
+    half = NODE_HALF_SIDE
+    corners = [[q1, q2, q3] for q3, q2, q1 in product((-half, half), repeat=3)]
+    faces = [[side if joint == moved else 0.0 for joint in range(3)] for side in (-half, half) for moved in (2, 1, 0)]
+    return [[0.0, 0.0, 0.0], *corners, *faces]
+
+
+def _require_paper_chain(cell: Cell) -> None:
+    fits = tuple(joint.kind for joint in cell.joints) == _PAPER_CHAIN
+    if not fits or not all(_moves_along(cell, joint, axis) for joint, axis in enumerate(_PAPER_AXES)):
+        raise InputError(
+            f"cell {cell.name!r}: the paper's protocol is for a chain that moves along Zw, Yw, Xw, then turns about "
+            "Xw, Zw, Yw; give a sweep file instead"
+        )
+
+
+def _moves_along(cell: Cell, joint: int, axis: int) -> bool:
+    """Whether the nominal joint moves along or about +`axis` of the world, within 10 degrees."""
+    step = np.zeros(len(cell.joints))
+    step[joint] = 1e-3
+    before, after = (tool_pose(cell, cell.parameters.nominal, q) for q in (0.0 * step, step))
+    if cell.joints[joint].kind == "prismatic":
+        direction = after[:3, 3] - before[:3, 3]
+    else:
+        turn = after[:3, :3] @ before[:3, :3].T
+        direction = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return bool(direction[axis] > np.cos(np.radians(10.0)) * np.linalg.norm(direction))

@@ -1,0 +1,201 @@
+"""An estimate: values, covariance and provenance of a cell's parameters, and its JSON file."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.files import read_text
+from fpcal_bayes.model.cell import Cell, describe
+from fpcal_bayes.model.parameters import ParameterSet
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "fpcal/1"
+STATUSES = ("identified", "weak", "gauge", "fixed")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values and covariance of a cell's parameters at a time.
+
+    Attributes
+    ----------
+    cell
+        The cell it belongs to.
+    parameters
+        In the cell's order.
+    values
+        In um and rad, shape (n,).
+    covariance
+        In um and rad, shape (n, n); zero rows where a parameter is held as exact.
+    status
+        ``identified``, ``weak``, ``gauge`` or ``fixed``, one a parameter.
+    time_h
+        Hours since the campaign began.
+    valid_until_h
+        Until when it may be used, or None where nobody has worked that out.
+    data
+        Name and hash of the file it was made from.
+    """
+
+    cell: Cell
+    parameters: ParameterSet
+    values: Floats
+    covariance: Floats
+    status: tuple[str, ...]
+    time_h: float = 0.0
+    valid_until_h: float | None = None
+    data: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations in um and rad, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def __repr__(self) -> str:
+        return f"Estimate({len(self.parameters)} parameters of {self.cell.name!r} at {self.time_h:g} h)"
+
+    def vector(self) -> Floats:
+        """Model vector (model size,) with these values, the rest nominal."""
+        vector = self.cell.parameters.nominal.copy()
+        vector[self.parameters.slots] = self.values
+        return vector
+
+    def shown(self) -> dict[str, dict[str, float]]:
+        """Value and standard deviation of each parameter in the units a person reads."""
+        values, sds = self.parameters.to_shown(self.values), self.parameters.to_shown(self.sd)
+        return {
+            p.name: {"value": float(v), "sd": float(s)} for p, v, s in zip(self.parameters, values, sds, strict=True)
+        }
+
+    def block(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Values (n,) and covariance (n, n) of some parameters, in um and rad."""
+        chosen = self.parameters.positions(names)
+        return self.values[chosen], self.covariance[np.ix_(chosen, chosen)]
+
+    def content(self) -> dict[str, Any]:
+        """The JSON content: parameters, covariance, cell, data, times."""
+        shown = self.shown()
+        exact = np.diag(self.covariance) == 0
+        uncertain = [i for i in range(len(self.parameters)) if not exact[i]]
+        scales = self.parameters.scales[uncertain]
+        matrix = self.covariance[np.ix_(uncertain, uncertain)] / np.outer(scales, scales)
+        return {
+            "parameters": {
+                p.name: {
+                    **shown[p.name],
+                    "unit": p.unit,
+                    "prior_sd": p.shown(p.prior_sd),
+                    "status": status,
+                }
+                for p, status in zip(self.parameters, self.status, strict=True)
+            },
+            "covariance": {"names": [self.parameters.names[i] for i in uncertain], "matrix": matrix.tolist()},
+            "cell": describe(self.cell),
+            "data": self.data,
+            "time_h": self.time_h,
+            "valid_until_h": self.valid_until_h,
+        }
+
+
+def read_estimate(path: str | Path, cell: Cell) -> Estimate:
+    """Read an estimate file, as ``identify --json`` writes it.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
+    """
+    text = read_text(Path(path))
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a JSON file: {error}") from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        found = content.get("schema") if isinstance(content, dict) else type(content).__name__
+        raise InputError(f"{path}: key schema: expected {SCHEMA!r}, found {found!r}")
+    stated = content.get("cell")
+    if not isinstance(stated, dict) or not {"name", "sha256"} <= stated.keys():
+        raise InputError(f"{path}: key cell: expected the name and sha256 of the cell the estimate belongs to")
+    if stated["sha256"] != cell.sha256:
+        opd = f", opd {stated['opd']!r}" if "opd" in stated else ""
+        raise InputError(
+            f"{path}: key cell: the estimate is of another cell ({stated['name']!r}{opd}, {str(stated['sha256'])[:12]}), "
+            f"expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
+        )
+    if content.get("fit", {}).get("converged") is False if isinstance(content.get("fit"), dict) else False:
+        raise InputError(
+            f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
+        )
+    return _Reader(str(path), cell).estimate(content)
+
+
+class _Reader:
+    def __init__(self, path: str, cell: Cell) -> None:
+        self.path, self.cell = path, cell
+
+    def estimate(self, content: dict[str, Any]) -> Estimate:
+        stated = content.get("parameters")
+        if not isinstance(stated, dict) or not stated:
+            raise self.error("parameters", "expected a table of parameters")
+        for name in stated:
+            if name not in self.cell.parameters or self.cell.parameters[name].prior_sd == 0:
+                raise self.error(f"parameters.{name}", f"cell {self.cell.name!r} has no such free parameter")
+        parameters = ParameterSet(p for p in self.cell.parameters if p.name in stated)
+        values, status = [], []
+        for p in parameters:
+            entry = stated[p.name]
+            if not isinstance(entry, dict) or entry.get("unit") != p.unit:
+                raise self.error(f"parameters.{p.name}.unit", f"expected {p.unit!r}")
+            if entry.get("status") not in STATUSES:
+                raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
+            values.append(self.number(entry.get("value"), f"parameters.{p.name}.value") * p.scale)
+            status.append(entry["status"])
+        time_h = self.number(content.get("time_h", 0.0), "time_h")
+        until = content.get("valid_until_h")
+        return Estimate(
+            cell=self.cell,
+            parameters=parameters,
+            values=np.array(values),
+            covariance=self.covariance(content.get("covariance"), parameters),
+            status=tuple(status),
+            time_h=time_h,
+            valid_until_h=None if until is None else self.number(until, "valid_until_h"),
+            data=content["data"] if isinstance(content.get("data"), dict) else {},
+        )
+
+    def covariance(self, stated: Any, parameters: ParameterSet) -> Floats:
+        if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):
+            raise self.error("covariance", "expected names and matrix")
+        names = stated["names"]
+        if len(set(map(str, names))) != len(names) or not all(name in parameters.names for name in names):
+            raise self.error("covariance.names", "expected names of the parameters above, each once")
+        try:
+            matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
+        except (TypeError, ValueError) as error:
+            raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
+        if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+            raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
+        matrix = (matrix + matrix.T) / 2
+        sds = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
+        if (np.diag(matrix) <= 0).any() or np.linalg.eigvalsh(matrix / np.outer(sds, sds))[:1].min(initial=0.0) < -1e-6:
+            raise self.error("covariance.matrix", "expected a positive semidefinite matrix")
+        full, chosen = np.zeros((len(parameters), len(parameters))), parameters.positions(names)
+        scales = parameters.scales[chosen]
+        full[np.ix_(chosen, chosen)] = matrix * np.outer(scales, scales)
+        return full
+
+    def number(self, value: Any, key: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.error(key, f"expected a finite number, found {value!r}")
+        return float(value)
+
+    def error(self, key: str, expected: str) -> InputError:
+        return InputError(f"{self.path}: key {key}: {expected}")

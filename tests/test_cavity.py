@@ -1,0 +1,84 @@
+"""The cavity model's own part: layout of rows, reflection points, joint derivatives on the built-in cell."""
+
+import numpy as np
+import pytest
+from conftest import RandomCell, ReferenceCase, random_cells
+from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+
+
+def test_vector_puts_free_values_among_the_held(femto: Cell) -> None:
+    free = femto.select("z_et,alpha_2")
+    held = np.arange(len(femto.parameters), dtype=float)
+    model = CavityModel.of(femto, free, held)
+    vector = model.vector(np.array([-1.0, -2.0]))
+    expected = held.copy()
+    expected[femto.parameters.position("alpha_2")] = -1.0
+    expected[femto.parameters.position("z_et")] = -2.0
+    assert_array_equal(vector, expected)
+    assert_array_equal(held, np.arange(len(femto.parameters)))
+
+
+def test_defaults_are_the_cells_own(femto: Cell) -> None:
+    model = CavityModel.of(femto)
+    assert model.free.names == femto.free.names
+    assert_array_equal(model.vector(femto.free.nominal), femto.parameters.nominal)
+
+
+def test_reflection_points_of_the_reference(femto: Cell, case_a: ReferenceCase) -> None:
+    world, mirror = CavityModel.of(femto).reflection_points(case_a.truth(femto), np.zeros((1, 6)))
+    geometry = case_a.content["geometry_at_zero"]
+    assert_allclose(world[0], geometry["wPr_um"], rtol=0, atol=1e-10)
+    assert_allclose(mirror[0], geometry["tPr_um"], rtol=0, atol=1e-10)
+
+
+@given(random_cells(n_poses=3))
+def test_reflection_points_are_the_chains(random: RandomCell) -> None:
+    world, mirror = random.model.reflection_points(random.values, random.poses)
+    assert world.shape == mirror.shape == (3, 3)
+    for i, q in enumerate(random.poses):
+        w, t = chain.reflection_point(random.cell, random.vector, q)
+        assert_array_equal(world[i], w)
+        assert_array_equal(mirror[i], t)
+
+
+def test_joint_jacobian_of_the_nominal_cell(femto: Cell) -> None:
+    """The light leaves along -Y: only q2, which moves the mirror along Y, changes the nominal length."""
+    derivative = CavityModel.of(femto).joint_jacobian(femto.free.nominal, np.zeros((1, 6)))
+    assert_allclose(derivative, [[0, -1, 0, 0, 0, 0]], rtol=0, atol=1e-12)
+
+
+def test_absolute_rows_ignore_their_start(femto: Cell, case_a: ReferenceCase) -> None:
+    model, truth = CavityModel.of(femto), case_a.truth(femto)
+    absolute = np.arange(69) % 2 == 0
+    mixed = model.predict(truth, model.rows(case_a.q_start, case_a.q_end, absolute))
+    assert_allclose(mixed[absolute], model.predict(truth, model.pose_rows(case_a.q_end))[absolute], rtol=0, atol=0)
+    changes = model.predict(truth, model.rows(case_a.q_start, case_a.q_end))
+    assert_array_equal(mixed[~absolute], changes[~absolute])
+
+
+def test_path_models_agree_where_light_meets_the_mirror_squarely(femto: Cell) -> None:
+    q = np.zeros((1, 6))
+    lengths = []
+    for opd in ("axis", "perpendicular"):
+        model = CavityModel.of(femto.with_opd(opd))
+        lengths.append(model.predict(femto.free.nominal, model.pose_rows(q))[0])
+    assert lengths == pytest.approx([920.0, 920.0], abs=1e-12)
+
+
+def test_wrong_number_of_joints_is_refused(femto: Cell) -> None:
+    with pytest.raises(ValueError, match=r"expected \(n, 6\)"):
+        CavityModel.of(femto).pose_rows(np.zeros((2, 5)))
+
+
+def test_inputs_need_not_be_contiguous(femto: Cell, case_a: ReferenceCase) -> None:
+    model, truth = CavityModel.of(femto), case_a.truth(femto)
+    wide = np.repeat(np.array([truth, truth]), 2, axis=1)[:, ::2]
+    q = np.asfortranarray(case_a.q_start)
+    rows = model.rows(q, case_a.q_end[:, ::-1][:, ::-1])
+    expected = model.predict(truth, model.rows(case_a.q_start, case_a.q_end))
+    assert_allclose(model.predict(wide, rows), [expected, expected], rtol=0, atol=1e-11)

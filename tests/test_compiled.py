@@ -1,0 +1,81 @@
+"""Compilation: what is kept on disk, and whether the next process has to wait."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fpcal_bayes.model.compiled import compiled, needs_compilation
+from fpcal_bayes.model.kernel import is_angle
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
+
+PROGRAM = """
+import numpy as np
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.model.compiled import needs_compilation
+before = needs_compilation()
+model = CavityModel.of(load_cell())
+rows = model.pose_rows(np.zeros((1, 6)))
+values = model.free.nominal
+lengths = model.predict(values, rows)
+model.predict_with_jacobian(values, rows)
+model.mirrors(values, np.zeros((1, 6)))
+print(before, needs_compilation(), float(lengths[0]))
+"""
+
+
+@pytest.mark.slow
+def test_second_process_finds_the_machine_code(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    ]
+    assert [run[:2] for run in said] == [["True", "False"], ["False", "False"]]
+    assert said[0][2] == said[1][2]
+    assert float(said[0][2]) == pytest.approx(920.0, abs=1e-9)
+
+
+def test_stored_code_older_than_its_source_does_not_count(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Only time stamps are compared: a stand-in kernel with a source and a stored file will do."""
+
+    code = SimpleNamespace(co_filename=str(tmp_path / "module.py"))
+    function = SimpleNamespace(__name__="kernel", __code__=code)
+    kernel = SimpleNamespace(py_func=function, stats=SimpleNamespace(cache_path=str(tmp_path)))
+    monkeypatch.setattr("fpcal_bayes.model.compiled._kernels", [kernel])
+    source, stored = tmp_path / "module.py", tmp_path / "module.kernel-12.py312.nbi"
+    source.touch()
+    assert needs_compilation()
+    stored.touch()
+    os.utime(source, (1000, 1000))
+    assert not needs_compilation()
+    os.utime(stored, (900, 900))
+    assert needs_compilation()
+
+
+def test_angles_are_the_parameters_in_degrees() -> None:
+    for n_links in (1, 6):
+        names = [stem for _ in range(n_links) for stem in LINK_SLOTS] + list(EXTRINSICS)
+        assert [is_angle(slot, n_links) for slot in range(len(names))] == [UNITS[name] == "deg" for name in names]
+
+
+def test_fused_sums_keep_nan_and_infinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Contraction is allowed; assuming that numbers are finite is not."""
+    # The package's own list of kernels stays as it is.
+    monkeypatch.setattr("fpcal_bayes.model.compiled._kernels", [])
+
+    def add(x: float, y: float) -> bool:
+        total = x + y
+        return total == total
+
+    kernel = compiled(add)
+    assert kernel(1.0, 2.0)
+    assert not kernel(np.inf, -np.inf)
+    assert not kernel(np.nan, 0.0)

@@ -26,6 +26,8 @@ ESTIMATE = {
     "schema": "fpcal/1",
     "command": "identify",
     "time_h": 0.5,
+    "n": 69,
+    "session": "not the key",
     "parameters": {
         "z_et": {"value": 1.5, "sd": 0.25, "unit": "um", "prior_sd": 20.0, "status": "weak"},
         "beta_4": {"value": -0.26, "sd": None, "unit": "deg", "prior_sd": 1.0, "status": "fixed"},
@@ -109,7 +111,7 @@ def test_other_programs_can_read_it(written):
         np.testing.assert_array_equal(estimate["sd"], [0.25, np.nan])
         assert estimate["covariance"][:].tolist() == [[0.0625]]
         assert json.loads(estimate["json"].asstr()[0]) == ESTIMATE
-        assert estimate.attrs["time_h"] == 0.5
+        assert (estimate.attrs["time_h"], estimate.attrs["n"], estimate.attrs["session"]) == (0.5, 69, b"full-T0")
         assert root["truth/units"].asstr()[0] == "deg"
 
 
@@ -207,7 +209,7 @@ def _attribute(name, value):
         (_set("sweeps", None), "/sweeps: the group is missing"),
         (_set("sweeps", np.zeros(3)), "/sweeps: expected a group"),
         (_set("sweeps/dl_um", None), "/sweeps: the column dl_um is missing"),
-        (_set("sweeps/dl_um", np.zeros(3)), "/sweeps/dl_um: expected 138 values as in dl_um, found 3"),
+        (_set("sweeps/dl_um", np.zeros(3)), "/sweeps/dl_um: expected 138 values as in q1_start_um, found 3"),
         (_set("sweeps/dl_um", np.zeros((138, 1))), "/sweeps/dl_um: expected 1 axes, found shape (138, 1)"),
         (_set("sweeps/dl_um", 3.0), "/sweeps/dl_um: expected 1 axes, found shape ()"),
         (_set("sweeps/dl_um", h5py.Empty("f8")), "/sweeps/dl_um: expected 1 axes"),

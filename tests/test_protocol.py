@@ -42,7 +42,7 @@ def test_another_chain_is_refused():
     short = replace(CELL, joints=CELL.joints[:5])
     turned = replace(CELL, parameters=ParameterSet(_renominal(p, "alpha_3", 0.0) for p in CELL.parameters))
     for cell in (swapped, short, turned):
-        with pytest.raises(InputError, match="the paper's protocol is for a chain .* give a sweep file instead"):
+        with pytest.raises(InputError, match=r"the paper's protocol is for a chain .* give a sweep file instead"):
             paper_protocol(cell)
 
 

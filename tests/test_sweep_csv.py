@@ -1,6 +1,7 @@
 """Sweeps in CSV files: what is read, what is refused and how it is said."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,18 @@ def test_optional_columns_in_any_order(tmp_path):
 )
 def test_accepts_other_writers(tmp_path, text):
     assert read_csv(write(tmp_path, text), CELL).dl.tolist() == [11.5]
+
+
+def test_the_header_follows_the_cells_joints(tmp_path):
+    cell = replace(CELL, name="two", joints=(CELL.joints[5], CELL.joints[0]))
+    header = "session,time_h,label,q1_start_deg,q2_start_um,q1_end_deg,q2_end_um,dl_um,sigma_um,signed"
+    text = f"{header}\ns,0,a,90,5,0,7,1,1,1\n"
+    path = write(tmp_path, text)
+    sweeps = read_csv(path, cell)
+    np.testing.assert_allclose(sweeps.q_start, [[np.pi / 2, 5.0]])
+    write_csv(path, sweeps, cell)
+    assert path.read_text() == text
+    assert "column q1_start_deg does not fit: cell 'femto-st' has 6 joints" in refusal(path)
 
 
 def test_rows_are_lines_of_the_file(tmp_path):

@@ -188,7 +188,7 @@ def identify(
     unknowns = solution.unknowns
     spectrum = spectrum_of(problem.data_jacobian(unknowns)[:, : len(chosen)])
     covariance = problem.covariance(unknowns)
-    status = statuses(spectrum, np.diag(covariance)[: len(chosen)] / chosen.prior_sd**2)
+    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / chosen.prior_sd**2)
     fit = _goodness(problem, unknowns)
 
     if not solution.converged:

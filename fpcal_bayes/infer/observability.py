@@ -75,16 +75,19 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
     return Spectrum(values, directions, tolerance, rank, gap)
 
 
-def statuses(spectrum: Spectrum, posterior_share: Floats) -> tuple[Status, ...]:
+def statuses(null_share: Floats, posterior_share: Floats, weak_share: float = WEAK_SHARE) -> tuple[Status, ...]:
     """Status of each parameter.
 
     Parameters
     ----------
-    spectrum
-        Of the free parameters.
+    null_share
+        Share of each parameter in the null space, shape (n,).
     posterior_share
         Posterior over prior variance, shape (n,).
+    weak_share
+        Posterior share above which a parameter is weak.
     """
-    gauge = spectrum.null_share > GAUGE_SHARE
-    weak = posterior_share > WEAK_SHARE
-    return tuple("gauge" if g else "weak" if w else "identified" for g, w in zip(gauge, weak, strict=True))
+    return tuple(
+        "gauge" if null > GAUGE_SHARE else "weak" if left > weak_share else "identified"
+        for null, left in zip(null_share, posterior_share, strict=True)
+    )

@@ -13,7 +13,7 @@ from fpcal_bayes import __version__
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import replacing
 from fpcal_bayes.measure.hdf5_access import Reader, put_array, put_text, reading, writing
-from fpcal_bayes.measure.sweep_table import TEXTS, Column, check_names, from_columns, to_columns
+from fpcal_bayes.measure.sweep_table import TEXTS, Column, check_names, from_columns, joint_columns, to_columns
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell import Cell, Opd
@@ -102,8 +102,8 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
         for session, estimate in campaign.estimates.items():
             # A slash or a lone dot means something else in HDF5; the attribute has the session's own name.
             group = estimates.create_group(_group_name(session))
-            put_text(group, "session", session)
             _put_estimate(group, estimate)
+            put_text(group, "session", session)
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campaign:
@@ -145,7 +145,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
     if truth is not None:
         truth.check(cell, f"{path}: /truth")
-    rows = np.arange(1, len(table["q1_start_" + cell.joints[0].unit]) + 1)
+    rows = np.arange(1, len(table[joint_columns(cell)[0]]) + 1)
     return Campaign(
         sweeps=from_columns(table, cell, str(path), rows, plan=plan),
         cell_name=name,
@@ -182,11 +182,12 @@ def _table(reader: Reader, cell: Cell, plan: bool) -> dict[str, Column]:
     table: dict[str, Column] = {}
     for name in names:
         table[name] = reader.texts(group, name) if name in TEXTS else reader.numbers(group, name)
-    expected = len(table[names[0]])
+    joint = joint_columns(cell)[0]
+    expected = len(table[joint])
     for name, values in table.items():
         if len(values) != expected:
             raise InputError(
-                f"{reader.path}: /sweeps/{name}: expected {expected} values as in {names[0]}, found {len(values)}"
+                f"{reader.path}: /sweeps/{name}: expected {expected} values as in {joint}, found {len(values)}"
             )
     return table
 
@@ -233,7 +234,7 @@ def _put_estimate(group: Any, estimate: dict[str, Any]) -> None:
     for key, value in estimate.items():
         if isinstance(value, str):
             put_text(group, key, value)
-        elif isinstance(value, (bool, float)):
+        elif isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63):
             group.attrs[key] = value
     parameters = estimate.get("parameters", {})
     if parameters:

@@ -53,16 +53,34 @@ def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-
     _require_paper_chain(cell)
     labels, starts, ends = zip(*_paper_sweeps(), strict=True)
     q_start, q_end = np.array(starts) * cell.joint_scales, np.array(ends) * cell.joint_scales
+    sweeps = Sweeps.make(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
     if midpoints:
-        middle = (q_start + q_end) / 2.0
-        q_start, q_end = np.repeat(q_start, 2, axis=0), np.stack([middle, q_end], axis=1).reshape(-1, q_end.shape[1])
-        rows = [name for label in labels for name in (label + _MIDPOINT, label)]
-        group = [label for label in labels for _ in range(2)]
-        sweeps = Sweeps.make(q_start, q_end, session=session, label=rows, time_h=time_h, group=group, file="protocol")
-    else:
-        sweeps = Sweeps.make(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
+        sweeps = add_midpoints(sweeps)
     check_sweeps(sweeps, cell)
     return sweeps
+
+
+def add_midpoints(sweeps: Sweeps) -> Sweeps:
+    """A plan in which each sweep is read at its middle too.
+
+    Each row that stands alone becomes two: start to middle (label ends in ``-mid``) and start to end, in a group named
+    after the sweep. Rows of a group and absolute lengths stay as they are.
+    """
+    alone = (sweeps.group == "") & (sweeps.kind == "sweep")
+    order = np.repeat(np.arange(len(sweeps)), np.where(alone, 2, 1))
+    is_middle = np.zeros(len(order), dtype=bool)
+    is_middle[np.searchsorted(order, np.flatnonzero(alone))] = True
+    expanded = sweeps.take(order)
+    middle = (expanded.q_start + expanded.q_end) / 2.0
+    labels = [f"{label}{_MIDPOINT if mid else ''}" for label, mid in zip(expanded.label, is_middle, strict=True)]
+    names = [label or f"row {row}" for label, row in zip(expanded.label, expanded.rows, strict=True)]
+    return replace(
+        expanded,
+        label=np.array(labels, dtype=np.str_),
+        q_end=np.where(is_middle[:, None], middle, expanded.q_end),
+        group=np.where(alone[order], np.array(names, dtype=np.str_), expanded.group),
+        rows=np.arange(2, len(order) + 2),
+    )
 
 
 def single_sweep(

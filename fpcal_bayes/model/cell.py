@@ -160,7 +160,7 @@ class Cell:
         for name in names.split(",") if isinstance(names, str) else names:
             if name in ("all", "intrinsic", "extrinsic"):
                 wanted |= {p.name for p in self.free if name in ("all", p.kind)}
-            elif name not in self.parameters.names:
+            elif name not in self.parameters:
                 known = ", ".join(p.name for p in self.parameters if p.prior_sd > 0)
                 raise InputError(f"unknown parameter {name!r}: expected all, intrinsic, extrinsic, or some of {known}")
             elif self.parameters[name].prior_sd == 0:

@@ -1,5 +1,6 @@
 """Compilation of the kernels, and what to tell a user who waits for it."""
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -15,16 +16,29 @@ def compiled[F: Callable[..., Any]](function: F) -> F:
     Products and sums may be fused; nothing else that changes results is allowed.
     """
     kernel = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
+    _drop_stale(kernel)
     _kernels.append(kernel)
     return cast(F, kernel)
 
 
 def needs_compilation() -> bool:
-    """Whether some kernel has no machine code on disk that is newer than its source."""
-    for kernel in _kernels:
-        source = Path(kernel.py_func.__code__.co_filename)
-        folder = Path(kernel.stats.cache_path)
-        stored = folder.glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi")
-        if not any(index.stat().st_mtime >= source.stat().st_mtime for index in stored):
-            return True
-    return False
+    """Whether some kernel has no machine code on disk."""
+    return any(not _stored(kernel) for kernel in _kernels)
+
+
+def _stored(kernel: Any) -> list[Path]:
+    """Index files of a kernel's machine code."""
+    source = Path(kernel.py_func.__code__.co_filename)
+    return list(Path(kernel.stats.cache_path).glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi"))
+
+
+def _drop_stale(kernel: Any) -> None:
+    """Forget machine code older than the source of any kernel: numba looks at the kernel's own file only, not at those
+    of the kernels that it calls.
+    """
+    sources = Path(kernel.py_func.__code__.co_filename).parent.glob("kernel*.py")
+    newest = max((source.stat().st_mtime for source in sources), default=0.0)
+    for index in _stored(kernel):
+        with contextlib.suppress(OSError):
+            if index.stat().st_mtime < newest:
+                index.unlink()

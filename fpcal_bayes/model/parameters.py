@@ -1,6 +1,6 @@
 """The parameters of a cell: their names, units, nominal values and priors."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, overload
@@ -82,7 +82,7 @@ def model_size(n_links: int) -> int:
     return len(LINK_SLOTS) * n_links + len(EXTRINSICS)
 
 
-class ParameterSet(Sequence[Parameter]):
+class ParameterSet:
     """An ordered set of parameters, found by position or by name.
 
     Parameters

@@ -53,8 +53,6 @@ def group_poses(cell: Cell, q: Floats) -> PoseGroups:
     q = np.ascontiguousarray(q, dtype=float)
     if q.ndim != 2 or q.shape[1] != len(cell.joints):
         raise ValueError(f"joint vectors have shape {q.shape}, expected (n, {len(cell.joints)})")
-    # Minus zero and zero are the same joint value, and would sort apart.
-    q = q + 0.0
     order = np.concatenate([np.flatnonzero(cell.revolute), np.flatnonzero(~cell.revolute)])
     distinct, inverse = np.unique(q[:, order], axis=0, return_inverse=True)
     distinct = distinct[:, np.argsort(order)]

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fpcal_bayes.model.compiled import compiled, needs_compilation
+from fpcal_bayes.model.compiled import compiled, drop_stale, needs_compilation
 from fpcal_bayes.model.kernel import is_angle
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
 
@@ -18,14 +18,16 @@ import numpy as np
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.model.compiled import needs_compilation
-before = needs_compilation()
+from fpcal_bayes.model.kernel import batch_lengths
+from fpcal_bayes.model.kernel_jacobian import batch_jacobians
+before = needs_compilation(batch_lengths, batch_jacobians)
 model = CavityModel.of(load_cell())
 rows = model.pose_rows(np.zeros((1, 6)))
 values = model.free.nominal
 lengths = model.predict(values, rows)
 model.predict_with_jacobian(values, rows)
 model.mirrors(values, np.zeros((1, 6)))
-print(before, needs_compilation(), float(lengths[0]))
+print(before, needs_compilation(batch_lengths, batch_jacobians), float(lengths[0]))
 """
 
 
@@ -43,21 +45,23 @@ def test_second_process_finds_the_machine_code(tmp_path: Path) -> None:
     assert float(said[0][2]) == pytest.approx(920.0, abs=1e-9)
 
 
-def test_stored_code_older_than_its_source_does_not_count(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_stored_code_older_than_any_kernel_source_is_dropped(tmp_path: Path) -> None:
     """Only time stamps are compared: a stand-in kernel with a source and a stored file will do."""
-
-    code = SimpleNamespace(co_filename=str(tmp_path / "module.py"))
-    function = SimpleNamespace(__name__="kernel", __code__=code)
+    code = SimpleNamespace(co_filename=str(tmp_path / "kernel.py"))
+    function = SimpleNamespace(__name__="carry", __code__=code)
     kernel = SimpleNamespace(py_func=function, stats=SimpleNamespace(cache_path=str(tmp_path)))
-    monkeypatch.setattr("fpcal_bayes.model.compiled._kernels", [kernel])
-    source, stored = tmp_path / "module.py", tmp_path / "module.kernel-12.py312.nbi"
-    source.touch()
-    assert needs_compilation()
+    other, stored = tmp_path / "kernel_other.py", tmp_path / "kernel.carry-12.py312.nbi"
+    (tmp_path / "kernel.py").touch()
+    assert needs_compilation(kernel)
     stored.touch()
-    os.utime(source, (1000, 1000))
-    assert not needs_compilation()
-    os.utime(stored, (900, 900))
-    assert needs_compilation()
+    os.utime(tmp_path / "kernel.py", (1000, 1000))
+    drop_stale(kernel)
+    assert not needs_compilation(kernel)
+    # A kernel that this one calls has changed.
+    other.touch()
+    os.utime(stored, (1100, 1100))
+    drop_stale(kernel)
+    assert needs_compilation(kernel)
 
 
 def test_angles_are_the_parameters_in_degrees() -> None:
@@ -66,10 +70,8 @@ def test_angles_are_the_parameters_in_degrees() -> None:
         assert [is_angle(slot, n_links) for slot in range(len(names))] == [UNITS[name] == "deg" for name in names]
 
 
-def test_fused_sums_keep_nan_and_infinity(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fused_sums_keep_nan_and_infinity() -> None:
     """Contraction is allowed; assuming that numbers are finite is not."""
-    # The package's own list of kernels stays as it is.
-    monkeypatch.setattr("fpcal_bayes.model.compiled._kernels", [])
 
     def add(x: float, y: float) -> bool:
         total = x + y

@@ -125,3 +125,26 @@ def test_groups_of_other_sessions_and_single_rows_are_no_blocks():
         plan, group=np.array(["a", "", "a", "a", "b", "a"]), session=np.array(["1", "1", "1", "2", "2", "2"])
     )
     assert [block.tolist() for block in group_blocks(plan)] == [[0, 2], [3, 5]]
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_weighing_is_the_inverse_of_the_dense_covariance(values, repeats):
+    cell = shaky(CELL) if repeats else CELL
+    sweeps = some_sweeps()
+    whitening = whitening_of(CavityModel.of(cell), sweeps, values)
+    weighed = np.array([whitening.weigh(row) for row in dense_covariance(cell, sweeps, values)])
+    np.testing.assert_allclose(weighed, np.eye(len(sweeps)), atol=2e-7)
+
+
+def test_the_matrix_of_the_whitening_is_its_effect_on_each_row(values):
+    sweeps = some_sweeps()
+    whitening = whitening_of(CavityModel.of(shaky(CELL)), sweeps, values)
+    assert whitening.mix is not None
+    np.testing.assert_allclose(whitening.mix.toarray(), whitening.apply(np.eye(len(sweeps))), rtol=1e-12)
+
+
+def test_a_row_is_whitened_given_only_those_before_it(values):
+    sweeps = some_sweeps()
+    white = whitening_of(CavityModel.of(shaky(CELL)), sweeps, values).apply(np.eye(len(sweeps)))
+    np.testing.assert_array_equal(np.triu(white, 1), 0.0)
+    assert np.count_nonzero(white) > len(sweeps)

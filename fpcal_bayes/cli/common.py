@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -30,7 +31,9 @@ def add_command(
         allow_abbrev=False,
     )
     parser.set_defaults(run=run)
-    parser.add_argument("--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)")
+    parser.add_argument(
+        "--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)"
+    )
     parser.add_argument("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     return parser
@@ -65,8 +68,10 @@ def write_result(output: Path | None, command: str, content: dict[str, Any]) -> 
 def announce_compilation() -> None:
     """Say so if the first use of the kernels will take a while."""
     from fpcal_bayes.model.compiled import needs_compilation
+    from fpcal_bayes.model.kernel import batch_lengths
+    from fpcal_bayes.model.kernel_jacobian import batch_jacobians
 
-    if needs_compilation():
+    if needs_compilation(batch_lengths, batch_jacobians):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
 
 
@@ -79,7 +84,15 @@ def warn(warnings: Iterable[str]) -> None:
 def console(options: argparse.Namespace) -> Console:
     """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
     terminal = sys.stdout.isatty()
-    return Console(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+    return _Console(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+
+
+class _Console(Console):
+    """A console that falls silent when the reader of the output is gone; the command still does its work."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def positive(text: str) -> float:
@@ -105,4 +118,12 @@ def share(text: str) -> float:
     value = positive(text)
     if value >= 1:
         raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text!r}")
+    return value
+
+
+def count(text: str) -> int:
+    """Parse an option that must be a whole number above zero."""
+    value = seed(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number above zero, found {text!r}")
     return value

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from fpcal_bayes import __version__
-from fpcal_bayes.cli import identify, observe, simulate, week
+from fpcal_bayes.cli import identify, observe, sample, simulate, week
 from fpcal_bayes.errors import InputError
 
 _DESCRIPTION = """\
@@ -17,6 +17,7 @@ A first tour, on a simulated cell:
   fpcal simulate -o sweeps.csv            measure the paper's 69 sweeps
   fpcal observe sweeps.csv                what these sweeps can tell
   fpcal identify sweeps.csv               find the geometry, and how far to trust it
+  fpcal sample sweeps.csv -o posterior.nc the whole posterior, by emcee
   fpcal week -o week                      the paper's whole week, with a report
 
 Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5).
@@ -39,7 +40,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for module in (simulate, observe, identify, week):
+    for module in (simulate, observe, identify, sample, week):
         module.add_parser(commands)
     return parser
 

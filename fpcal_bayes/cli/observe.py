@@ -39,7 +39,9 @@ def add_parser(commands: Commands) -> None:
         help="a parameter is weak if more than this share of its prior variance is left (default: 0.5)",
     )
     parser.add_argument("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
-    parser.add_argument("--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted")
+    parser.add_argument(
+        "--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted"
+    )
     parser.add_argument("--html", metavar="OUT", type=Path, help="write a page with figures")
     add_json(parser)
 

@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import Commands, add_command, announce_compilation, cell_of, check_output, console, positive, seed
+from fpcal_bayes.cli.common import (
+    Commands,
+    add_command,
+    announce_compilation,
+    cell_of,
+    check_output,
+    console,
+    positive,
+    seed,
+)
 
 _EPILOG = """\
 The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
@@ -15,7 +24,9 @@ another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; wh
 def add_parser(commands: Commands) -> None:
     """Add the command to the program."""
     parser = add_command(commands, "simulate", "measure sweeps on a simulated cell", run, _EPILOG)
-    parser.add_argument("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    parser.add_argument(
+        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
+    )
     parser.add_argument("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
     parser.add_argument(
         "--protocol",

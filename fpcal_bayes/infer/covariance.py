@@ -1,15 +1,87 @@
 """The covariance of the measured rows, and the whitening that makes them independent with unit variance."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import sparse
 
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Groups of equally many rows, each row whitened given those before it in its group.
+
+    In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
+    have in common, of unit variance. What the rows before it tell about z is taken off (a Kalman filter on z), which
+    is the inverse Cholesky factor of the group's covariance without forming it.
+
+    Attributes
+    ----------
+    members
+        Positions of the rows, shape (n_groups, n_members).
+    own
+        One over the standard deviation of each row's own error, same shape.
+    shared, gain
+        Shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier rows of
+        `shared` times the row.
+    scale
+        One over the standard deviation of what is left, shape (n_groups, n_members).
+    """
+
+    members: Ints
+    own: Floats
+    shared: Floats
+    gain: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, members: Ints, own_sd: Floats, common: Floats) -> "_Batch":
+        """From own errors (n_rows,) and common ones (n_rows, n_common), both of all rows."""
+        own = 1.0 / own_sd[members]
+        shared = common[members] * own[..., None]
+        products = shared[..., :, None] * shared[..., None, :]
+        known = np.eye(shared.shape[-1]) + _sum_before(products)
+        gain = np.linalg.solve(known, shared[..., None])[..., 0]
+        return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
+
+    def apply(self, rows: Floats, result: Floats) -> None:
+        """Whiten the members among the rows of a matrix (n_rows, n) into `result`."""
+        scaled = rows[self.members] * self.own[..., None]
+        predicted = np.zeros_like(scaled)
+        for common in range(self.shared.shape[-1]):
+            told = _sum_before(self.shared[..., common, None] * scaled)
+            predicted += self.gain[..., common, None] * told
+        result[self.members] = (scaled - predicted) * self.scale[..., None]
+
+    def weigh(self, rows: Floats, result: Floats) -> None:
+        """Multiply the members among the entries of a vector (n_rows,) by the groups' inverse covariance."""
+        scaled = rows[self.members] * self.own
+        seen = (self.shared * scaled[..., None]).sum(axis=1)
+        known = np.eye(self.shared.shape[-1]) + self.shared.transpose(0, 2, 1) @ self.shared
+        common = (self.shared @ np.linalg.solve(known, seen[..., None]))[..., 0]
+        result[self.members] = (scaled - common) * self.own
+
+    def entries(self) -> tuple[Floats, Ints, Ints]:
+        """Lower triangles of the groups' inverse Cholesky factors: values, rows, columns."""
+        count = self.members.shape[1]
+        factor = np.tril(-self.gain @ self.shared.transpose(0, 2, 1), -1) + np.eye(count)
+        factor *= self.scale[:, :, None] * self.own[:, None, :]
+        row, column = np.tril_indices(count)
+        return factor[:, row, column].ravel(), self.members[:, row].ravel(), self.members[:, column].ravel()
+
+
+def _sum_before(rows: Floats) -> Floats:
+    """Sums over all earlier entries along the second axis."""
+    total = np.zeros_like(rows)
+    np.cumsum(rows[:, :-1], axis=1, out=total[:, 1:])
+    return total
 
 
 @dataclass(frozen=True)
@@ -20,19 +92,38 @@ class Whitening:
     ----------
     scale
         One over the standard deviation of each row, shape (n_rows,).
-    mix
-        Inverse Cholesky factor that replaces `scale` where rows share a reading, shape (n_rows, n_rows), or None.
+    batches
+        What replaces `scale` where rows share a reading.
     """
 
     scale: Floats
-    mix: sparse.csr_array | None
+    batches: tuple[_Batch, ...] = ()
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,) or the columns of a matrix (n_rows, n)."""
-        if self.mix is not None:
-            mixed: Floats = self.mix @ rows
-            return mixed
-        return rows * (self.scale if rows.ndim == 1 else self.scale[:, None])
+        result: Floats = rows * (self.scale if rows.ndim == 1 else self.scale[:, None])
+        columns, into = (rows[:, None], result[:, None]) if rows.ndim == 1 else (rows, result)
+        for batch in self.batches:
+            batch.apply(columns, into)
+        return result
+
+    def weigh(self, rows: Floats) -> Floats:
+        """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""
+        result: Floats = rows * self.scale**2
+        for batch in self.batches:
+            batch.weigh(rows, result)
+        return result
+
+    @cached_property
+    def mix(self) -> sparse.csr_array | None:
+        """The map as a matrix (n_rows, n_rows), or None if it only scales."""
+        if not self.batches:
+            return None
+        grouped = np.concatenate([batch.members.ravel() for batch in self.batches])
+        alone = np.setdiff1d(np.arange(len(self.scale)), grouped)
+        parts = [batch.entries() for batch in self.batches] + [(self.scale[alone], alone, alone)]
+        values, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return sparse.csr_array((values, (row, column)), shape=(len(self.scale), len(self.scale)))
 
 
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
@@ -48,42 +139,28 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
         Where the joint Jacobian is taken; `values` are the free parameters in um and rad, shape (n,).
     """
     repeatability = model.cell.repeatability
-    n_rows = len(sweeps)
-    start_errors, variance = np.zeros((n_rows, 0)), sweeps.sigma**2
+    # Of a group's rows: half of the reading's variance and the joints at the start are common.
+    own, common = sweeps.sigma**2 / 2.0, sweeps.sigma[:, None] / np.sqrt(2.0)
+    variance = sweeps.sigma**2
     if repeatability.any():
         ends = model.joint_jacobian(values, sweeps.q_end) * repeatability
-        start_errors = model.joint_jacobian(values, sweeps.q_start) * repeatability
-        start_errors[sweeps.absolute] = 0.0
-        variance = variance + (ends**2).sum(axis=1) + (start_errors**2).sum(axis=1)
-    scale = 1.0 / np.sqrt(variance)
-    blocks = group_blocks(sweeps)
-    if not blocks:
-        return Whitening(scale, None)
-
-    alone = np.ones(n_rows, dtype=bool)
-    data, row_index, column_index = [], [], []
-    for members in blocks:
-        alone[members] = False
-        covariance = 0.5 * np.outer(sweeps.sigma[members], sweeps.sigma[members])
-        covariance += start_errors[members] @ start_errors[members].T
-        covariance[np.diag_indices(len(members))] = variance[members]
-        factor = linalg.cholesky(covariance, lower=True)
-        inverse = linalg.solve_triangular(factor, np.eye(len(members)), lower=True)
-        lower = np.tril_indices(len(members))
-        data.append(inverse[lower])
-        row_index.append(members[lower[0]])
-        column_index.append(members[lower[1]])
-    single = np.flatnonzero(alone)
-    data.append(scale[single])
-    row_index.append(single)
-    column_index.append(single)
-    entries = (np.concatenate(data), (np.concatenate(row_index), np.concatenate(column_index)))
-    return Whitening(scale, sparse.csr_array(entries, shape=(n_rows, n_rows)))
+        starts = model.joint_jacobian(values, sweeps.q_start) * repeatability
+        starts[sweeps.absolute] = 0.0
+        own = own + (ends**2).sum(axis=1)
+        common = np.hstack([common, starts])
+        variance = variance + (ends**2).sum(axis=1) + (starts**2).sum(axis=1)
+    by_size: dict[int, list[Ints]] = {}
+    for members in group_blocks(sweeps):
+        by_size.setdefault(len(members), []).append(members)
+    batches = tuple(_Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
+    return Whitening(1.0 / np.sqrt(variance), batches)
 
 
-def group_blocks(sweeps: Sweeps) -> list[NDArray[np.int64]]:
+def group_blocks(sweeps: Sweeps) -> list[Ints]:
     """Positions of the rows of each group with more than one row."""
+    grouped = np.flatnonzero(sweeps.group != "")
     members: dict[tuple[str, str], list[int]] = {}
-    for i in np.flatnonzero(sweeps.group != ""):
-        members.setdefault((str(sweeps.session[i]), str(sweeps.group[i])), []).append(int(i))
+    names = zip(sweeps.session[grouped].tolist(), sweeps.group[grouped].tolist(), strict=True)
+    for i, name in zip(grouped.tolist(), names, strict=True):
+        members.setdefault(name, []).append(i)
     return [np.array(rows) for rows in members.values() if len(rows) > 1]

@@ -1,8 +1,8 @@
 """Directions that the data do not see, one by one, with their cause and a remedy in words.
 
-The null space of a set of sweeps is taken apart in three layers: what no sweep and no absolute length can ever see; what
-an absolute length would show; what other sweeps (or the interior of these) would show. Within a layer each direction is
-reduced to as few parameters as it needs.
+The null space of a set of sweeps is taken apart in three layers: what no sweep and no absolute length can ever see;
+what an absolute length would show; what other sweeps (or the interior of these) would show. Within a layer each
+direction is reduced to as few parameters as it needs.
 """
 
 from dataclasses import dataclass
@@ -79,20 +79,23 @@ def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[
     # Within the null space of the data: what remains unseen by any sweep, and by any length.
     never = null_space_within(null_space, lengths)
     without_absolute = null_space_within(null_space, lengths - lengths.mean(axis=0))
-    basis, pivots, layers = np.zeros((0, null_space.shape[1])), [], []
-    for layer, space in (("model", never), ("absolute", without_absolute), ("sweeps", null_space)):
+    basis = np.zeros((0, null_space.shape[1]))
+    pivots: list[int] = []
+    layers: list[Layer] = []
+    spaces: list[tuple[Layer, Floats]] = [("model", never), ("absolute", without_absolute), ("sweeps", null_space)]
+    for layer, space in spaces:
         found, new = sparse_basis(space, basis, pivots)
         basis = np.vstack([basis, found])
         pivots += new
         layers += [layer] * len(new)
     gauges = []
     for direction, pivot, layer in zip(basis, pivots, layers, strict=True):
-        gauges.append(_describe(model, values, poses, direction, pivot, layer))  # type: ignore[arg-type]
+        gauges.append(_describe(model, values, poses, direction, pivot, layer))
     return gauges
 
 
 def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats:
-    """Joint vectors (n, n_joints) spread over the joint limits; a joint without limits within a quarter turn or 1 mm."""
+    """Joint vectors (n, n_joints) spread over the joint limits; without limits, over a quarter turn or 1 mm."""
     cell = model.cell
     reach = np.where(cell.revolute, np.pi / 2, 1000.0)
     low = np.where(np.isfinite(cell.low), cell.low, -reach)
@@ -136,9 +139,7 @@ def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Float
     return found, chosen
 
 
-def _describe(
-    model: CavityModel, values: Floats, poses: Floats, direction: Floats, pivot: int, layer: Layer
-) -> Gauge:
+def _describe(model: CavityModel, values: Floats, poses: Floats, direction: Floats, pivot: int, layer: Layer) -> Gauge:
     parameters = model.free
     order = [pivot, *(int(i) for i in np.argsort(-np.abs(direction), kind="stable") if i != pivot)]
     members = [i for i in order if abs(direction[i]) > MEMBER_SHARE * abs(direction[pivot])]
@@ -180,8 +181,8 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
     if len(turns) == 1 and tilt and len(turns) + len(tilt) == len(names):
         return f"an offset of the last joint ({turns[0]}) turns the direction of the mirror's tilt ({_join(tilt)})"
     fibre = [n for n in names if n in ("x_wf", "y_wf", "z_wf")]
-    if fibre and len(fibre) < len(names):
-        moving = [n for n in names if n not in fibre and n not in ("beta_wf", "theta_wf")]
+    moving = [n for n in names if n not in (*fibre, "beta_wf", "theta_wf")]
+    if fibre and moving:
         if turns_mirror:
             return f"{_join(moving)} move mirror and fibre ({_join([n for n in names if n not in moving])}) as one body"
         return (

@@ -26,12 +26,13 @@ Hold = Literal["consider", "exact"]
 
 #: Below this probability of a sum of squares as large as the one found, other starts are tried.
 RETRY_BELOW = 1e-3
-#: Below this probability of the data's chi-square, the fit is called poor.
+#: Below this probability of the data's chi-square, or of the whole sum of squares, the fit is called poor.
 POOR_FIT_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
+#: Minima within this of the lowest sum of squares belong to the posterior.
+MINIMUM_EXCESS = 30.0
 _RELINEARISATIONS = 100
-
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ class Identification:
         What the data tell about them.
     fit
         How well the data are met.
+    other_minima
+        Further minima of the sum of squares that count for the posterior, lowest first.
     signs
         How the unsigned rows were decided, or None.
     starts
@@ -88,6 +91,7 @@ class Identification:
     free: ParameterSet
     spectrum: Spectrum
     fit: GoodnessOfFit
+    other_minima: tuple[Solution, ...]
     signs: SignDecision | None
     starts: int
     seconds: float
@@ -201,16 +205,24 @@ def identify(
         )
     if fit.p_value < POOR_FIT_BELOW:
         warnings.append(
-            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} (p = {fit.p_value:.1e}): "
-            "the path model or sigma_um is wrong, some sweeps are off, or held values are stale"
+            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
+            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, or held values are stale"
         )
-    rival = _rival(problem, solution, found)
-    if rival is not None:
+    elif (p_total := chi2_tail(solution.sum_of_squares, len(used))) < POOR_FIT_BELOW:
+        warnings.append(
+            f"poor fit: sum of squares {solution.sum_of_squares:.1f} over data and prior, expected {len(used)} "
+            f"(p = {p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
+            "something that is not free (a gain, a runout)"
+        )
+    others = _other_minima(problem, solution, found)
+    rival = others[0] if others else None
+    if rival is not None and rival.sum_of_squares - solution.sum_of_squares < RIVAL_EXCESS:
         apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
         named = ", ".join(chosen.names[i] for i in sorted(apart))
         warnings.append(
             f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
-            f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small: midpoints tell them apart"
+            f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
+            "midpoints tell the two apart"
         )
     doubtful = _doubtful(used, signs)
     if doubtful:
@@ -224,6 +236,7 @@ def identify(
         free=chosen,
         spectrum=spectrum,
         fit=fit,
+        other_minima=others,
         signs=signs,
         starts=starts,
         seconds=time.perf_counter() - began,
@@ -234,9 +247,7 @@ def identify(
 def _set_up(cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold) -> Problem:
     """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
     known = start.parameters.names if start is not None else ()
-    held = ParameterSet(
-        p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free)
-    )
+    held = ParameterSet(p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free))
     vector = cell.parameters.nominal.copy()
     covariance = np.diag(held.prior_sd**2)
     if start is not None:
@@ -320,25 +331,26 @@ def _rank(solution: Solution) -> tuple[bool, float]:
     return not solution.converged, solution.sum_of_squares
 
 
-def _rival(problem: Problem, best: Solution, found: list[Solution]) -> Solution | None:
-    """The best other minimum, if its sum of squares is within `RIVAL_EXCESS` of the lowest."""
+def _other_minima(problem: Problem, best: Solution, found: list[Solution]) -> tuple[Solution, ...]:
+    """Other minima that count for the posterior, lowest first; each stands away from the lowest one."""
     jacobian = problem.jacobian(best.unknowns)
-    rivals = []
-    for other in found:
-        distance = jacobian @ (other.unknowns - best.unknowns)
-        if other.converged and float(distance @ distance) > 1.0:
-            rivals.append(other)
-    rival = min(rivals, key=lambda other: other.sum_of_squares, default=None)
-    if rival is None or rival.sum_of_squares - best.sum_of_squares > RIVAL_EXCESS:
-        return None
-    return rival
+    others: list[Solution] = []
+    for other in sorted(found, key=_rank):
+        apart = [jacobian @ (other.unknowns - known.unknowns) for known in (best, *others)]
+        if (
+            other.converged
+            and other.sum_of_squares - best.sum_of_squares < MINIMUM_EXCESS
+            and min(float(distance @ distance) for distance in apart) > 1.0
+        ):
+            others.append(other)
+    return tuple(others)
 
 
 def _goodness(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     residuals = problem.data_residuals(unknowns)
     chi2_data = float(residuals @ residuals)
     jacobian = problem.data_jacobian(unknowns)
-    orthonormal, triangle = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")
+    orthonormal = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")[0]
     leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
     standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
     # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,

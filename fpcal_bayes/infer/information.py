@@ -4,6 +4,7 @@ Information is in bits: half the binary logarithm of how far a sweep shrinks the
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ def cumulative_bits(jacobian: Floats) -> tuple[Ints, Floats]:
     n_rows, n = jacobian.shape
     counts = np.unique(np.linspace(0, n_rows, min(n_rows, _MOST_POINTS) + 1).astype(np.int64))
     precision, bits = np.eye(n), [0.0]
-    for start, stop in zip(counts[:-1], counts[1:], strict=True):
+    for start, stop in pairwise(counts.tolist()):
         precision = precision + jacobian[start:stop].T @ jacobian[start:stop]
         bits.append(0.5 * float(np.linalg.slogdet(precision)[1]) / np.log(2.0))
     return counts, np.array(bits)

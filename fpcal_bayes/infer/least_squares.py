@@ -57,15 +57,17 @@ def minimise(problem: Problem, start: Floats) -> Solution:
 def polished(problem: Problem, unknowns: Floats) -> Solution:
     """Go from a point near a minimum to the minimum itself.
 
-    Gauss-Newton steps as long as they contract fast; where the curvature of the model slows them down, Newton steps with
-    the full second derivatives.
+    Gauss-Newton steps as long as they contract fast; where the curvature of the model slows them down, Newton steps
+    with the full second derivatives.
     """
     residuals = problem.residuals(unknowns)
     total = float(residuals @ residuals)
     step, decrement = gauss_newton(problem, unknowns, residuals)
     newton = False
+    # What rounding leaves of the decrement grows with the number of rows.
+    enough = 1e-3 * DECREMENT_TOLERANCE * max(1.0, len(residuals) / 100.0)
     for _ in range(_POLISH_STEPS):
-        if not np.isfinite(total) or decrement < 1e-3 * DECREMENT_TOLERANCE:
+        if not np.isfinite(total) or decrement < enough:
             break
         if newton:
             step = newton_step(problem, unknowns, residuals)

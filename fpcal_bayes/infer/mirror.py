@@ -1,9 +1,9 @@
 """Second minima that the symmetry of the nominal cell hides.
 
-Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and to
-a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against alpha_5 is
-such a direction: from random starting points about half of the fits end on either side, often with sums of squares that
-differ by less than ten.
+Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and
+to a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against
+alpha_5 is such a direction: from random starting points about half of the fits end on either side, often with sums of
+squares that differ by less than ten.
 """
 
 import numpy as np

@@ -10,8 +10,8 @@ from scipy import linalg
 Floats = NDArray[np.float64]
 Status = Literal["identified", "weak", "gauge", "fixed"]
 
-#: A singular value below this share of the largest one counts as zero. The weakest direction that the paper's sweeps see
-#: stands at 7e-5, rounding errors at 1e-14.
+#: A singular value below this share of the largest one counts as zero. The weakest direction that the paper's sweeps
+#: see stands at 7e-5, rounding errors at 1e-14.
 RELATIVE_TOLERANCE = 1e-9
 #: A parameter whose share in the null space exceeds this is a gauge.
 GAUGE_SHARE = 0.1
@@ -26,7 +26,7 @@ class Spectrum:
     Attributes
     ----------
     singular_values
-        Descending, shape (n,): information of each direction, in prior standard deviations per noise standard deviation.
+        Descending, shape (n,): what each direction tells, in prior over noise standard deviations.
     directions
         Right singular vectors as rows, shape (n, n), in prior-scaled units.
     tolerance

@@ -1,6 +1,6 @@
 """Everything that a set of sweeps, measured or planned, can tell about a cell, in one report."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -244,7 +244,7 @@ def observe(
         points = identification.problem.values(identification.solution.unknowns)[None]
 
     model = CavityModel.of(cell)
-    jacobians = [whitened_jacobian(model, used, point) for point in points]
+    jacobians = list(_whitened_jacobians(model, used, points))
     spectra = [spectrum_of(jacobian) for jacobian in jacobians]
     ranks = tuple(spectrum.rank for spectrum in spectra)
     # A draw may fall on a symmetry by chance; the rank that the sweeps have in general is the largest.
@@ -285,9 +285,18 @@ def observe(
 
 def whitened_jacobian(model: CavityModel, sweeps: Sweeps, values: Floats) -> Floats:
     """Derivatives of the whitened rows by the free parameters in prior units, shape (n_rows, n)."""
+    return next(_whitened_jacobians(model, sweeps, values[None]))
+
+
+def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> Iterator[Floats]:
+    """The same at several points (n_points, n)."""
     rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
-    _, jacobian = model.predict_with_jacobian(values, rows)
-    return whitening_of(model, sweeps, values).apply(jacobian * model.free.prior_sd)
+    whitening = whitening_of(model, sweeps, points[0])
+    moves = model.cell.repeatability.any()
+    for number, point in enumerate(points):
+        if moves and number:
+            whitening = whitening_of(model, sweeps, point)
+        yield whitening.apply(model.predict_with_jacobian(point, rows)[1] * model.free.prior_sd)
 
 
 def _posterior(jacobian: Floats) -> Floats:

@@ -93,7 +93,7 @@ class Problem:
             sweeps=sweeps,
             rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
             target=sweeps.dl if target is None else target,
-            whitening=Whitening(1.0 / sweeps.sigma, None),
+            whitening=Whitening(1.0 / sweeps.sigma),
             prior_mean=free.nominal,
             prior_sd=free.prior_sd,
             considered=considered,
@@ -162,20 +162,45 @@ class Problem:
             scaled = np.hstack([scaled, self.sensitivity])
         return self.whitening.apply(scaled)
 
+    def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Whitened data residuals and their derivatives at many points.
+
+        Parameters
+        ----------
+        points
+            Scaled unknowns, shape (n_points, n_unknowns).
+
+        Returns
+        -------
+        tuple of ndarray
+            Shapes (n_points, n_rows) and (n_points, n_rows, n_unknowns).
+        """
+        change, scaled = self._unwhitened_batch(points)
+        if not self.whitening.batches:
+            return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
+        columns = scaled.transpose(1, 0, 2).reshape(len(self.target), -1)
+        whitened = self.whitening.apply(columns).reshape(len(self.target), len(points), -1)
+        return self.whitening.apply(change.T).T, np.ascontiguousarray(whitened.transpose(1, 0, 2))
+
+    def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)
+        scaled = jacobian * self.prior_sd
+        change = predicted - self.target
+        if self.sensitivity is not None:
+            change = change + points[:, self.n_free :] @ self.sensitivity.T
+            held = np.broadcast_to(self.sensitivity, (len(points), *self.sensitivity.shape))
+            scaled = np.concatenate([scaled, held], axis=2)
+        return change, scaled
+
     def gradients(self, points: Floats) -> Floats:
         """Gradients J'r of half the sum of squares at many points (n_points, n_unknowns); same shape."""
-        rows, n = len(self.target), self.n_unknowns
         result = np.empty_like(points)
-        block = max(1, 1_000_000 // (rows * n))
+        block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
-            predicted, jacobian = self.model.predict_with_jacobian(self.values(part), self.rows)
-            for i, point in enumerate(part):
-                scaled, change = jacobian[i] * self.prior_sd, predicted[i] - self.target
-                if self.sensitivity is not None:
-                    scaled = np.hstack([scaled, self.sensitivity])
-                    change = change + self.sensitivity @ point[self.n_free :]
-                result[first + i] = self.whitening.apply(scaled).T @ self.whitening.apply(change) + point
+            change, scaled = self._unwhitened_batch(part)
+            weighed = np.array([self.whitening.weigh(row) for row in change])
+            result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result
 
     def residuals(self, unknowns: Floats) -> Floats:
@@ -199,13 +224,17 @@ class Problem:
         n = self.n_free
         transform[:n, :n] = np.diag(self.prior_sd)
         if self.considered is None:
-            full: Floats = transform @ scaled @ transform
-            return full
+            return _symmetric(transform @ scaled @ transform)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
         jacobian = self.data_jacobian(unknowns)
         gain = scaled[:n] @ jacobian.T
         cross = -gain @ jacobian[:, n:]
         transform[n:, n:] = self.considered.factor
         scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
-        schmidt: Floats = transform @ scaled @ transform.T
-        return schmidt
+        return _symmetric(transform @ scaled @ transform.T)
+
+
+def _symmetric(matrix: Floats) -> Floats:
+    """The matrix without the rounding errors by which it differs from its transpose."""
+    result: Floats = (matrix + matrix.T) / 2
+    return result

@@ -28,7 +28,7 @@ class Profile:
     name
         Of the parameter.
     values, excess
-        Parameter in um or rad and growth of the data's sum of squares over its lowest, both of shape (n_points,), ascending.
+        Parameter in um or rad, ascending, and growth of the data's sum of squares over its lowest; shape (n_points,).
     low, high
         Where the excess passes the threshold; infinite where it does not within the reach.
     shape
@@ -46,9 +46,7 @@ class Profile:
     level: float
 
 
-def profile(
-    problem: Problem, solution: Solution, name: str, *, level: float = 0.95, reach: float = 5.0
-) -> Profile:
+def profile(problem: Problem, solution: Solution, name: str, *, level: float = 0.95, reach: float = 5.0) -> Profile:
     """Profile one parameter by re-optimising all others (Raue et al. 2009).
 
     Parameters
@@ -96,7 +94,7 @@ def profile(
             inside = float(values[np.argmin(totals)])
         interval.append(optimize.brentq(above, inside, outside, xtol=1e-4 * sd, rtol=1e-10))
     finite = int(np.isfinite(interval).sum())
-    shape: Shape = ("flat", "one-sided", "finite")[finite]  # type: ignore[assignment]
+    shape: Shape = ("flat", "one-sided", "finite")[finite]
     return Profile(name, values, totals - lowest, float(interval[0]), float(interval[1]), shape, level)
 
 

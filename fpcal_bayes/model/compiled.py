@@ -7,8 +7,6 @@ from typing import Any, cast
 
 import numba
 
-_kernels: list[Any] = []
-
 
 def compiled[F: Callable[..., Any]](function: F) -> F:
     """Compile a kernel with numba; the machine code is kept on disk for the next process.
@@ -16,14 +14,13 @@ def compiled[F: Callable[..., Any]](function: F) -> F:
     Products and sums may be fused; nothing else that changes results is allowed.
     """
     kernel = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
-    _drop_stale(kernel)
-    _kernels.append(kernel)
+    drop_stale(kernel)
     return cast(F, kernel)
 
 
-def needs_compilation() -> bool:
-    """Whether some kernel has no machine code on disk."""
-    return any(not _stored(kernel) for kernel in _kernels)
+def needs_compilation(*kernels: Any) -> bool:
+    """Whether one of these kernels has no machine code on disk."""
+    return any(not _stored(kernel) for kernel in kernels)
 
 
 def _stored(kernel: Any) -> list[Path]:
@@ -32,7 +29,7 @@ def _stored(kernel: Any) -> list[Path]:
     return list(Path(kernel.stats.cache_path).glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi"))
 
 
-def _drop_stale(kernel: Any) -> None:
+def drop_stale(kernel: Any) -> None:
     """Forget machine code older than the source of any kernel: numba looks at the kernel's own file only, not at those
     of the kernels that it calls.
     """

@@ -1,7 +1,6 @@
 """An estimate: values, covariance and provenance of a cell's parameters, and its JSON file."""
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,10 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "fpcal/1"
 STATUSES = ("identified", "weak", "gauge", "fixed")
+
+#: Numbers of this size are no lengths or angles, and their squares still fit a double.
+_LARGEST = 1e100
+_SMALLEST = 1e-100
 
 
 @dataclass(frozen=True)
@@ -164,28 +167,34 @@ class _Reader:
             cell=self.cell,
             parameters=parameters,
             values=np.array(values),
-            covariance=self.covariance(content.get("covariance"), parameters),
+            covariance=self.covariance(content.get("covariance"), parameters, status),
             status=tuple(status),
             time_h=time_h,
             valid_until_h=None if until is None else self.number(until, "valid_until_h"),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
         )
 
-    def covariance(self, stated: Any, parameters: ParameterSet) -> Floats:
+    def covariance(self, stated: Any, parameters: ParameterSet, status: Sequence[str]) -> Floats:
         if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):
             raise self.error("covariance", "expected names and matrix")
         names = stated["names"]
         if len(set(map(str, names))) != len(names) or not all(name in parameters.names for name in names):
             raise self.error("covariance.names", "expected names of the parameters above, each once")
+        held = {name for name, state in zip(parameters.names, status, strict=True) if state == "fixed"}
+        for name in parameters.names:
+            if name not in names and name not in held:
+                raise self.error("covariance.names", f"expected every parameter that is not fixed, {name} is missing")
         try:
             matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
-        if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+        if not np.isfinite(matrix).all() or not np.abs(matrix).max(initial=0.0) < _LARGEST:
+            raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
+        if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         matrix = (matrix + matrix.T) / 2
-        sds = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
-        if (np.diag(matrix) <= 0).any() or np.linalg.eigvalsh(matrix / np.outer(sds, sds))[:1].min(initial=0.0) < -1e-6:
+        variances = np.diag(matrix)
+        if (variances < _SMALLEST).any() or _lowest_eigenvalue(matrix / np.sqrt(np.outer(variances, variances))) < -1e-6:
             raise self.error("covariance.matrix", "expected a positive semidefinite matrix")
         full, chosen = np.zeros((len(parameters), len(parameters))), parameters.positions(names)
         scales = parameters.scales[chosen]
@@ -193,9 +202,19 @@ class _Reader:
         return full
 
     def number(self, value: Any, key: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.error(key, f"expected a finite number, found {value!r}")
-        return float(value)
+        try:
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(float(value)) < _LARGEST:
+                return float(value)
+        except OverflowError:
+            pass
+        raise self.error(key, f"expected a finite number, found {str(value)[:40]!r}")
 
     def error(self, key: str, expected: str) -> InputError:
         return InputError(f"{self.path}: key {key}: {expected}")
+
+
+def _lowest_eigenvalue(correlation: Floats) -> float:
+    """Lowest eigenvalue of a correlation matrix; minus infinity where an entry cannot be a correlation."""
+    if np.abs(correlation).max(initial=0.0) > 1 + 1e-6:
+        return -np.inf
+    return float(np.linalg.eigvalsh(correlation)[:1].min(initial=0.0))

@@ -29,7 +29,8 @@ def number(value: float, sd: float) -> str:
     if not np.isfinite(sd) or sd <= 0:
         return f"{value:.6g}"
     decimals = int(np.clip(1 - np.floor(np.log10(sd)), 0, 6))
-    return f"{value:.{decimals}f}"
+    # Adding zero turns -0 into 0.
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def parameter_table(estimate: Estimate, title: str) -> Table:
@@ -105,8 +106,8 @@ def reflection_lines(estimate: Estimate, true_parameters: ParameterSet, truth: N
     ]
 
 
-def fit_lines(result: Identification) -> list[str]:
-    """What a reader of an identification needs to know about the fit."""
+def fit_lines(result: Identification, *, timed: bool = True) -> list[str]:
+    """What a reader of an identification needs to know about the fit; `timed` adds how long it took."""
     fit = result.fit
     state = "converged" if result.converged else "NOT CONVERGED"
     lines = [
@@ -118,5 +119,6 @@ def fit_lines(result: Identification) -> list[str]:
     unsigned = int((~result.problem.sweeps.signed).sum())
     if unsigned:
         lines.append(f"signs: {unsigned} decided with the fit, {len(result.doubtful_signs)} of them doubtful")
-    lines.append(f"time: {1e3 * result.seconds:.0f} ms")
+    if timed:
+        lines.append(f"time: {1e3 * result.seconds:.0f} ms")
     return lines

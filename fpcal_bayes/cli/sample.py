@@ -1,0 +1,113 @@
+"""``fpcal sample``: draw from the posterior of a cell."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fpcal_bayes.cli.common import (
+    Commands,
+    add_command,
+    add_json,
+    announce_compilation,
+    cell_of,
+    check_output,
+    console,
+    count,
+    seed,
+    warn,
+    write_result,
+)
+from fpcal_bayes.errors import InputError
+
+_EPILOG = """\
+Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
+same draws as one that was not.
+"""
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command to the program."""
+    parser = add_command(commands, "sample", "draw from the posterior of a cell", run, _EPILOG)
+    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    parser.add_argument("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
+    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
+    parser.add_argument(
+        "--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)"
+    )
+    parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from fpcal_bayes.files import file_sha256
+    from fpcal_bayes.infer.identify import identify
+    from fpcal_bayes.infer.posterior.blocks import BlockStore
+    from fpcal_bayes.infer.posterior.output import content, data_tree, write_netcdf
+    from fpcal_bayes.infer.posterior.sample import identity, sample
+    from fpcal_bayes.measure.sweep_files import read_sweeps
+    from fpcal_bayes.report.posterior_tables import posterior_table
+
+    cell = cell_of(options)
+    check_output(options.output, options.file)
+    check_output(options.json, options.file, options.output)
+    if options.output.suffix != ".nc":
+        raise InputError(f"{options.output}: expected a file name that ends in .nc")
+    sweeps = read_sweeps(options.file, cell).of_session(options.session)
+    announce_compilation()
+    result = identify(cell, sweeps)
+    data = {"file": Path(options.file).name, "sha256": file_sha256(Path(options.file)), "session": sweeps.sessions[0]}
+    result = replace(result, estimate=replace(result.estimate, data=data))
+    warn(result.warnings)
+    if not result.converged:
+        warn(["the posterior is not sampled, since its maximum was not found"])
+        return 1
+
+    folder = options.output.with_name(options.output.name + ".blocks")
+    store = BlockStore(folder, identity(result.problem, options.seed))
+    if not options.resume:
+        store.clear()
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[effective]:.0f} effective draws"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=options.quiet,
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("sampling", total=1.0, effective=0.0)
+
+        def show(effective: float, share: float) -> None:
+            bar.update(task, completed=share, effective=effective)
+
+        posterior = sample(result, draws=options.draws, seed=options.seed, store=store, progress=show)
+
+    out = console(options)
+    title = f"{options.file}, session {sweeps.sessions[0]}: posterior"
+    out.print(posterior_table(posterior, title))
+    diagnostics = posterior.diagnostics
+    out.print(
+        f"sampler: {posterior.log_density.size} draws in {posterior.seconds:.1f} s, acceptance "
+        f"{100 * posterior.acceptance:.0f} %, effective {diagnostics.effective:.0f} or more, nested R-hat at most "
+        f"{diagnostics.rhat.max():.4f}, charts {1 + len(result.other_minima)}, outside them "
+        f"{100 * posterior.outside:.2g} %",
+        markup=False,
+        soft_wrap=True,
+    )
+    if not posterior.converged:
+        warn(
+            f"not converged: {failure}; try fewer --draws or more informative sweeps" for failure in posterior.failures
+        )
+    tree = data_tree(
+        posterior, seed=options.seed, command=f"fpcal sample --draws {options.draws} --seed {options.seed}"
+    )
+    write_netcdf(tree, options.output)
+    write_result(options.json, "sample", content(posterior))
+    store.clear()
+    return 0 if posterior.converged else 1

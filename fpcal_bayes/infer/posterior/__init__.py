@@ -1,0 +1,1 @@
+"""Sampling the posterior: exact, converged, resumable."""

@@ -1,0 +1,157 @@
+"""A posterior as an ArviZ DataTree in a netCDF file, and its summary."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes import __version__
+from fpcal_bayes.files import replacing
+from fpcal_bayes.infer.posterior.sample import Posterior
+
+Floats = NDArray[np.float64]
+
+#: Likelihoods and predictions that are kept at most, draws times rows.
+_KEPT_CELLS = 1_000_000
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def summarise(posterior: Posterior) -> dict[str, dict[str, float]]:
+    """Mean, sd, quantiles, effective sizes and nested R-hat of each parameter, in the units a person reads."""
+    parameters = posterior.identification.free
+    draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    quantiles = np.quantile(draws, QUANTILES, axis=0)
+    diagnostics = posterior.diagnostics
+    return {
+        p.name: {
+            "mean": float(draws[:, i].mean()),
+            "sd": float(draws[:, i].std(ddof=1)),
+            **{f"q{100 * q:02.0f}": float(quantiles[k, i]) for k, q in enumerate(QUANTILES)},
+            "ess_bulk": float(diagnostics.ess_bulk[i]),
+            "ess_tail": float(diagnostics.ess_tail[i]),
+            "rhat": float(diagnostics.rhat[i]),
+        }
+        for i, p in enumerate(parameters)
+    }
+
+
+def content(posterior: Posterior) -> dict[str, Any]:
+    """What ``sample --json`` writes, without schema and command."""
+    summary = summarise(posterior)
+    base = posterior.identification.content()
+    parameters = posterior.identification.free
+    draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    for name, entry in summary.items():
+        # Value and sd are those of the posterior; the maximum stands in the fit.
+        base["parameters"][name] |= {"value": entry["mean"], **entry}
+    diagnostics = posterior.diagnostics
+    return {
+        **base,
+        "covariance": {
+            "names": list(parameters.names),
+            "matrix": np.cov(draws.T).reshape(len(parameters), -1).tolist(),
+        },
+        "sampler": {
+            "draws": int(np.prod(posterior.log_density.shape)),
+            "evaluations": posterior.evaluations,
+            "seconds": posterior.seconds,
+            "acceptance": posterior.acceptance,
+            "min_ess": float(diagnostics.ess_bulk.min()),
+            "min_ess_tail": float(diagnostics.ess_tail.min()),
+            "max_rhat": float(diagnostics.rhat.max()),
+            "autocorrelation_time": diagnostics.autocorrelation_time,
+            "outside_charts": posterior.outside,
+            "charts": 1 + len(posterior.identification.other_minima),
+            "converged": posterior.converged,
+            "failures": list(posterior.failures),
+        },
+    }
+
+
+def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
+    """The draws as an ArviZ DataTree.
+
+    Groups posterior (in the units a person reads), prior, sample_stats, log_likelihood, posterior_predictive and
+    observed_data. Rows that share a reading have the likelihood of a row given those before it in its group. Of long
+    runs on many rows, likelihoods and predictions of evenly spaced draws are kept.
+    """
+    import arviz as az
+
+    identification = posterior.identification
+    problem, parameters = identification.problem, identification.free
+    values = posterior.values()
+    n_chains, n_draws, _ = values.shape
+    shown = parameters.to_shown(values)
+    rng = np.random.default_rng(seed)
+    prior = parameters.to_shown(problem.prior_mean + problem.prior_sd * rng.standard_normal(values.shape))
+    every = max(1, -(-n_chains * n_draws * len(problem.target) // _KEPT_CELLS))
+    unknowns = posterior.points.transpose(0, 2, 1, 3).reshape(n_chains, n_draws, -1)[:, ::every]
+    log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)
+    shape = (n_chains, unknowns.shape[1], -1)
+    labels = np.array([str(label) for label in problem.sweeps.label])
+    tree = az.from_dict(
+        {
+            "posterior": {name: shown[:, :, i] for i, name in enumerate(parameters.names)},
+            "prior": {name: prior[:, :, i] for i, name in enumerate(parameters.names)},
+            "sample_stats": {"lp": posterior.log_density.transpose(0, 2, 1).reshape(n_chains, n_draws)},
+            "log_likelihood": {"dl_um": log_likelihood.reshape(shape)},
+            "posterior_predictive": {"dl_um": predicted.reshape(shape)},
+            "observed_data": {"dl_um": problem.target},
+        },
+        coords={"sweep": labels},
+        dims={"dl_um": ["sweep"]},
+        attrs={"/": _attributes(posterior, seed, command)},
+    )
+    for group in ("posterior", "prior"):
+        for p in parameters:
+            tree[group][p.name].attrs.update({"units": p.unit, "long_name": p.latex})
+    for group in ("posterior_predictive", "observed_data"):
+        tree[group]["dl_um"].attrs.update({"units": "um", "long_name": "change of cavity length"})
+    return tree
+
+
+def write_netcdf(tree: Any, path: Path) -> None:
+    """Write a DataTree as netCDF, whole or not at all."""
+    with replacing(path) as temporary:
+        tree.to_netcdf(temporary, engine="h5netcdf")
+
+
+def _attributes(posterior: Posterior, seed: int, command: str) -> dict[str, Any]:
+    estimate = posterior.identification.estimate
+    return {
+        "program": f"fpcal_bayes {__version__}",
+        "command": command,
+        "seed": seed,
+        "cell_name": estimate.cell.name,
+        "cell_sha256": estimate.cell.sha256,
+        "opd": estimate.cell.opd,
+        "data_file": estimate.data.get("file", ""),
+        "data_sha256": estimate.data.get("sha256", ""),
+        "converged": int(posterior.converged),
+        "n_ensembles": posterior.points.shape[0],
+    }
+
+
+def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Log likelihood of each row and a prediction of it with noise, at unknowns (n_points, n_unknowns)."""
+    problem = posterior.identification.problem
+    n_rows = len(problem.target)
+    mix = problem.whitening.mix
+    scale = problem.whitening.scale if mix is None else mix.diagonal()
+    likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
+    noise = rng.standard_normal((len(unknowns), n_rows))
+    for i in range(0, len(unknowns), 256):
+        part = slice(i, i + 256)
+        mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
+        if problem.sensitivity is not None:
+            mean = mean + unknowns[part, problem.n_free :] @ problem.sensitivity.T
+        residuals = problem.whitening.apply((mean - problem.target).T).T
+        likelihood[part] = -0.5 * residuals**2 + np.log(scale) - 0.5 * np.log(2.0 * np.pi)
+        if mix is None:
+            predicted[part] = mean + noise[part] / scale
+        else:
+            from scipy.sparse.linalg import spsolve_triangular
+
+            predicted[part] = mean + spsolve_triangular(mix, noise[part].T, lower=True).T
+    return likelihood, predicted

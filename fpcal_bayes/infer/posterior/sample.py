@@ -1,0 +1,236 @@
+"""Sample the posterior of an identification with emcee, until it has converged."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.files import content_sha256
+from fpcal_bayes.infer.identify import Identification
+from fpcal_bayes.infer.posterior.atlas import Atlas
+from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
+from fpcal_bayes.infer.posterior.diagnostics import Diagnostics, diagnose
+from fpcal_bayes.infer.posterior.move_local import LocalMove
+from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
+from fpcal_bayes.infer.problem import Problem
+
+Floats = NDArray[np.float64]
+
+N_ENSEMBLES = 4
+N_WALKERS = 32
+BLOCK_STEPS = 10
+#: Share of steps that are local ones, which reach what no chart does.
+LOCAL_SHARE = 0.05
+#: Start: draws of the atlas with normal numbers this much too wide.
+_OVER_DISPERSION = 2.0
+#: Blocks left out at the beginning; the diagnostics would show if they were too few.
+_WARM_UP_BLOCKS = 1
+#: Each look at the diagnostics comes after this many times the steps of the last.
+_GROWTH = 1.25
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Draws of a posterior.
+
+    Attributes
+    ----------
+    identification
+        Where the charts come from.
+    points
+        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
+    log_density
+        Unnormalised, shape (n_ensembles, n_steps, n_walkers).
+    outside
+        Share of the draws that lie outside every chart, where only the local move leads.
+    diagnostics
+        Of the free parameters' draws.
+    failures
+        What is not converged; empty if the draws can be used.
+    acceptance
+        Of all moves.
+    evaluations
+        Points at which the density was evaluated.
+    seconds
+        Sampling time.
+    """
+
+    identification: Identification
+    points: Floats
+    log_density: Floats
+    outside: float
+    diagnostics: Diagnostics
+    failures: tuple[str, ...]
+    acceptance: float
+    evaluations: int
+    seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the draws can be used."""
+        return not self.failures
+
+    def values(self) -> Floats:
+        """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
+        n_ensembles, n_steps, n_walkers, n = self.points.shape
+        chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
+        return self.identification.problem.values(chains)
+
+
+def sample(
+    identification: Identification,
+    *,
+    draws: int = 10_000,
+    seed: int = 0,
+    store: BlockStore | None = None,
+    max_steps: int | None = None,
+    progress: Progress | None = None,
+) -> Posterior:
+    """Sample the posterior until it has converged or a limit is reached.
+
+    Parameters
+    ----------
+    identification
+        Converged; its minima are the reference points of the charts.
+    draws
+        Effective draws wanted of every parameter, in the bulk and in the tails.
+    seed
+        The same seed gives the same draws.
+    store
+        Where blocks are kept; those already there are taken up.
+    max_steps
+        Limit of steps a walker; by default ten times what independent draws would need.
+    progress
+        Called with the effective draws so far and the share of the work that is done.
+
+    Returns
+    -------
+    Posterior
+        With `failures` if the limit was reached before convergence.
+    """
+    target = PosteriorTarget(identification.problem)
+    minima = [identification.solution, *identification.other_minima]
+    atlas = Atlas(target, np.array([minimum.unknowns for minimum in minima]))
+    runs = [_Ensemble(target, atlas, child) for child in np.random.SeedSequence(seed).spawn(N_ENSEMBLES)]
+    least = -(-draws // (N_ENSEMBLES * N_WALKERS))
+    limit = max(500, 10 * least) if max_steps is None else max_steps
+
+    blocks = [] if store is None else store.read()
+    for number, run in enumerate(runs):
+        if blocks:
+            run.take_up(blocks[-1], number)
+    next_look = max(BLOCK_STEPS * (_WARM_UP_BLOCKS + 5), least)
+    done = 0
+    while True:
+        while len(blocks) * BLOCK_STEPS < next_look:
+            block = _next_block(target, runs)
+            if store is not None:
+                store.append(len(blocks), block)
+            blocks.append(block)
+            if progress is not None:
+                progress(0.0, len(blocks) * BLOCK_STEPS / limit)
+        done = -(-next_look // BLOCK_STEPS)
+        # Blocks beyond this look, from a run that was asked for more, are not looked at: resuming changes nothing.
+        posterior = _gather(identification, blocks[:done], draws)
+        if progress is not None:
+            progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
+        if posterior.converged or done * BLOCK_STEPS >= limit:
+            return posterior
+        next_look = min(int(next_look * _GROWTH) + 1, limit)
+
+
+def identity(problem: Problem, seed: int) -> str:
+    """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
+    sweeps = problem.sweeps
+    held = None if problem.considered is None else problem.considered.factor.tolist()
+    return content_sha256(
+        {
+            "cell": problem.model.cell.sha256,
+            "free": list(problem.model.free.names),
+            "held": [problem.model.held.tolist(), held],
+            "data": [sweeps.q_start.tolist(), sweeps.q_end.tolist(), problem.target.tolist(), sweeps.sigma.tolist()],
+            "rows": [sweeps.signed.tolist(), sweeps.group.tolist(), sweeps.kind.tolist()],
+            "sampler": [seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
+        }
+    )
+
+
+class _Ensemble:
+    """One ensemble of walkers with its own random numbers."""
+
+    def __init__(self, target: PosteriorTarget, atlas: Atlas, seed: np.random.SeedSequence) -> None:
+        self.target, self.atlas = target, atlas
+        moves = [(RandomiseThenOptimiseMove(atlas), 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]
+        self.sampler = emcee.EnsembleSampler(
+            N_WALKERS, target.n_unknowns, self._log_probability, moves=moves, vectorize=True
+        )
+        self.random = np.random.RandomState(np.random.MT19937(seed))
+        self.state: emcee.State | None = None
+
+    def run(self, n_steps: int) -> None:
+        """Run some steps; the sampler holds these steps only."""
+        if self.state is None:
+            self.state = self._start()
+        self.sampler.reset()
+        self.state = self.sampler.run_mcmc(self.state, n_steps, skip_initial_state_check=True)
+
+    def take_up(self, block: Block, number: int) -> None:
+        """Stand where the block of ensemble `number` ended."""
+        self.state = emcee.State(
+            block.points[number, -1],
+            log_prob=block.log_density[number, -1],
+            blobs=block.log_proposal[number, -1],
+            random_state=random_from_numbers(block.random[number]),
+        )
+
+    def _start(self) -> emcee.State:
+        found: list[Floats] = []
+        while sum(map(len, found)) < N_WALKERS:
+            normal = _OVER_DISPERSION * self.random.standard_normal((N_WALKERS, self.target.n_unknowns))
+            solved = self.atlas.propose(normal, self.random.random_sample(N_WALKERS))
+            found.append(solved.points[np.isfinite(solved.log_proposal)])
+        points = np.concatenate(found)[:N_WALKERS]
+        return emcee.State(points, random_state=self.random.get_state())
+
+    def _log_probability(self, points: Floats) -> Floats:
+        residuals, _ = self.target.data_batch(points)
+        return np.column_stack([self.target.log_density(residuals, points), self.atlas.log_proposal(points)])
+
+
+def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
+    began, evaluations = time.perf_counter(), target.evaluations
+    for run in runs:
+        run.run(BLOCK_STEPS)
+    return Block(
+        points=np.array([run.sampler.get_chain() for run in runs]),
+        log_density=np.array([run.sampler.get_log_prob() for run in runs]),
+        log_proposal=np.array([run.sampler.get_blobs() for run in runs], dtype=float),
+        accepted=np.array([run.sampler.acceptance_fraction.mean() for run in runs]),
+        random=np.array([random_to_numbers(run.sampler._random) for run in runs]),
+        evaluations=target.evaluations - evaluations,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _gather(identification: Identification, blocks: list[Block], draws: int) -> Posterior:
+    kept = blocks[_WARM_UP_BLOCKS:]
+    points = np.concatenate([block.points for block in kept], axis=1)
+    proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
+    diagnostics = diagnose(points[..., : identification.problem.n_free])
+    return Posterior(
+        identification=identification,
+        points=points,
+        log_density=np.concatenate([block.log_density for block in kept], axis=1),
+        outside=float(np.isneginf(proposals).mean()),
+        diagnostics=diagnostics,
+        failures=tuple(diagnostics.failures(draws)),
+        acceptance=float(np.mean([block.accepted for block in blocks])),
+        evaluations=sum(block.evaluations for block in blocks),
+        seconds=sum(block.seconds for block in blocks),
+    )

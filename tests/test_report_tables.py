@@ -1,0 +1,155 @@
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.measure.protocol import mark_signs
+from fpcal_bayes.measure.sweep_csv import read_csv
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.report.tables import fit_lines, number, parameter_table, plain_table, reflection_lines, truth_table
+
+CELL = load_cell()
+
+
+@pytest.fixture(scope="module")
+def result() -> Identification:
+    return identify(CELL, read_csv(Path(__file__).parent / "data" / "case_a.csv", CELL))
+
+
+def printed(table: Table, **options: object) -> str:
+    text = io.StringIO()
+    Console(file=text, width=200, highlight=False, **options).print(table)  # type: ignore[arg-type]
+    return text.getvalue()
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """Fields of each row by its first field."""
+    return {line.split()[0]: line.split() for line in text.splitlines() if line.split()}
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (-90.14964, 0.136, "-90.15"),
+        (0.252880, 0.00764, "0.2529"),
+        (917.55, 199.97, "918"),
+        (10.97, 6.4, "11.0"),
+        (1.23456789, 1.0, "1.2"),
+        (1.23456789, 0.99, "1.23"),
+        (123456.7, 12000.0, "123457"),
+        # At most six decimals.
+        (1.23456789, 1e-9, "1.234568"),
+        (0.5, 0.0123, "0.500"),
+        # No minus before a zero.
+        (-0.001, 1.0, "0.0"),
+        (-0.4, 20.0, "0"),
+        (0.0, 1.0, "0.0"),
+        # Without an sd, six digits.
+        (-90.14964512, 0.0, "-90.1496"),
+        (1.5, float("nan"), "1.5"),
+        (1.5, float("inf"), "1.5"),
+    ],
+)
+def test_number(value, sd, expected):
+    assert number(value, sd) == expected
+
+
+def test_parameter_table(result):
+    found = rows(printed(parameter_table(result.estimate, "a title")))
+    assert found["a"] == ["a", "title"]
+    shown = result.estimate.shown()
+    for parameter, status in zip(CELL.free, result.estimate.status, strict=True):
+        name, unit, value, sd, prior, told = found[parameter.name]
+        assert unit == parameter.unit
+        assert float(value) == pytest.approx(shown[name]["value"], abs=0.05 * shown[name]["sd"])
+        assert float(sd) == pytest.approx(shown[name]["sd"], rel=0.05)
+        assert float(prior) == pytest.approx(parameter.shown(parameter.prior_sd))
+        assert told == status
+    assert {"identified", "gauge"} == set(result.estimate.status)
+
+
+def test_every_status_is_shown_and_exact_values_are_called_so(result):
+    statuses = ("identified", "weak", "gauge", "fixed")
+    estimate = replace(result.estimate, status=(statuses * 6)[:21])
+    covariance = estimate.covariance.copy()
+    covariance[3] = covariance[:, 3] = 0.0
+    found = rows(printed(parameter_table(replace(estimate, covariance=covariance), "")))
+    for i, name in enumerate(CELL.free.names):
+        assert found[name][-1] == statuses[i % 4]
+        assert (found[name][3] == "exact") == (i == 3)
+    truth = paper_truth(CELL).at(0.0)
+    exact = replace(estimate, covariance=covariance)
+    row = rows(printed(truth_table(exact, truth[3:4], CELL.free.names[3:4], "")))[CELL.free.names[3]]
+    assert row[4:] == ["exact", "fixed"]
+
+
+def test_colours_only_on_a_terminal(result):
+    table = parameter_table(result.estimate, "")
+    assert "\x1b" not in printed(table)
+    assert "\x1b[31mgauge" in printed(table, force_terminal=True, color_system="standard", no_color=False)
+
+
+def test_truth_table(result):
+    truth = paper_truth(CELL).at(0.0)
+    names = ["z_et", "alpha_2"]
+    chosen = truth[paper_truth(CELL).parameters.positions(names)]
+    found = rows(printed(truth_table(result.estimate, chosen, names, "")))
+    assert [name for name in found if name in CELL.free.names] == names
+    assert found["z_et"][:3] == ["z_et", "um", "1.61"]
+    assert found["alpha_2"][:3] == ["alpha_2", "deg", "-90.13"]
+    entry = result.estimate.shown()["z_et"]
+    assert float(found["z_et"][5]) == pytest.approx((entry["value"] - 1.61) / entry["sd"], abs=0.051)
+    assert found["z_et"][5][0] in "+-"
+
+
+@pytest.mark.parametrize("title", ["[red]a[/red]", "[/]", "week[1].csv", "back\\", "[link=x]"])
+def test_markup_in_a_title_is_text(title):
+    text = printed(plain_table(title, ["a", "b", "c"]), force_terminal=True, color_system="standard")
+    assert title in re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+def test_columns():
+    table = plain_table("t", ["a", "b", "c", "d"])
+    assert [column.justify for column in table.columns] == ["left", "left", "right", "right"]
+
+
+def test_fit_lines(result):
+    lines = fit_lines(result)
+    assert lines[0] == (
+        "fit: converged, sum of squares 67.36 over 69 rows and the prior; chi-square of the data 62.8, expected 53.6 (p = 0.18)"
+    )
+    assert lines[1] == "rank: 16 of 21 combinations of the free parameters are seen by the data"
+    assert lines[2].startswith("largest residuals: node5-rz +3.3 sd, ")
+    assert lines[3:] == [f"time: {1e3 * result.seconds:.0f} ms"]
+    assert fit_lines(result, timed=False) == lines[:3]
+
+
+def test_fit_lines_of_unsigned_sweeps_and_of_a_failure(result):
+    unsigned = identify(CELL, mark_signs(result.problem.sweeps, "paper"))
+    assert fit_lines(unsigned)[3] == "signs: 53 decided with the fit, 0 of them doubtful"
+    failed = replace(result, solution=replace(result.solution, converged=False))
+    assert fit_lines(failed)[0].startswith("fit: NOT CONVERGED, ")
+
+
+def test_reflection_lines(result):
+    truth = paper_truth(CELL)
+    world, mirror = reflection_lines(result.estimate, truth.parameters, truth.at(0.0))
+    pattern = r"(\w) (\S+) \+- (\S+) \(truth (\S+)\)"
+    found = re.findall(pattern, world)
+    assert [axis for axis, *_ in found] == ["x", "y", "z"]
+    # Of the reference case, by an independent program.
+    assert [float(t) for *_, t in found] == [104.8, -6.6, 103.7]
+    for _, value, sd, true in found:
+        assert abs(float(value) - float(true)) < 4 * float(sd) + 0.05
+    # The mirror frame's third coordinate is zero on the mirror.
+    found = re.findall(pattern, mirror)
+    assert [axis for axis, *_ in found] == ["x", "y"]
+    assert [float(t) for *_, t in found] == [101.7, -106.8]
+    assert all(np.isfinite(float(sd)) and float(sd) > 0 for _, _, sd, _ in found)

@@ -74,7 +74,9 @@ def lengths(values: Array, q: Array, opd: str = "axis") -> Array:
             r = r + moved
         else:
             theta = theta + moved
-        frame = _turn(1, np.radians(1.0) * p.get(f"beta_{i}", 0.0)) @ _turn(0, np.radians(1.0) * p.get(f"alpha_{i}", 0.0))
+        frame = _turn(1, np.radians(1.0) * p.get(f"beta_{i}", 0.0)) @ _turn(
+            0, np.radians(1.0) * p.get(f"alpha_{i}", 0.0)
+        )
         frame = frame @ _shift(x=p.get(f"d_{i}", 0.0)) @ _turn(2, np.radians(1.0) * theta) @ _shift(z=r)
         pose = pose @ frame
     radian = np.radians(1.0)

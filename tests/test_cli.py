@@ -97,9 +97,18 @@ class TestUsage:
             (["identify", CASE_A, "--hold", "tight"], "argument --hold: invalid choice: 'tight'"),
             (["identify", CASE_A, CASE_A], "unrecognized arguments"),
             (["simulate"], "the following arguments are required: -o"),
-            (["simulate", "-o", "a.csv", "--seed", "-1"], "argument --seed: expected a whole number from 0, found '-1'"),
-            (["simulate", "-o", "a.csv", "--seed", "1.5"], "argument --seed: expected a whole number from 0, found '1.5'"),
-            (["simulate", "-o", "a.csv", "--sigma-nm", "0"], "argument --sigma-nm: expected a number above zero, found '0'"),
+            (
+                ["simulate", "-o", "a.csv", "--seed", "-1"],
+                "argument --seed: expected a whole number from 0, found '-1'",
+            ),
+            (
+                ["simulate", "-o", "a.csv", "--seed", "1.5"],
+                "argument --seed: expected a whole number from 0, found '1.5'",
+            ),
+            (
+                ["simulate", "-o", "a.csv", "--sigma-nm", "0"],
+                "argument --sigma-nm: expected a number above zero, found '0'",
+            ),
             (["simulate", "-o", "a.csv", "--sigma-nm", "nan"], "--sigma-nm: expected a number above zero, found 'nan'"),
             (["simulate", "-o", "a.csv", "--sigma-nm", "inf"], "--sigma-nm: expected a number above zero, found 'inf'"),
             (["simulate", "-o", "a.csv", "--signs", "some"], "argument --signs: invalid choice: 'some'"),
@@ -284,7 +293,10 @@ class TestIdentify:
         content = self.run(CASE_A, "--free", "all,gain_4")
         assert content["parameters"]["gain_4"]["unit"] == "ppm"
         assert len(content["parameters"]) == 22
-        assert self.run(CASE_A, "--free", "alpha_2,z_et", "--hold", "exact")["covariance"]["names"] == ["alpha_2", "z_et"]
+        assert self.run(CASE_A, "--free", "alpha_2,z_et", "--hold", "exact")["covariance"]["names"] == [
+            "alpha_2",
+            "z_et",
+        ]
 
     def test_unknown_signs(self, capsys):
         assert main(["simulate", "-o", "a.csv", "--signs", "paper", "--quiet"]) == 0
@@ -344,12 +356,18 @@ def still() -> str:
 
 BAD_SWEEPS = {
     "empty": (lambda: "", "bad.csv: the file is empty"),
-    "header alone": (lambda: CASE_A.read_text().splitlines()[0] + "\n", "bad.csv: no rows, expected at least one sweep"),
+    "header alone": (
+        lambda: CASE_A.read_text().splitlines()[0] + "\n",
+        "bad.csv: no rows, expected at least one sweep",
+    ),
     "wrong header": (edit(1, "q3_start_um", "q3"), "row 1: unknown column 'q3', expected session,time_h,label"),
     "duplicated header": (edit(1, "sigma_um", "dl_um"), "row 1: the column 'dl_um' stands twice"),
     "missing column": (without("sigma_um"), "row 1: the column sigma_um is missing"),
     "missing joint": (without("q6_end_deg"), "row 1: the column q6_end_deg is missing: cell 'femto-st' has 6 joints"),
-    "seventh joint": (edit(1, "signed", "q7_end_deg"), "row 1: column q7_end_deg does not fit: cell 'femto-st' has 6 joints"),
+    "seventh joint": (
+        edit(1, "signed", "q7_end_deg"),
+        "row 1: column q7_end_deg does not fit: cell 'femto-st' has 6 joints",
+    ),
     "text in a number": (edit(5, "dl_um", "abc"), "row 5, column dl_um: expected a number, found 'abc'"),
     "NaN": (edit(6, "dl_um", "nan"), "row 6, column dl_um: expected a number, found 'nan'"),
     "inf": (edit(7, "q1_end_um", "inf"), "row 7, column q1_end_um: expected a number, found 'inf'"),
@@ -401,8 +419,16 @@ def test_unknown_parameters(capsys, free, message):
         ('name = "femto-st"', 'name = "femto-st"\nnmae = "x"', "key nmae: unknown key, expected one of"),
         ("wavelength_nm", "wavelength", "key optics.wavelength: unknown key"),
         ("repeatability_um = 0.0", "repeatability_mm = 0.0", "key joint 1.repeatability_mm: unknown key"),
-        ('unit = "um"', 'unit = "furlong"', "key joint 1.controller.unit: expected one of pm, nm, um, mm, m, found 'furlong'"),
-        ("nominal_deg = -90.0", 'nominal_deg = "-90"', "key joint 2.alpha.nominal_deg: expected a finite number, found '-90'"),
+        (
+            'unit = "um"',
+            'unit = "furlong"',
+            "key joint 1.controller.unit: expected one of pm, nm, um, mm, m, found 'furlong'",
+        ),
+        (
+            "nominal_deg = -90.0",
+            'nominal_deg = "-90"',
+            "key joint 2.alpha.nominal_deg: expected a finite number, found '-90'",
+        ),
         ("[optics]", "[optics", "not a TOML file"),
     ],
 )

@@ -282,7 +282,9 @@ class TestHeld:
 
     def test_fresh_intrinsics(self, earlier):
         now = simulate(CELL, TRUTH, paper_protocol(CELL, time_h=48.0), sigma=0.005, seed=77)
-        results = {hold: identify(CELL, now, free="extrinsic", start=earlier, hold=hold) for hold in ("consider", "exact")}
+        results = {
+            hold: identify(CELL, now, free="extrinsic", start=earlier, hold=hold) for hold in ("consider", "exact")
+        }
         for hold, result in results.items():
             assert result.converged
             assert result.fit.p_value > POOR_FIT_BELOW, hold
@@ -293,9 +295,7 @@ class TestHeld:
         names = CELL.select("intrinsic").names
         _, kept = results["consider"].estimate.block(names)
         sd = CELL.select("intrinsic").prior_sd
-        np.testing.assert_allclose(
-            kept / np.outer(sd, sd), earlier.block(names)[1] / np.outer(sd, sd), atol=1e-12
-        )
+        np.testing.assert_allclose(kept / np.outer(sd, sd), earlier.block(names)[1] / np.outer(sd, sd), atol=1e-12)
         assert (results["exact"].estimate.block(names)[1] == 0).all()
         # Exact is overconfident.
         extrinsic = CELL.select("extrinsic").names
@@ -397,7 +397,7 @@ class TestOtherRows:
     def test_unknown_and_no_parameters_are_refused(self):
         with pytest.raises(InputError, match="unknown parameter 'alpha_9'"):
             identify(CELL, of_day(0), free="alpha_9")
-        with pytest.raises(InputError, match="gain_1.*no prior_sd"):
+        with pytest.raises(InputError, match=r"gain_1.*no prior_sd"):
             identify(CELL, of_day(0), free="gain_1")
         with pytest.raises(InputError, match="nothing is free"):
             identify(CELL, of_day(0), free=[])

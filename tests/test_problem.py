@@ -15,8 +15,12 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import Cell, load_cell
 
 CELL = load_cell()
-SHAKY = replace(CELL, joints=tuple(replace(j, repeatability=1e-6 if j.kind == "revolute" else 1e-3) for j in CELL.joints))
-CASES = [(cell.with_opd(opd), mid) for cell in (CELL, SHAKY) for opd in ("axis", "perpendicular") for mid in (False, True)]
+SHAKY = replace(
+    CELL, joints=tuple(replace(j, repeatability=1e-6 if j.kind == "revolute" else 1e-3) for j in CELL.joints)
+)
+CASES = [
+    (cell.with_opd(opd), mid) for cell in (CELL, SHAKY) for opd in ("axis", "perpendicular") for mid in (False, True)
+]
 
 
 def measured(cell: Cell, midpoints: bool, rows: slice | None = None) -> Sweeps:

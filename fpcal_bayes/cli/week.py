@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     # A second run gives the same campaign: how long an identification took is in its own file.
     timeless = {name: content | {"fit": without_seconds(content["fit"])} for name, content in contents.items()}
     command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
-    campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record(), estimates=contents)
+    campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record(), estimates=timeless)
     write_campaign(folder / "campaign.h5", campaign, cell)
     for name, content in contents.items():
         write_json(folder / f"{name}.json", content)

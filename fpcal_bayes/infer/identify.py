@@ -206,7 +206,8 @@ def identify(
     if fit.p_value < POOR_FIT_BELOW:
         warnings.append(
             f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
-            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, or held values are stale"
+            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, "
+            "or held values are stale"
         )
     elif (p_total := chi2_tail(solution.sum_of_squares, len(used))) < POOR_FIT_BELOW:
         warnings.append(

@@ -130,8 +130,8 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
     if stated["sha256"] != cell.sha256:
         opd = f", opd {stated['opd']!r}" if "opd" in stated else ""
         raise InputError(
-            f"{path}: key cell: the estimate is of another cell ({stated['name']!r}{opd}, {str(stated['sha256'])[:12]}), "
-            f"expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
+            f"{path}: key cell: the estimate is of another cell ({stated['name']!r}{opd}, "
+            f"{str(stated['sha256'])[:12]}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
         )
     if content.get("fit", {}).get("converged") is False if isinstance(content.get("fit"), dict) else False:
         raise InputError(
@@ -194,7 +194,9 @@ class _Reader:
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         matrix = (matrix + matrix.T) / 2
         variances = np.diag(matrix)
-        if (variances < _SMALLEST).any() or _lowest_eigenvalue(matrix / np.sqrt(np.outer(variances, variances))) < -1e-6:
+        if (variances < _SMALLEST).any() or _lowest_eigenvalue(
+            matrix / np.sqrt(np.outer(variances, variances))
+        ) < -1e-6:
             raise self.error("covariance.matrix", "expected a positive semidefinite matrix")
         full, chosen = np.zeros((len(parameters), len(parameters))), parameters.positions(names)
         scales = parameters.scales[chosen]

@@ -13,7 +13,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 
-_STATUS_STYLES = {"identified": "green", "weak": "yellow", "gauge": "red", "fixed": "dim"}
+#: Colour of each status.
+STATUS_STYLES = {"identified": "green", "weak": "yellow", "gauge": "red", "fixed": "dim"}
 
 
 def plain_table(title: str, columns: Sequence[str]) -> Table:
@@ -39,7 +40,7 @@ def parameter_table(estimate: Estimate, title: str) -> Table:
     shown = estimate.shown()
     for parameter, status in zip(estimate.parameters, estimate.status, strict=True):
         value, sd = shown[parameter.name]["value"], shown[parameter.name]["sd"]
-        style = _STATUS_STYLES[status]
+        style = STATUS_STYLES[status]
         table.add_row(
             parameter.name,
             parameter.unit,
@@ -65,7 +66,7 @@ def truth_table(estimate: Estimate, truth: NDArray[np.float64], names: Sequence[
         parameter = estimate.cell.parameters[name]
         value, sd = shown[name]["value"], shown[name]["sd"]
         status = estimate.status[estimate.parameters.position(name)]
-        style = _STATUS_STYLES[status]
+        style = STATUS_STYLES[status]
         table.add_row(
             name,
             parameter.unit,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.protocol import mark_signs, paper_protocol, protocol_by_name, single_sweep
+from fpcal_bayes.measure.protocol import add_midpoints, mark_signs, paper_protocol, protocol_by_name, single_sweep
 from fpcal_bayes.measure.sweep_csv import read_csv
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.model.parameters import Parameter, ParameterSet
@@ -35,6 +35,31 @@ def test_midpoints_share_the_start_of_their_sweep():
     np.testing.assert_array_equal(middle.q_start, plain.q_start)
     np.testing.assert_array_equal(end.q_start, plain.q_start)
     np.testing.assert_allclose(2.0 * middle.q_end, plain.q_start + plain.q_end, atol=1e-12)
+
+
+def test_groups_and_absolute_lengths_get_no_midpoint():
+    plan = paper_protocol(CELL).take(np.array([0, 0, 1, 2]))
+    plan = replace(
+        plan,
+        label=np.array(["first", "second", "length", ""]),
+        group=np.array(["pair", "pair", "", ""]),
+        kind=np.array(["sweep", "sweep", "absolute", "sweep"]),
+    )
+    halved = add_midpoints(plan)
+    assert halved.label.tolist() == ["first", "second", "length", "-mid", ""]
+    assert halved.group.tolist() == ["pair", "pair", "", "row 4", "row 4"]
+    assert halved.kind.tolist() == ["sweep", "sweep", "absolute", "sweep", "sweep"]
+    assert halved.rows.tolist() == [2, 3, 4, 5, 6]
+    np.testing.assert_array_equal(halved.q_end[[0, 1, 2, 4]], plan.q_end)
+    np.testing.assert_allclose(halved.q_end[3], (plan.q_start[3] + plan.q_end[3]) / 2)
+    # Once more: there is nothing left to halve.
+    assert add_midpoints(halved).label.tolist() == halved.label.tolist()
+
+
+def test_midpoints_keep_labels_longer_than_the_others():
+    plan = replace(paper_protocol(CELL).take(np.array([0])), label=np.array(["a"]), group=np.array([""]))
+    assert add_midpoints(plan).label.tolist() == ["a-mid", "a"]
+    assert add_midpoints(plan).group.tolist() == ["a", "a"]
 
 
 def test_another_chain_is_refused():

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from fpcal_bayes.errors import InputError
@@ -65,14 +66,18 @@ def write_result(output: Path | None, command: str, content: dict[str, Any]) -> 
         write_json(output, {"schema": SCHEMA, "command": command, **content})
 
 
-def announce_compilation() -> None:
-    """Say so if the first use of the kernels will take a while."""
+def warm_up(cell: Cell) -> None:
+    """Load the kernels, so that times do not count it; say so if they have to be compiled first."""
+    from fpcal_bayes.model.cavity import CavityModel
     from fpcal_bayes.model.compiled import needs_compilation
     from fpcal_bayes.model.kernel import batch_lengths
     from fpcal_bayes.model.kernel_jacobian import batch_jacobians
 
     if needs_compilation(batch_lengths, batch_jacobians):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
+    model, home = CavityModel.of(cell), np.zeros((1, len(cell.joints)))
+    model.predict(model.free.nominal, model.pose_rows(home))
+    model.predict_with_jacobian(model.free.nominal, model.pose_rows(home))
 
 
 def warn(warnings: Iterable[str]) -> None:

@@ -8,10 +8,10 @@ from fpcal_bayes.cli.common import (
     Commands,
     add_command,
     add_json,
-    announce_compilation,
     cell_of,
     check_output,
     console,
+    warm_up,
     warn,
     write_result,
 )
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
     cell.select(options.free)
-    announce_compilation()
+    warm_up(cell)
     result = identify(cell, sweeps, free=options.free, start=start, hold=options.hold)
     data = {"file": Path(options.file).name, "sha256": file_sha256(Path(options.file)), "session": sweeps.sessions[0]}
     result = replace(result, estimate=replace(result.estimate, data=data))

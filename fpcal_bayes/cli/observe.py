@@ -7,12 +7,12 @@ from fpcal_bayes.cli.common import (
     Commands,
     add_command,
     add_json,
-    announce_compilation,
     cell_of,
     check_output,
     console,
     positive,
     share,
+    warm_up,
     warn,
     write_result,
 )
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.html, options.file, options.candidates, options.json)
     sweeps = read_sweeps(options.file, cell, plan=True).of_session(options.session)
     candidates = None if options.candidates is None else read_sweeps(options.candidates, cell, plan=True)
-    announce_compilation()
+    warm_up(cell)
     result = observe(
         cell,
         sweeps,

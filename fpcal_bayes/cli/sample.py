@@ -11,12 +11,12 @@ from fpcal_bayes.cli.common import (
     Commands,
     add_command,
     add_json,
-    announce_compilation,
     cell_of,
     check_output,
     console,
     count,
     seed,
+    warm_up,
     warn,
     write_result,
 )
@@ -38,6 +38,12 @@ def add_parser(commands: Commands) -> None:
         "--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)"
     )
     parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    parser.add_argument(
+        "--likelihood",
+        choices=("gaussian", "slip"),
+        default="gaussian",
+        help="slip: each dL may be off by whole half wavelengths (default: gaussian)",
+    )
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
     add_json(parser)
 
@@ -47,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     from fpcal_bayes.files import file_sha256
     from fpcal_bayes.infer.identify import identify
     from fpcal_bayes.infer.posterior.blocks import BlockStore
-    from fpcal_bayes.infer.posterior.output import content, data_tree, write_netcdf
+    from fpcal_bayes.infer.posterior.output import content, data_tree, slip_probabilities, write_netcdf
     from fpcal_bayes.infer.posterior.sample import identity, sample
     from fpcal_bayes.measure.sweep_files import read_sweeps
     from fpcal_bayes.report.posterior_tables import posterior_table
@@ -58,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
-    announce_compilation()
+    warm_up(cell)
     result = identify(cell, sweeps)
     data = {"file": Path(options.file).name, "sha256": file_sha256(Path(options.file)), "session": sweeps.sessions[0]}
     result = replace(result, estimate=replace(result.estimate, data=data))
@@ -68,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         return 1
 
     folder = options.output.with_name(options.output.name + ".blocks")
-    store = BlockStore(folder, identity(result.problem, options.seed))
+    store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood))
     if not options.resume:
         store.clear()
     bar = Progress(
@@ -86,7 +92,9 @@ def run(options: argparse.Namespace) -> int:
         def show(effective: float, share: float) -> None:
             bar.update(task, completed=share, effective=effective)
 
-        posterior = sample(result, draws=options.draws, seed=options.seed, store=store, progress=show)
+        posterior = sample(
+            result, draws=options.draws, likelihood=options.likelihood, seed=options.seed, store=store, progress=show
+        )
 
     out = console(options)
     title = f"{options.file}, session {sweeps.sessions[0]}: posterior"
@@ -100,6 +108,10 @@ def run(options: argparse.Namespace) -> int:
         markup=False,
         soft_wrap=True,
     )
+    slips = slip_probabilities(posterior)
+    if slips is not None:
+        likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]
+        out.print(f"slipped sweeps: {', '.join(likely) or 'none'}", markup=False, soft_wrap=True)
     if not posterior.converged:
         warn(
             f"not converged: {failure}; try fewer --draws or more informative sweeps" for failure in posterior.failures

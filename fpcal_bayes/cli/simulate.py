@@ -6,12 +6,12 @@ from pathlib import Path
 from fpcal_bayes.cli.common import (
     Commands,
     add_command,
-    announce_compilation,
     cell_of,
     check_output,
     console,
     positive,
     seed,
+    warm_up,
 )
 
 _EPILOG = """\
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     if options.signs is not None:
         plan = mark_signs(plan, options.signs)
     truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
-    announce_compilation()
+    warm_up(cell)
     sweeps = simulate(cell, truth, plan, sigma=options.sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {options.protocol} --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
     if options.output.suffix.lower() in HDF5_SUFFIXES:

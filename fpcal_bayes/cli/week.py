@@ -11,11 +11,11 @@ from rich.console import Console
 from fpcal_bayes.cli.common import (
     Commands,
     add_command,
-    announce_compilation,
     cell_of,
     console,
     positive,
     seed,
+    warm_up,
     warn,
 )
 from fpcal_bayes.errors import InputError
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: expected a folder that can be made ({error.strerror})") from error
-    announce_compilation()
+    warm_up(cell)
     began = time.perf_counter()
     truth, sweeps = measure_week(cell, sigma=options.sigma_nm * 1e-3, seed=options.seed)
 
@@ -107,7 +107,7 @@ def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
         truth = week.truth.at(24.0 * session.day)
         names = week.truth.parameters.names
         shown = [i for i, name in enumerate(names) if session.free == "all" or name in result.free.names]
-        held = "" if session.free == "all" else "; intrinsic parameters held at day 2, with their uncertainty"
+        held = "" if session.free == "all" else "; intrinsics held at day 2"
         title = f"Day {session.day:g}: {session.tables} of the paper anew{held}"
         out.print(truth_table(result.estimate, truth[shown], [names[i] for i in shown], title))
         for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result, timed=timed):

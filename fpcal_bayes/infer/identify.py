@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import linalg, special
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, Solution, minimise
-from fpcal_bayes.infer.mirror import mirror_images
+from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, Solution, minimise, solution_rank
+from fpcal_bayes.infer.mirror import distinct_minima, mirror_images
 from fpcal_bayes.infer.observability import Spectrum, Status, spectrum_of, statuses
 from fpcal_bayes.infer.problem import Considered, Problem
 from fpcal_bayes.infer.signs import DOUBTFUL, SignDecision, decide_signs
@@ -30,8 +30,6 @@ RETRY_BELOW = 1e-3
 POOR_FIT_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
-#: Minima within this of the lowest sum of squares belong to the posterior.
-MINIMUM_EXCESS = 30.0
 _RELINEARISATIONS = 100
 
 
@@ -215,7 +213,7 @@ def identify(
             f"(p = {p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
             "something that is not free (a gain, a runout)"
         )
-    others = _other_minima(problem, solution, found)
+    others = distinct_minima(problem, solution, found)
     rival = others[0] if others else None
     if rival is not None and rival.sum_of_squares - solution.sum_of_squares < RIVAL_EXCESS:
         apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
@@ -309,42 +307,22 @@ def _fit(
     problem, solution = _converge(problem, first)
     found = [solution]
     found += [minimise(problem, image) for image in mirror_images(problem, solution)[: max_starts - 1]]
-    best = min(found, key=_rank)
+    best = min(found, key=solution_rank)
     while len(found) < max_starts and (
         not best.converged or chi2_tail(best.sum_of_squares, len(problem.sweeps)) < RETRY_BELOW
     ):
         start = np.zeros(problem.n_unknowns)
         start[: problem.n_free] = rng.standard_normal(problem.n_free)
         found.append(minimise(problem, start))
-        best = min(found, key=_rank)
+        best = min(found, key=solution_rank)
     if best is not solution and problem.depends_on_point:
         moved, better = _converge(problem, best.unknowns)
         # Each minimum has its own linearisation; what counts is where the iteration ends.
-        if _rank(better) < _rank(solution):
+        if solution_rank(better) < solution_rank(solution):
             problem, best = moved, better
         else:
             best = solution
     return problem, best, found, len(found)
-
-
-def _rank(solution: Solution) -> tuple[bool, float]:
-    """Order of solutions: converged ones first, then the lowest."""
-    return not solution.converged, solution.sum_of_squares
-
-
-def _other_minima(problem: Problem, best: Solution, found: list[Solution]) -> tuple[Solution, ...]:
-    """Other minima that count for the posterior, lowest first; each stands away from the lowest one."""
-    jacobian = problem.jacobian(best.unknowns)
-    others: list[Solution] = []
-    for other in sorted(found, key=_rank):
-        apart = [jacobian @ (other.unknowns - known.unknowns) for known in (best, *others)]
-        if (
-            other.converged
-            and other.sum_of_squares - best.sum_of_squares < MINIMUM_EXCESS
-            and min(float(distance @ distance) for distance in apart) > 1.0
-        ):
-            others.append(other)
-    return tuple(others)
 
 
 def _goodness(problem: Problem, unknowns: Floats) -> GoodnessOfFit:

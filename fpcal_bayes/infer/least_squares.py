@@ -38,6 +38,11 @@ class Solution:
     converged: bool
 
 
+def solution_rank(solution: Solution) -> tuple[bool, float]:
+    """Order of solutions: converged ones first, then the lowest."""
+    return not solution.converged, solution.sum_of_squares
+
+
 def minimise(problem: Problem, start: Floats) -> Solution:
     """Run Levenberg-Marquardt from `start` (n_unknowns,) with the analytic Jacobian."""
     found = optimize.least_squares(

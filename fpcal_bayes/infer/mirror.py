@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from fpcal_bayes.infer.least_squares import Solution
+from fpcal_bayes.infer.least_squares import Solution, minimise, solution_rank
 from fpcal_bayes.infer.observability import spectrum_of
 from fpcal_bayes.infer.problem import Problem
 
 Floats = NDArray[np.float64]
 
 _MOST_IMAGES = 3
+#: Minima within this of the lowest sum of squares belong to the posterior.
+MINIMUM_EXCESS = 30.0
 
 
 def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
@@ -43,3 +45,25 @@ def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
         image[:n] -= 2.0 * (direction @ unknowns[:n]) * direction
         images.append(image)
     return images
+
+
+def distinct_minima(problem: Problem, best: Solution, found: list[Solution]) -> tuple[Solution, ...]:
+    """Minima other than the lowest one that count for the posterior, lowest first, each away from the others."""
+    jacobian = problem.jacobian(best.unknowns)
+    others: list[Solution] = []
+    for other in sorted(found, key=solution_rank):
+        apart = [jacobian @ (other.unknowns - known.unknowns) for known in (best, *others)]
+        if (
+            other.converged
+            and other.sum_of_squares - best.sum_of_squares < MINIMUM_EXCESS
+            and min(float(distance @ distance) for distance in apart) > 1.0
+        ):
+            others.append(other)
+    return tuple(others)
+
+
+def all_minima(problem: Problem, solution: Solution) -> tuple[Solution, ...]:
+    """The minimum `solution` and those across the hidden symmetries that count, lowest first."""
+    found = [solution, *(minimise(problem, image) for image in mirror_images(problem, solution))]
+    best = min(found, key=solution_rank)
+    return (best, *distinct_minima(problem, best, found))

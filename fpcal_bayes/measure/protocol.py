@@ -67,6 +67,8 @@ def add_midpoints(sweeps: Sweeps) -> Sweeps:
     after the sweep. Rows of a group and absolute lengths stay as they are.
     """
     alone = (sweeps.group == "") & (sweeps.kind == "sweep")
+    if not alone.any():
+        return sweeps
     order = np.repeat(np.arange(len(sweeps)), np.where(alone, 2, 1))
     is_middle = np.zeros(len(order), dtype=bool)
     is_middle[np.searchsorted(order, np.flatnonzero(alone))] = True

@@ -74,9 +74,10 @@ def contraction_figure(result: Observability) -> str:
                 share = 100 * np.clip(result.contraction[chosen], 0.0, 1.0)
                 bars = axis.barh(place[chosen], share, color=colour, hatch=hatch, edgecolor="white", label=status)
                 labels = [f"{s:.1f}" if s < 99.95 else "> 99.9" for s in share]
-                axis.bar_label(bars, labels, padding=2, fontsize=7)
+                axis.bar_label(bars, labels, padding=2, fontsize=7, bbox={"color": "white", "pad": 0.5})
         axis.axvline(100 * (1 - result.weak_share), color="black", linestyle="--", linewidth=1, label="limit of weak")
-        axis.set_yticks(place, result.parameters.names)
+        marks = ["" if status == "identified" else f" ({status})" for status in result.status]
+        axis.set_yticks(place, [name + mark for name, mark in zip(result.parameters.names, marks, strict=True)])
         axis.set_ylim(n - 0.4, -0.6)
         axis.set_xlim(0, 112)
         axis.set_xticks(np.arange(0, 101, 20))
@@ -100,7 +101,9 @@ def correlation_figure(result: Observability) -> str:
         axis.set_aspect("equal")
         axis.set_xlabel("parameter")
         axis.set_ylabel("parameter")
-        figure.colorbar(mesh, label="correlation [1]", shrink=0.8)
+        bar = figure.colorbar(mesh, label="correlation [1]", shrink=0.8)
+        # Else the bar is a bitmap.
+        bar.solids.set_rasterized(False)
     return svg[0]
 
 

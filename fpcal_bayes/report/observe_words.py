@@ -92,7 +92,8 @@ def percent(share: float) -> str:
 
 def gauge_sentence(gauge: Gauge) -> str:
     """Cause and remedy of one unseen direction."""
-    return f"{_capital(gauge.explanation)}. Remedy: {gauge.remedy}."
+    none = "none, and none is needed: " if gauge.layer == "model" else ""
+    return f"{_capital(gauge.explanation)}. Remedy: {none}{gauge.remedy}."
 
 
 def gauge_direction(gauge: Gauge, result: Observability) -> str:

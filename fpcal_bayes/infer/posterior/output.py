@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from fpcal_bayes import __version__
 from fpcal_bayes.files import replacing
 from fpcal_bayes.infer.posterior.sample import Posterior
+from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 
 Floats = NDArray[np.float64]
 
 #: Likelihoods and predictions that are kept at most, draws times rows.
 _KEPT_CELLS = 1_000_000
+#: Rows less likely than this to have slipped are not listed.
+_LEAST_SLIP = 0.01
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
@@ -46,6 +49,9 @@ def content(posterior: Posterior) -> dict[str, Any]:
         # Value and sd are those of the posterior; the maximum stands in the fit.
         base["parameters"][name] |= {"value": entry["mean"], **entry}
     diagnostics = posterior.diagnostics
+    slips = slip_probabilities(posterior)
+    if slips is not None:
+        base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
     return {
         **base,
         "covariance": {
@@ -69,6 +75,17 @@ def content(posterior: Posterior) -> dict[str, Any]:
     }
 
 
+def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
+    """Label of each row and the probability that it slipped, likeliest first; None if slips were not thought of."""
+    target = posterior.target
+    if not isinstance(target, SlipTarget):
+        return None
+    points = posterior.points[:, :: max(1, posterior.points.shape[1] // 16)].reshape(-1, target.n_unknowns)
+    mean = target.slip_probabilities(points).mean(axis=0)
+    labels = posterior.identification.problem.sweeps.label
+    return [(str(labels[i]), float(mean[i])) for i in np.argsort(-mean, kind="stable")]
+
+
 def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     """The draws as an ArviZ DataTree.
 
@@ -90,9 +107,14 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)
     shape = (n_chains, unknowns.shape[1], -1)
     labels = np.array([str(label) for label in problem.sweeps.label])
+    draws = {name: shown[:, :, i] for i, name in enumerate(parameters.names)}
+    if isinstance(posterior.target, SlipTarget):
+        draws["slip_probability"] = posterior.target.eps(posterior.points.transpose(0, 2, 1, 3)).reshape(
+            values.shape[:2]
+        )
     tree = az.from_dict(
         {
-            "posterior": {name: shown[:, :, i] for i, name in enumerate(parameters.names)},
+            "posterior": draws,
             "prior": {name: prior[:, :, i] for i, name in enumerate(parameters.names)},
             "sample_stats": {"lp": posterior.log_density.transpose(0, 2, 1).reshape(n_chains, n_draws)},
             "log_likelihood": {"dl_um": log_likelihood.reshape(shape)},
@@ -145,9 +167,8 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
         part = slice(i, i + 256)
         mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
         if problem.sensitivity is not None:
-            mean = mean + unknowns[part, problem.n_free :] @ problem.sensitivity.T
-        residuals = problem.whitening.apply((mean - problem.target).T).T
-        likelihood[part] = -0.5 * residuals**2 + np.log(scale) - 0.5 * np.log(2.0 * np.pi)
+            mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
+        likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
         if mix is None:
             predicted[part] = mean + noise[part] / scale
         else:

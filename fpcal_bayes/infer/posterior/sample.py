@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import emcee
 import numpy as np
@@ -10,13 +11,16 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.infer.identify import Identification
+from fpcal_bayes.infer.mirror import all_minima
 from fpcal_bayes.infer.posterior.atlas import Atlas
 from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
-from fpcal_bayes.infer.posterior.diagnostics import Diagnostics, diagnose
+from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
 from fpcal_bayes.infer.posterior.move_local import LocalMove
 from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
+from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.slips import find_slips
 
 Floats = NDArray[np.float64]
 
@@ -29,9 +33,12 @@ LOCAL_SHARE = 0.05
 _OVER_DISPERSION = 2.0
 #: Blocks left out at the beginning; the diagnostics would show if they were too few.
 _WARM_UP_BLOCKS = 1
-#: Each look at the diagnostics comes after this many times the steps of the last.
-_GROWTH = 1.25
+#: Each look at the diagnostics comes when those before promise convergence, between so many times the last's steps.
+_LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
+#: A promise is taken with this much in hand.
+_IN_HAND = 1.05
 
+Likelihood = Literal["gaussian", "slip"]
 Progress = Callable[[float, float], None]
 
 
@@ -43,6 +50,8 @@ class Posterior:
     ----------
     identification
         Where the charts come from.
+    target
+        The density that was sampled.
     points
         Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
     log_density
@@ -62,6 +71,7 @@ class Posterior:
     """
 
     identification: Identification
+    target: PosteriorTarget
     points: Floats
     log_density: Floats
     outside: float
@@ -87,6 +97,7 @@ def sample(
     identification: Identification,
     *,
     draws: int = 10_000,
+    likelihood: Likelihood = "gaussian",
     seed: int = 0,
     store: BlockStore | None = None,
     max_steps: int | None = None,
@@ -100,6 +111,8 @@ def sample(
         Converged; its minima are the reference points of the charts.
     draws
         Effective draws wanted of every parameter, in the bulk and in the tails.
+    likelihood
+        ``gaussian``, or ``slip``: each dL may be off by whole half wavelengths.
     seed
         The same seed gives the same draws.
     store
@@ -114,9 +127,8 @@ def sample(
     Posterior
         With `failures` if the limit was reached before convergence.
     """
-    target = PosteriorTarget(identification.problem)
-    minima = [identification.solution, *identification.other_minima]
-    atlas = Atlas(target, np.array([minimum.unknowns for minimum in minima]))
+    target, references = make_target(identification, likelihood)
+    atlas = Atlas(target, references)
     runs = [_Ensemble(target, atlas, child) for child in np.random.SeedSequence(seed).spawn(N_ENSEMBLES)]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
     limit = max(500, 10 * least) if max_steps is None else max_steps
@@ -137,15 +149,33 @@ def sample(
                 progress(0.0, len(blocks) * BLOCK_STEPS / limit)
         done = -(-next_look // BLOCK_STEPS)
         # Blocks beyond this look, from a run that was asked for more, are not looked at: resuming changes nothing.
-        posterior = _gather(identification, blocks[:done], draws)
+        posterior = _gather(identification, target, blocks[:done], draws)
         if progress is not None:
             progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
         if posterior.converged or done * BLOCK_STEPS >= limit:
             return posterior
-        next_look = min(int(next_look * _GROWTH) + 1, limit)
+        next_look = min(_next_look(done * BLOCK_STEPS, posterior.diagnostics, draws), limit)
 
 
-def identity(problem: Problem, seed: int) -> str:
+def _next_look(steps: int, diagnostics: Diagnostics, draws: int) -> int:
+    """Steps after which to look again."""
+    missing = max(draws / diagnostics.effective, LEAST_LENGTH * diagnostics.autocorrelation_time / diagnostics.length)
+    growth = np.clip(_IN_HAND * missing, _LEAST_GROWTH, _MOST_GROWTH)
+    return int(np.ceil(steps * np.nan_to_num(growth, nan=_MOST_GROWTH)))
+
+
+def make_target(identification: Identification, likelihood: Likelihood) -> tuple[PosteriorTarget, Floats]:
+    """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
+    if likelihood == "slip":
+        slips = find_slips(identification.problem, identification.solution)
+        slip_target = SlipTarget(slips)
+        minima = all_minima(slips.problem, slips.solution)
+        return slip_target, np.array([np.append(minimum.unknowns, slip_target.reference) for minimum in minima])
+    minima = (identification.solution, *identification.other_minima)
+    return PosteriorTarget(identification.problem), np.array([minimum.unknowns for minimum in minima])
+
+
+def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -> str:
     """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
     sweeps = problem.sweeps
     held = None if problem.considered is None else problem.considered.factor.tolist()
@@ -156,7 +186,7 @@ def identity(problem: Problem, seed: int) -> str:
             "held": [problem.model.held.tolist(), held],
             "data": [sweeps.q_start.tolist(), sweeps.q_end.tolist(), problem.target.tolist(), sweeps.sigma.tolist()],
             "rows": [sweeps.signed.tolist(), sweeps.group.tolist(), sweeps.kind.tolist()],
-            "sampler": [seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
+            "sampler": [likelihood, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
         }
     )
 
@@ -166,7 +196,8 @@ class _Ensemble:
 
     def __init__(self, target: PosteriorTarget, atlas: Atlas, seed: np.random.SeedSequence) -> None:
         self.target, self.atlas = target, atlas
-        moves = [(RandomiseThenOptimiseMove(atlas), 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]
+        self._from_charts = RandomiseThenOptimiseMove(atlas, ahead=BLOCK_STEPS)
+        moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]
         self.sampler = emcee.EnsembleSampler(
             N_WALKERS, target.n_unknowns, self._log_probability, moves=moves, vectorize=True
         )
@@ -178,6 +209,8 @@ class _Ensemble:
         if self.state is None:
             self.state = self._start()
         self.sampler.reset()
+        # Each block starts without proposals made ahead, as it does after a kill.
+        self._from_charts.forget()
         self.state = self.sampler.run_mcmc(self.state, n_steps, skip_initial_state_check=True)
 
     def take_up(self, block: Block, number: int) -> None:
@@ -218,13 +251,16 @@ def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
     )
 
 
-def _gather(identification: Identification, blocks: list[Block], draws: int) -> Posterior:
+def _gather(identification: Identification, target: PosteriorTarget, blocks: list[Block], draws: int) -> Posterior:
     kept = blocks[_WARM_UP_BLOCKS:]
     points = np.concatenate([block.points for block in kept], axis=1)
     proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
-    diagnostics = diagnose(points[..., : identification.problem.n_free])
+    # Held parameters are not judged; what stands behind them belongs to the likelihood and is.
+    judged = np.r_[0 : identification.problem.n_free, identification.problem.n_unknowns : target.n_unknowns]
+    diagnostics = diagnose(points[..., judged])
     return Posterior(
         identification=identification,
+        target=target,
         points=points,
         log_density=np.concatenate([block.log_density for block in kept], axis=1),
         outside=float(np.isneginf(proposals).mean()),

@@ -1,0 +1,126 @@
+"""The posterior when fringe counts may have slipped: each dL may be off by whole half wavelengths.
+
+A row has slipped with a probability eps that is unknown too; a slip is by any of 1 to 3 half wavelengths up or down,
+all equally likely. Which rows have slipped is summed over, so that only eps joins the unknowns: as a last one, u, with
+logit eps = mean + sd u and u standard normal.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.posterior.target import PosteriorTarget, half_squares
+from fpcal_bayes.infer.slips import MOST_HALF_WAVES, Slips
+
+Floats = NDArray[np.float64]
+
+#: Prior of eps: half of it below 4.7 %, 95 % between 0.5 and 34 %.
+LOGIT_MEAN, LOGIT_SD = -3.0, 1.2
+
+
+class SlipTarget(PosteriorTarget):
+    """The posterior of a problem whose rows may have slipped.
+
+    Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
+
+    Parameters
+    ----------
+    slips
+        Corrections that were found; they only say where to look first.
+
+    Raises
+    ------
+    InputError
+        If rows share a reading or have no sign: a slip of one would be a slip of others.
+    """
+
+    def __init__(self, slips: Slips) -> None:
+        super().__init__(slips.problem)
+        sweeps = slips.problem.sweeps
+        if slips.problem.whitening.mix is not None or not (sweeps.signed | sweeps.absolute).all():
+            raise InputError(
+                f"{sweeps.file}: the slip likelihood needs signed rows without a group, found rows of unknown sign or "
+                "rows that share a reading"
+            )
+        self._half_wave = 0.5 * slips.problem.model.cell.wavelength * slips.problem.whitening.scale
+        # An absolute length comes from a wavelength scan, not from counting.
+        self._can_slip = ~sweeps.absolute
+        self._corrected = slips.counts
+        n_slipped = int(np.count_nonzero(slips.counts))
+        self.reference, self._curvature = _mode(n_slipped, int(self._can_slip.sum()))
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns: those of the problem, and that of eps."""
+        return self.problem.n_unknowns + 1
+
+    def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Residuals of the corrected rows, and a row that stands for what the data tell about eps."""
+        residuals, jacobian = super().data_batch(points[:, :-1])
+        n_points, n_rows, n = jacobian.shape
+        wider = np.zeros((n_points, n_rows + 1, n + 1))
+        wider[:, :n_rows, :n] = jacobian
+        wider[:, n_rows, n] = self._curvature
+        return np.hstack([residuals, self._row_of_eps(points)]), wider
+
+    def data_residuals(self, points: Floats) -> Floats:
+        """The residuals alone."""
+        return np.hstack([super().data_residuals(points[:, :-1]), self._row_of_eps(points)])
+
+    def log_density(self, residuals: Floats, points: Floats) -> Floats:
+        """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
+        corrected = residuals[:, :-1]
+        mixture = self._log_terms(corrected, points)
+        total: Floats = (special.logsumexp(mixture, axis=0) + 0.5 * corrected**2).sum(axis=1)
+        return total + half_squares(corrected, points)
+
+    def log_likelihoods(self, points: Floats) -> Floats:
+        """Log likelihood of each row, summed over the ways in which it may have slipped."""
+        residuals, _ = self.data_batch(points)
+        return special.logsumexp(self._log_terms(residuals[:, :-1], points), axis=0) + self.log_scale
+
+    def slip_probabilities(self, points: Floats) -> Floats:
+        """Probability that each row has slipped, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
+        residuals, _ = self.data_batch(points)
+        mixture = self._log_terms(residuals[:, :-1], points)
+        stayed = np.exp(mixture[MOST_HALF_WAVES] - special.logsumexp(mixture, axis=0))
+        probability: Floats = 1.0 - stayed
+        return probability
+
+    def eps(self, points: Floats) -> Floats:
+        """Probability of a slip, shape (n_points,)."""
+        probability: Floats = special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
+        return probability
+
+    def _row_of_eps(self, points: Floats) -> Floats:
+        """A residual whose square, with the prior's, is lowest at the likeliest u; shape (n_points, 1)."""
+        offset = self.reference / max(self._curvature, 1e-12)
+        row: Floats = self._curvature * (points[:, -1:] - self.reference) - offset
+        return row
+
+    def _log_terms(self, corrected: Floats, points: Floats) -> Floats:
+        """Log density of each row for each count from -3 to 3, shape (7, n_points, n_rows)."""
+        log_eps = special.log_expit(LOGIT_MEAN + LOGIT_SD * points[:, -1])[:, None]
+        log_not = special.log_expit(-(LOGIT_MEAN + LOGIT_SD * points[:, -1]))[:, None]
+        terms = np.full((2 * MOST_HALF_WAVES + 1, *corrected.shape), -np.inf)
+        for i, count in enumerate(range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1)):
+            residual = corrected + (count - self._corrected) * self._half_wave
+            if count:
+                weight = np.where(self._can_slip, log_eps - np.log(2.0 * MOST_HALF_WAVES), -np.inf)
+            else:
+                weight = np.where(self._can_slip, log_not, 0.0)
+            terms[i] = weight - 0.5 * residual**2
+        return terms
+
+
+def _mode(n_slipped: int, n_rows: int) -> tuple[float, float]:
+    """Where u is likeliest if so many rows slipped, and the root of the curvature that the data give there."""
+    u = 0.0
+    for _ in range(50):
+        eps = special.expit(LOGIT_MEAN + LOGIT_SD * u)
+        slope = LOGIT_SD * (n_slipped - n_rows * eps) - u
+        curvature = LOGIT_SD**2 * n_rows * eps * (1.0 - eps) + 1.0
+        u += float(np.clip(slope / curvature, -1.0, 1.0))
+    eps = special.expit(LOGIT_MEAN + LOGIT_SD * u)
+    return u, float(LOGIT_SD * np.sqrt(n_rows * eps * (1.0 - eps)))

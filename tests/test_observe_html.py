@@ -1,0 +1,156 @@
+"""The page of an observability analysis: self-contained, escaped, the same every time, light."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.information import Information
+from fpcal_bayes.infer.observe import Observability, observe
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.report import observe_figures as figures
+from fpcal_bayes.report.observe_html import observe_html, write_observe_html
+
+CELL = load_cell()
+ODD = '<script>alert("&")</script> $x_{$ [red] --> \u4e2d'
+
+
+class Reader(HTMLParser):
+    """Every tag with its attributes, every text, and whether tags are closed in order."""
+
+    VOID = ("meta", "link", "br", "img")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def found() -> Observability:
+    protocol, model = paper_protocol(CELL), CavityModel.of(CELL)
+    exact = model.predict(paper_truth(CELL).at(0.0), model.rows(protocol.q_start, protocol.q_end))
+    noise = 0.005 * np.random.default_rng(0).standard_normal(69)
+    return observe(CELL, protocol.with_measurement(exact + noise, 0.005), profiles=["theta_wf", "y_wf", "z_et"])
+
+
+@pytest.fixture(scope="module")
+def page(found: Observability) -> str:
+    return observe_html(found, "file.csv")
+
+
+def test_nothing_is_fetched(page):
+    reader = Reader(page)
+    assert reader.open == []
+    names = [tag for tag, _ in reader.tags]
+    assert not {"script", "link", "iframe", "img", "image", "object", "embed", "base"} & set(names)
+    for _, attributes in reader.tags:
+        for name, value in attributes.items():
+            assert not name.startswith("on")
+            if name in ("src", "href", "xlink:href", "action", "data"):
+                assert value.startswith("#")
+    assert "@import" not in page
+    assert set(re.findall(r"url\(([^)]*)\)", page)) <= {u for u in re.findall(r"url\((#[^)]*)\)", page)}
+
+
+def test_five_figures_with_labels(page):
+    reader = Reader(page)
+    assert [tag for tag, _ in reader.tags].count("svg") == 5
+    named = [a["aria-label"] for _, a in reader.tags if a.get("role") == "img"]
+    assert len(named) == len(set(named)) == 5
+    assert ("meta", {"charset": "utf-8"}) in reader.tags
+    assert "16 of 21 combinations are seen" in reader.text
+    for name in CELL.free.names:
+        assert name in reader.text
+
+
+def test_without_profiles_there_are_four_figures(found):
+    reader = Reader(observe_html(replace(found, profiles=()), "x"))
+    assert [tag for tag, _ in reader.tags].count("svg") == 4
+    assert "Profile likelihoods" not in reader.text
+
+
+def test_everything_users_give_is_escaped(found):
+    odd = replace(
+        found,
+        cell=replace(CELL, name=ODD),
+        information=replace(found.information, labels=tuple(f"{ODD}{i}" for i in range(69))),
+        candidates=((ODD, 1.0),),
+        warnings=(ODD,),
+    )
+    page = observe_html(odd, f"{ODD}.csv, session {ODD}")
+    reader = Reader(page)
+    assert reader.open == []
+    assert "script" not in [tag for tag, _ in reader.tags]
+    assert "<script" not in page
+    for text in (f"{ODD}.csv, session {ODD}", f"cell {ODD}", f"{ODD} (+1.00 bits)", f"Warning: {ODD}"):
+        assert text in reader.text.replace("\xa0", " ")
+
+
+def test_the_same_analysis_gives_the_same_bytes(found, tmp_path):
+    write_observe_html(found, "x", tmp_path / "a.html")
+    write_observe_html(found, "x", tmp_path / "b.html")
+    first = (tmp_path / "a.html").read_bytes()
+    assert first == (tmp_path / "b.html").read_bytes()
+    assert len(first) < 1_000_000
+
+
+def test_a_missing_folder_is_refused(found, tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        write_observe_html(found, "x", tmp_path / "none" / "a.html")
+
+
+def test_many_sweeps_stay_light(found):
+    n = 27_600
+    many = Information(
+        labels=tuple(f"row {i}" for i in range(n)),
+        leverage=np.full(n, 21 / n),
+        bits=np.random.default_rng(0).random(n),
+        cumulative_rows=np.arange(0, n + 1, n // 200),
+        cumulative_bits=np.linspace(0.0, 150.0, 201),
+    )
+    page = observe_html(replace(found, information=many), "x")
+    assert len(page) < 2_000_000
+    assert page.count("<svg") == 5
+
+
+def test_bins_keep_the_largest():
+    values = np.arange(10.0)
+    largest, middle = figures.largest_in_bins(values, 4)
+    assert largest.tolist() == [2.0, 5.0, 8.0, 9.0]
+    assert middle.tolist() == [1.0, 4.0, 7.0, 9.0]
+    largest, middle = figures.largest_in_bins(values, 10)
+    assert largest.tolist() == middle.tolist() == values.tolist()
+
+
+def test_labels_that_no_font_draws_are_replaced():
+    assert figures.drawable("a\u4e2d\nb") == "a??b"
+    assert figures.drawable("x" * 30) == "x" * 21 + "..."
+
+
+def test_the_template_is_part_of_the_package():
+    assert (Path(figures.__file__).parent / "templates" / "observe.html").is_file()

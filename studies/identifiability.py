@@ -6,6 +6,7 @@ identifications can tell apart; and a check of the bounds by simulated identific
 
 import argparse
 from dataclasses import replace
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -44,9 +45,7 @@ def traces(cell: Cell, points: int) -> Sweeps:
 def absolute_row(cell: Cell) -> Sweeps:
     """One absolute length at the first sweep's start, to an eighth of a wavelength."""
     row = paper_protocol(cell).take(np.array([0]))
-    return replace(
-        row, kind=np.array(["absolute"]), q_end=row.q_start, sigma=np.array([cell.wavelength / 8.0])
-    )
+    return replace(row, kind=np.array(["absolute"]), q_end=row.q_start, sigma=np.array([cell.wavelength / 8.0]))
 
 
 def jacobian_of(cell: Cell, sweeps: Sweeps, values: np.ndarray) -> np.ndarray:
@@ -94,8 +93,8 @@ def readings_table(built_in: Cell, out: Console) -> None:
     pose = CavityModel.of(literal).pose_rows(np.zeros((1, len(literal.joints))))
     length = CavityModel.of(literal).predict(paper_truth(literal).at(0.0), pose)[0]
     out.print(
-        f"With (13)'s third column light runs along the mirror (L = {length:.3g} um at q = 0): the spectrum has no clear "
-        "gap here, so its rank is not to be trusted; theta_wf is exactly invisible.",
+        f"With (13)'s third column light runs along the mirror (L = {length:.3g} um at q = 0): the spectrum has no "
+        "clear gap here, so its rank is not to be trusted; theta_wf is exactly invisible.",
         markup=False,
         soft_wrap=True,
     )
@@ -115,10 +114,22 @@ def drift_table(cell: Cell, out: Console) -> dict[str, list[str]]:
     alone = extrinsic.to_shown(alone * extrinsic.prior_sd)
     table = plain_table(
         "Table IV: printed changes; two sd of a difference = 2 sqrt(2) times the bound with prior",
-        ["parameter", "unit", *(f"day {a} to {b}" for a, b in zip(DAYS, DAYS[1:], strict=False)), "2 sd full",
-         "2 sd extr.", "largest / 2 sd full", "verdict"],
+        [
+            "parameter",
+            "unit",
+            *(f"day {a} to {b}" for a, b in pairwise(DAYS)),
+            "2 sd full",
+            "2 sd extr.",
+            "largest / 2 sd full",
+            "verdict",
+        ],
     )
-    verdicts: dict[str, list[str]] = {"real": [], "real if the intrinsic ones stand still": [], "noise": [], "gauge": []}
+    verdicts: dict[str, list[str]] = {
+        "real": [],
+        "real if the intrinsic ones stand still": [],
+        "noise": [],
+        "gauge": [],
+    }
     shown = truth.parameters.to_shown(truth.at(24.0 * np.array(DAYS)))
     for parameter in free:
         at = free.position(parameter.name)
@@ -126,7 +137,9 @@ def drift_table(cell: Cell, out: Console) -> dict[str, list[str]]:
         if not changes.any():
             continue
         limit = 2.0 * np.sqrt(2.0) * full[at]
-        limit_alone = 2.0 * np.sqrt(2.0) * alone[extrinsic.position(parameter.name)] if parameter.name in extrinsic else np.inf
+        limit_alone = (
+            2.0 * np.sqrt(2.0) * alone[extrinsic.position(parameter.name)] if parameter.name in extrinsic else np.inf
+        )
         largest = np.abs(changes).max()
         if spectrum.null_share[at] > 0.1:
             verdict = "gauge"
@@ -149,7 +162,7 @@ def drift_table(cell: Cell, out: Console) -> dict[str, list[str]]:
     out.print(table)
     # A gauge says nothing, so the changes are judged once more along the directions that the sweeps see.
     lines = []
-    for a, b in zip(DAYS, DAYS[1:], strict=False):
+    for a, b in pairwise(DAYS):
         moved = (truth.at(24.0 * b) - truth.at(24.0 * a)) / free.prior_sd
         # Both identifications shrink towards the prior; what is left of the noise has this standard deviation.
         s = spectrum.singular_values[: spectrum.rank]
@@ -190,7 +203,7 @@ def empirical_check(cell: Cell, replicates: int, seed: int, processes: int, out:
     left, s, right = linalg.svd(jacobian, full_matrices=False)
     rank = spectrum_of(jacobian).rank
     edges = np.linspace(0, replicates, min(replicates, 8 * processes) + 1).astype(int)
-    jobs = [(seed, int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    jobs = [(seed, int(a), int(b)) for a, b in pairwise(edges)]
     if processes > 1:
         with get_context("spawn").Pool(processes) as pool:
             parts = pool.map(simulated, jobs, chunksize=1)
@@ -210,8 +223,16 @@ def empirical_check(cell: Cell, replicates: int, seed: int, processes: int, out:
     middle = np.subtract(*np.quantile(z, [0.8413, 0.1587], axis=0)) / 2.0
     table = plain_table(
         f"Spread of the {rank} seen combinations over {replicates} simulated identifications, 5 nm",
-        ["combination", "leading parameters", "s", "predicted sd", "found sd", "+- (4th moment)", "central 68 % / 2",
-         "difference / se"],
+        [
+            "combination",
+            "leading parameters",
+            "s",
+            "predicted sd",
+            "found sd",
+            "+- (4th moment)",
+            "central 68 % / 2",
+            "difference / se",
+        ],
     )
     for k in range(rank):
         lead = np.argsort(-np.abs(right[k]), kind="stable")[:2]
@@ -238,7 +259,9 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=4000, help="simulated identifications (default: 4000)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default: 0)")
     parser.add_argument("--processes", type=int, default=2, help="the result does not depend on it (default: 2)")
-    parser.add_argument("-o", dest="output", type=Path, default=Path(__file__).parent / "output", help="folder of the text")
+    parser.add_argument(
+        "-o", dest="output", type=Path, default=Path(__file__).parent / "output", help="folder of the text"
+    )
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     cell = load_cell()

@@ -151,7 +151,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--replicates", type=int, default=500)
     parser.add_argument("--first", type=int, default=0, help="number of the first replicate")
-    parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=["paper", "paper-mid"])
+    parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=["paper", "random"])
     parser.add_argument("--draws", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)

@@ -43,7 +43,21 @@ def test_the_papers_sweeps():
     jacobian = whitened_jacobian(CavityModel.of(CELL), sweeps, paper_truth(CELL).at(0.0))
     found, spectrum = bounds_of(jacobian), spectrum_of(jacobian)
     unbounded = [name for name, bound in zip(CELL.free.names, found.unbiased, strict=True) if np.isinf(bound)]
-    expected = "theta_3 beta_4 alpha_4 d_4 theta_4 d_5 theta_6 beta_et theta_et z_et x_wf y_wf z_wf".split()
+    expected = [
+        "theta_3",
+        "beta_4",
+        "alpha_4",
+        "d_4",
+        "theta_4",
+        "d_5",
+        "theta_6",
+        "beta_et",
+        "theta_et",
+        "z_et",
+        "x_wf",
+        "y_wf",
+        "z_wf",
+    ]
     assert unbounded == expected
     assert (spectrum.null_share[np.isfinite(found.unbiased)] < 1e-12).all()
     dense = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian + np.eye(21))))

@@ -126,7 +126,9 @@ def test_an_html_file_is_not_left_half_written(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", [["--sigma-nm", "0"], ["--sigma-nm", "x"], ["--weak-share", "1"], ["--weak-share", "-1"]])
+@pytest.mark.parametrize(
+    "option", [["--sigma-nm", "0"], ["--sigma-nm", "x"], ["--weak-share", "1"], ["--weak-share", "-1"]]
+)
 def test_bad_options(option, capsys):
     try:
         status = main(["observe", CASE_A, *option])

@@ -100,17 +100,18 @@ def test_fibre_parameters_alone_get_a_sentence():
 
 # The chain of xy-theta.toml, i-1Ti = RotY(beta) RotX(alpha) TransX(d) RotZ(theta) TransZ(r):
 #
-# r_1: z1 = RotY(90 deg) z = Xw whatever is free, so r_1 shifts the mirror by Xw. L depends on o - f only: (r_1, x_wf) = (1, 1).
-# r_2: z2 = RotY(90 deg) RotX(alpha_2) z = (cos alpha_2, -sin alpha_2, 0), the same at every pose since no joint has turned
-#   yet: (r_2, x_wf, y_wf) = (1, cos alpha_2, -sin alpha_2).
-# theta_4: RotY(90 deg) takes x to -z, so RotZ(theta_4) RotY(90 deg) RotX(alpha_5) = RotZ(theta_4 - alpha_5) RotY(90 deg), and
-#   d_5 = r_4 = 0: (theta_4, alpha_5) = (1, 1).
-# theta_5: the mirror's origin (0, 0, z_et) lies on the axis of joint 5; its normal in frame 5 is m = (sin t, -sin b cos t,
-#   cos b cos t) with b = beta_et, t = theta_et. RotZ(-1) turns it by dm = (m_y, -m_x, 0): cos t dt = -sin b cos t gives
-#   dt = -sin b, and -cos b cos t db + sin b sin t dt = -sin t gives db = cos b tan t.
+# r_1: z1 = RotY(90 deg) z = Xw whatever is free, so r_1 shifts the mirror by Xw. L depends on o - f only:
+#   (r_1, x_wf) = (1, 1).
+# r_2: z2 = RotY(90 deg) RotX(alpha_2) z = (cos alpha_2, -sin alpha_2, 0), the same at every pose since no joint has
+#   turned yet: (r_2, x_wf, y_wf) = (1, cos alpha_2, -sin alpha_2).
+# theta_4: RotY(90 deg) takes x to -z, so RotZ(theta_4) RotY(90 deg) RotX(alpha_5) = RotZ(theta_4 - alpha_5)
+#   RotY(90 deg), and d_5 = r_4 = 0: (theta_4, alpha_5) = (1, 1).
+# theta_5: the mirror's origin (0, 0, z_et) lies on the axis of joint 5; its normal in frame 5 is m = (sin t,
+#   -sin b cos t, cos b cos t) with b = beta_et, t = theta_et. RotZ(-1) turns it by dm = (m_y, -m_x, 0):
+#   cos t dt = -sin b cos t gives dt = -sin b; -cos b cos t db + sin b sin t dt = -sin t gives db = cos b tan t.
 # On the axis path f + s a changes every L by -s: (x_wf, y_wf, z_wf) = a = (sin th, -cos th cos be, -cos th sin be).
-# On the perpendicular path L = |n.(o - f)| knows no a: beta_wf and theta_wf are unseen. z_et moves o along z5, and n.z5 = m_z
-# is the same at every pose: unseen by differences. f + s a is seen, for n.a differs from pose to pose.
+# On the perpendicular path L = |n.(o - f)| knows no a: beta_wf and theta_wf are unseen. z_et moves o along z5, and
+#   n.z5 = m_z is the same at every pose: unseen by differences. f + s a is seen, for n.a differs from pose to pose.
 def by_hand(cell: Cell, values: np.ndarray) -> tuple[list[dict[str, float]], dict[str, float]]:
     """Null directions of the model, and the one that an absolute length shows, in shown units."""
     v = dict(zip(cell.free.names, values.tolist(), strict=True))
@@ -139,7 +140,7 @@ def test_another_chain_worked_out_by_hand(opd):
         assert spectrum.rank == len(cell.free) - len(always) - 1
         assert spectrum.gap > 1e6
         for direction in [*always, slide]:
-            unit = cell.free.from_mapping({n: 0.0 for n in cell.free.names} | direction) / cell.free.prior_sd
+            unit = cell.free.from_mapping(dict.fromkeys(cell.free.names, 0.0) | direction) / cell.free.prior_sd
             unit /= np.linalg.norm(unit)
             np.testing.assert_allclose(spectrum.null_space.T @ (spectrum.null_space @ unit), unit, atol=1e-6)
 

@@ -18,7 +18,9 @@ VALUES = paper_truth(CELL).at(0.0)
 
 def mixed() -> Sweeps:
     """Ten sweeps alone and six with a midpoint, the rows out of order."""
-    sweeps = join([paper_protocol(CELL).take(np.arange(30, 40)), paper_protocol(CELL, midpoints=True).take(np.arange(12))])
+    sweeps = join(
+        [paper_protocol(CELL).take(np.arange(30, 40)), paper_protocol(CELL, midpoints=True).take(np.arange(12))]
+    )
     sweeps = sweeps.with_measurement(np.zeros(len(sweeps)), 0.005)
     return sweeps.take(np.random.default_rng(3).permutation(len(sweeps)))
 

@@ -94,7 +94,9 @@ def test_plan_and_measurement():
     assert found.identification is not None
     assert found.identification.converged
     assert found.ranks == (16,)
-    np.testing.assert_array_equal(found.values, found.identification.problem.values(found.identification.solution.unknowns))
+    np.testing.assert_array_equal(
+        found.values, found.identification.problem.values(found.identification.solution.unknowns)
+    )
     assert plan.content()["observability"]["linearised_at"] == "prior draws"
     assert found.content()["fit"]["converged"]
     # Statuses agree with those of the identification.
@@ -111,9 +113,7 @@ def test_status_rules():
     weak = [n for n, s in zip(CELL.free.names, strict.status, strict=True) if s == "weak"]
     left = np.diag(strict.covariance)
     assert weak == [
-        name
-        for i, name in enumerate(CELL.free.names)
-        if left[i] > 0.05 and strict.spectrum.null_share[i] <= 0.1
+        name for i, name in enumerate(CELL.free.names) if left[i] > 0.05 and strict.spectrum.null_share[i] <= 0.1
     ]
     assert "alpha_6" in weak
     np.testing.assert_allclose(result.contraction, 1.0 - np.diag(result.covariance))
@@ -158,7 +158,11 @@ def _alike() -> Sweeps:
 @pytest.mark.parametrize("few", ["five", "one", "alike"])
 @pytest.mark.parametrize("with_data", [False, True])
 def test_too_little_data_is_a_report(few, with_data, tmp_path):
-    plan = {"five": paper_protocol(CELL).take(np.arange(5)), "one": paper_protocol(CELL).take(np.array([0])), "alike": _alike()}[few]
+    plan = {
+        "five": paper_protocol(CELL).take(np.arange(5)),
+        "one": paper_protocol(CELL).take(np.array([0])),
+        "alike": _alike(),
+    }[few]
     result = observe(CELL, measured(CELL, plan) if with_data else plan, profiles=["alpha_2"] if with_data else [])
     assert result.spectrum.rank == {"five": 5, "one": 1, "alike": 1}[few]
     assert len(result.gauges) == 21 - result.spectrum.rank

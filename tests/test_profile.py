@@ -1,5 +1,7 @@
 """Profiles: exact where the model is linear, flat, finite, and re-optimised."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -19,7 +21,7 @@ TRUTH = paper_truth(CELL).at(0.0)
 
 
 def identified(plan: Sweeps, free: str) -> Identification:
-    """Identify `free`, the others held at the truth exactly by a nominal cell whose nominal is the truth."""
+    """Identify `free`, the others held at nominal exactly, from data of the truth."""
     model = CavityModel.of(CELL)
     exact = model.predict(TRUTH, model.rows(plan.q_start, plan.q_end, plan.absolute))
     noise = np.random.default_rng(0).standard_normal(len(plan))
@@ -33,9 +35,7 @@ def full() -> Identification:
 
 def test_a_linear_case_is_a_parabola():
     # The fibre's position enters L = n.(o - f) / (n.a) linearly: the profile of the data is known exactly.
-    import dataclasses
-
-    absolute = dataclasses.replace(paper_protocol(CELL).take(np.arange(20)), kind=np.full(20, "absolute"))
+    absolute = replace(paper_protocol(CELL).take(np.arange(20)), kind=np.full(20, "absolute"))
     found = identified(join([paper_protocol(CELL), absolute]), "x_wf,y_wf,z_wf")
     problem = found.problem
     jacobian = problem.data_jacobian(found.solution.unknowns)
@@ -58,7 +58,10 @@ def test_a_linear_case_is_a_parabola():
 
 
 def test_levels(full):
-    widths = [np.ptp([p.low, p.high]) for p in (profile(full.problem, full.solution, "theta_wf", level=x) for x in (0.68, 0.95))]
+    widths = [
+        np.ptp([p.low, p.high])
+        for p in (profile(full.problem, full.solution, "theta_wf", level=x) for x in (0.68, 0.95))
+    ]
     expected = stats.norm.ppf(0.5 + 0.95 / 2) / stats.norm.ppf(0.5 + 0.68 / 2)
     assert widths[1] / widths[0] == pytest.approx(expected, rel=0.05)
 
@@ -100,8 +103,8 @@ def test_the_others_are_optimised_anew(full):
         assert excess <= residuals @ residuals - least @ least + 1.0
 
 
-def test_one_sided_where_the_reach_ends(full):
-    # alpha_6 is known to 0.35 deg: within 0.5 prior sd of the maximum the threshold is not passed on either side.
+def test_flat_where_the_reach_ends_before_the_threshold(full):
+    # alpha_6 is known to 0.35 deg: within 0.3 prior sd of the maximum the threshold is not passed on either side.
     assert profile(full.problem, full.solution, "alpha_6", reach=0.3).shape == "flat"
 
 

@@ -30,8 +30,9 @@ def _stored(kernel: Any) -> list[Path]:
 
 
 def drop_stale(kernel: Any) -> None:
-    """Forget machine code older than the source of any kernel: numba looks at the kernel's own file only, not at those
-    of the kernels that it calls.
+    """Forget machine code older than the source of any kernel.
+
+    numba looks at the kernel's own file only, not at those of the kernels that it calls.
     """
     sources = Path(kernel.py_func.__code__.co_filename).parent.glob("kernel*.py")
     newest = max((source.stat().st_mtime for source in sources), default=0.0)

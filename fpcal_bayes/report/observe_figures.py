@@ -4,10 +4,12 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import special
 
@@ -24,7 +26,7 @@ _STATUS: dict[Status, tuple[str, str]] = {
     "gauge": (_VERMILION, "xxx"),
     "fixed": (_GREY, "..."),
 }
-_SETTINGS = {"svg.hashsalt": "fpcal", "font.size": 9, "hatch.linewidth": 0.6, "axes.axisbelow": True}
+_SETTINGS: dict[Any, Any] = {"svg.hashsalt": "fpcal", "font.size": 9, "hatch.linewidth": 0.6, "axes.axisbelow": True}
 _MOST_LABELS = 80
 _MOST_BARS = 200
 _MOST_CHARACTERS = 24
@@ -56,7 +58,7 @@ def spectrum_figure(result: Observability) -> str:
             axis.axhline(spectrum.tolerance, color="black", linestyle="--", linewidth=1, label="tolerance of the rank")
         axis.set_xlabel("direction, best seen first")
         axis.set_ylabel("singular value\n[prior sd / noise sd]")
-        axis.xaxis.get_major_locator().set_params(integer=True)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.grid(alpha=0.3)
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return svg[0]
@@ -103,7 +105,8 @@ def correlation_figure(result: Observability) -> str:
         axis.set_ylabel("parameter")
         bar = figure.colorbar(mesh, label="correlation [1]", shrink=0.8)
         # Else the bar is a bitmap.
-        bar.solids.set_rasterized(False)
+        if bar.solids is not None:
+            bar.solids.set_rasterized(False)
     return svg[0]
 
 
@@ -128,8 +131,8 @@ def information_figure(result: Observability) -> str:
         grown.set_ylim(bottom=0)
         grown.set_xlabel("first so many rows [1]")
         grown.set_ylabel("information together [bits]")
-        for axis in (single, grown):
-            axis.grid(alpha=0.3)
+        single.grid(axis="y", alpha=0.3)
+        grown.grid(alpha=0.3)
     return svg[0]
 
 

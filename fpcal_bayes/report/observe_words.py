@@ -145,7 +145,7 @@ def information_sentences(result: Observability) -> list[str]:
     information = result.information
     total = float(information.cumulative_bits[-1])
     sentences = [
-        f"Together the sweeps tell {total:.1f} bits: they shrink the volume of what is possible by a factor 2^{total:.0f}."
+        f"Together the sweeps tell {total:.1f} bits: the volume of what is possible shrinks by a factor 2^{total:.0f}."
     ]
     redundant = information.redundant
     if redundant:

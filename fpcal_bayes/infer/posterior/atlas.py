@@ -10,7 +10,7 @@ from fpcal_bayes.infer.posterior.target import Target
 Floats = NDArray[np.float64]
 
 #: Every chart gets at least this share of the proposals, so that none of its points is rare.
-LEAST_SHARE = 0.05
+LEAST_SHARE = 0.1
 
 
 class Atlas:

@@ -1,6 +1,6 @@
 """A chart: the map that straightens the posterior around one point (randomise-then-optimise).
 
-With the rows r(v) of data and prior, their Jacobian J0 = Q R at a reference point v0, and h(v) = Q'(r(v) - r(v0)), a
+With the rows r(v) of data and prior, their Jacobian J0 = Q R at a reference point v0, and h(v) = Q'r(v), a
 standard normal e is turned into the point v that solves h(v) = e. Where the map is one to one, v has the density
 |det Q'J(v)| N(h(v); 0, I), which is the posterior itself but for the part of r that Q does not see (Bardsley, Solonen,
 Haario, Laine 2014).
@@ -27,6 +27,8 @@ _SOLVED = 1e-7
 #: together lie on either side of a fold, where the determinant has another sign.
 _SAME_POINT = 1e-4
 _MOST_HALVINGS = 10
+#: An iteration that comes no closer than this share of the distance runs against a fold: there is no solution.
+_STUCK = 0.9
 _AT_ONCE = 32
 #: Further steps with the same slopes, which cost no derivatives, go on while each shrinks the distance to this share.
 _MOST_CHORD_STEPS = 8
@@ -81,7 +83,8 @@ class Chart:
         self.log_volume = float(np.log(np.abs(np.diag(triangle))).sum())
         self._inverse = linalg.solve_triangular(triangle * signs[:, None], np.eye(len(reference)))
         self._on_data, self._on_prior = orthonormal[: -len(reference)], orthonormal[-len(reference) :]
-        self._offset = residuals[0] @ self._on_data + reference @ self._on_prior
+        # Zero at a minimum, where Q'r vanishes.
+        self._at_reference = residuals[0] @ self._on_data + reference @ self._on_prior
 
     def coordinates(self, points: Floats) -> tuple[Floats, Floats, Floats]:
         """h(v), its derivatives Q'J(v), and the target's log density at points (n_points, n)."""
@@ -99,7 +102,7 @@ class Chart:
     def solve(self, normal: Floats) -> Solved:
         """Find the points that belong to standard normal coordinates (n_points, n), by damped Newton steps."""
         n_points = len(normal)
-        points = self.reference + normal @ self._inverse.T
+        points = self.reference + (normal - self._at_reference) @ self._inverse.T
         density, determinant = np.full(n_points, -np.inf), np.full(n_points, -np.inf)
         inside = np.zeros(n_points, dtype=bool)
         active = np.arange(n_points)
@@ -135,33 +138,33 @@ class Chart:
         Returns
         -------
         tuple of ndarray
-            The points reached, and which of them are closer than before.
+            The points reached, and which of them are closer than before by enough to go on.
         """
-        points, closer = points.copy(), np.zeros(len(points), dtype=bool)
+        before, distance, points = distance, distance.copy(), points.copy()
         step = _times(inverse, miss)
-        going, halvings = np.arange(len(points)), 0
-        for _ in range(_MOST_HALVINGS + _MOST_CHORD_STEPS):
+        going = np.arange(len(points))
+        for attempt in range(_MOST_HALVINGS + _MOST_CHORD_STEPS):
             trial = points[going] - step[going]
             trial_miss = self._projected(self.target.data_residuals(trial), trial) - normal[going]
             trial_distance = np.linalg.norm(trial_miss, axis=1)
+            # Written so that a distance that is not a number counts as too far.
             better = trial_distance < distance[going]
             fast = better & (trial_distance < _FAST * distance[going]) & (trial_distance > _SOLVED / 10)
-            reached = going[better]
-            points[reached], distance[reached], closer[reached] = trial[better], trial_distance[better], True
             # Halve a first step that leads too far; a later one that does not pay ends the walk.
-            again = going[~better & ~closer[going]] if halvings < _MOST_HALVINGS else going[:0]
-            halvings += 1
+            first = distance[going] == before[going]
+            again = going[~better & first] if attempt < _MOST_HALVINGS else going[:0]
+            reached, onward = going[better], going[fast]
+            points[reached], distance[reached] = trial[better], trial_distance[better]
             step[again] /= 2
-            onward = going[fast]
             step[onward] = _times(inverse[onward], trial_miss[fast])
             going = np.concatenate([again, onward])
             if not len(going):
                 break
-        return points, closer
+        return points, distance < _STUCK * before
 
     def _projected(self, residuals: Floats, points: Floats) -> Floats:
         """h(v) from the residuals at points (n_points, n)."""
-        h: Floats = residuals @ self._on_data + points @ self._on_prior - self._offset
+        h: Floats = residuals @ self._on_data + points @ self._on_prior
         return h
 
     def log_proposal(self, points: Floats) -> Floats:

@@ -15,6 +15,7 @@ from fpcal_bayes.infer.mirror import all_minima
 from fpcal_bayes.infer.posterior.atlas import Atlas
 from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
+from fpcal_bayes.infer.posterior.learn import learn_charts
 from fpcal_bayes.infer.posterior.move_local import LocalMove
 from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
@@ -118,7 +119,7 @@ def sample(
     store
         Where blocks are kept; those already there are taken up.
     max_steps
-        Limit of steps a walker; by default ten times what independent draws would need.
+        Limit of steps a walker; by default 5,000, or twenty times what independent draws would need.
     progress
         Called with the effective draws so far and the share of the work that is done.
 
@@ -128,10 +129,11 @@ def sample(
         With `failures` if the limit was reached before convergence.
     """
     target, references = make_target(identification, likelihood)
-    atlas = Atlas(target, references)
-    runs = [_Ensemble(target, atlas, child) for child in np.random.SeedSequence(seed).spawn(N_ENSEMBLES)]
+    children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
+    atlas = Atlas(target, learn_charts(target, references, np.random.default_rng(children[-1])))
+    runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
-    limit = max(500, 10 * least) if max_steps is None else max_steps
+    limit = max(5000, 20 * least) if max_steps is None else max_steps
 
     blocks = [] if store is None else store.read()
     for number, run in enumerate(runs):

@@ -31,7 +31,7 @@ BLOCK_STEPS = 10
 #: Share of steps that are local ones, which reach what no chart does.
 LOCAL_SHARE = 0.05
 #: Start: draws of the atlas with normal numbers this much too wide.
-_OVER_DISPERSION = 2.0
+_OVER_DISPERSION = 1.5
 #: Blocks left out at the beginning; the diagnostics would show if they were too few.
 _WARM_UP_BLOCKS = 1
 #: Each look at the diagnostics comes when those before promise convergence, between so many times the last's steps.

@@ -1,0 +1,97 @@
+"""The slip likelihood: its density, and what sampling it says."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import special, stats
+from test_slips import slipped_sweeps
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.posterior.output import slip_probabilities, summarise
+from fpcal_bayes.infer.posterior.sample import sample
+from fpcal_bayes.infer.posterior.target_slip import LOGIT_MEAN, LOGIT_SD, SlipTarget
+from fpcal_bayes.infer.slips import MOST_HALF_WAVES, find_slips
+from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cell import Cell
+
+
+@pytest.fixture(scope="module")
+def slipped(femto: Cell):
+    clean, sweeps, counts = slipped_sweeps(femto, seed=3, n_slips=4)
+    result = identify(femto, sweeps)
+    return clean, sweeps, counts, result, SlipTarget(find_slips(result.problem, result.solution))
+
+
+def test_density_is_the_mixture_over_all_counts(femto: Cell, slipped) -> None:
+    """Row by row, written out with the measured values, which the target itself never sees."""
+    _, sweeps, _, result, target = slipped
+    rng = np.random.default_rng(0)
+    at = find_slips(result.problem, result.solution).solution.unknowns
+    points = np.column_stack([at + 1e-4 * rng.standard_normal((5, len(at))), rng.standard_normal(5)])
+    found = target.log_density(target.data_residuals(points), points)
+    expected = np.empty(5)
+    for i, point in enumerate(points):
+        eps = special.expit(LOGIT_MEAN + LOGIT_SD * point[-1])
+        predicted = result.problem.model.predict(result.problem.values(point[:-1]), result.problem.rows)
+        total = stats.norm.logpdf(point).sum()
+        for dl, mean in zip(sweeps.dl, predicted, strict=True):
+            terms = []
+            for count in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1):
+                weight = eps / (2 * MOST_HALF_WAVES) if count else 1 - eps
+                off = dl - count * 0.5 * femto.wavelength
+                terms.append(np.log(weight) + stats.norm.logpdf(off, mean, 0.005))
+            total += special.logsumexp(terms)
+        expected[i] = total
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9, atol=1e-6)
+    per_row = target.log_likelihoods(points).sum(axis=1) + stats.norm.logpdf(points).sum(axis=1)
+    np.testing.assert_allclose(per_row, expected, rtol=1e-9)
+
+
+def test_derivatives_are_those_of_the_residuals(slipped) -> None:
+    *_, target = slipped
+    point = np.zeros(target.n_unknowns) + 0.01
+    residuals, jacobian = target.data_batch(point[None])
+    # Two kernels: equal up to the rounding of lengths near 1 mm.
+    np.testing.assert_allclose(residuals, target.data_residuals(point[None]), rtol=0, atol=1e-8)
+    for j in (0, 7, target.n_unknowns - 1):
+        step = np.zeros(target.n_unknowns)
+        step[j] = 1e-5
+        ahead, behind = target.data_residuals(np.array([point + step, point - step]))
+        np.testing.assert_allclose(jacobian[0, :, j], (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_slipped_sweeps_are_flagged_and_do_no_harm(femto: Cell, slipped) -> None:
+    clean, _, counts, result, _ = slipped
+    posterior = sample(result, draws=1500, likelihood="slip", seed=1)
+    assert posterior.converged, posterior.failures
+    probability = dict(slip_probabilities(posterior))
+    labels = clean.label
+    assert all(probability[str(labels[i])] > 0.99 for i in np.flatnonzero(counts))
+    assert all(probability[str(labels[i])] < 0.5 for i in np.flatnonzero(counts == 0))
+    reference = summarise(sample(identify(femto, clean), draws=1500, seed=2))
+    found = summarise(posterior)
+    for name, entry in reference.items():
+        assert abs(found[name]["mean"] - entry["mean"]) < 0.2 * entry["sd"], name
+        assert abs(found[name]["sd"] / entry["sd"] - 1) < 0.15, name
+
+
+def test_rows_that_share_a_reading_are_refused(femto: Cell) -> None:
+    plan = add_midpoints(paper_protocol(femto).take(np.arange(30)))
+    result = identify(femto, simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=0))
+    with pytest.raises(InputError, match="slip likelihood"):
+        sample(result, draws=100, likelihood="slip")
+
+
+def test_more_slips_make_them_likelier(femto: Cell) -> None:
+    """The mode of eps follows the number of corrections."""
+    modes = []
+    for n_slips in (0, 3, 6):
+        _, sweeps, _ = slipped_sweeps(femto, seed=5, n_slips=n_slips)
+        result = identify(femto, sweeps)
+        modes.append(SlipTarget(find_slips(result.problem, result.solution)).reference)
+    assert all(a < b for a, b in itertools.pairwise(modes))

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from io import StringIO
 
@@ -207,17 +206,8 @@ def test_bad_arguments_are_refused():
         observe(CELL, replace(plan, kind=np.full(69, "path")))
 
 
-@pytest.mark.slow
-def test_sixty_nine_sweeps_take_less_than_a_second():
-    for sweeps in (paper_protocol(CELL), measured(CELL, paper_protocol(CELL))):
-        observe(CELL, sweeps)
-        began = time.process_time()
-        observe(CELL, sweeps)
-        assert time.process_time() - began < 1.0
-
-
 _WHOLE_TRACES = """
-import resource, time
+import resource
 import numpy as np
 from fpcal_bayes.infer.observe import observe
 from fpcal_bayes.measure.protocol import paper_protocol
@@ -238,20 +228,17 @@ if {measured}:
     exact = model.predict(paper_truth(cell).at(0.0), model.rows(sweeps.q_start, sweeps.q_end))
     noise = random.standard_normal(len(sweeps)) + np.repeat(random.standard_normal(69), points)
     sweeps = sweeps.with_measurement(exact + 0.005 / np.sqrt(2) * noise, 0.005)
-# Time on the processor: other programs on the machine do not count.
-began = time.process_time()
 result = observe(cell, sweeps)
-print(result.spectrum.rank, len(result.information.labels), time.process_time() - began,
+print(result.spectrum.rank, len(result.information.labels),
       resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("measured", [False, True])
-def test_whole_traces_take_less_than_five_seconds_and_a_gibibyte(measured):
+def test_whole_traces_fit_into_a_gibibyte(measured):
     program = _WHOLE_TRACES.replace("{measured}", str(measured))
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
-    rank, n_sweeps, seconds, gibibytes = (float(word) for word in done.stdout.split())
+    rank, n_sweeps, gibibytes = (float(word) for word in done.stdout.split())
     assert (rank, n_sweeps) == (17, 69)
-    assert seconds < 5.0
     assert gibibytes < 1.0

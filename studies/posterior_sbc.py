@@ -205,7 +205,9 @@ def draw_figures(names: list[str], ranks: dict[str, np.ndarray], beside: Path) -
     for protocol, kept in ranks.items():
         shares = (kept + 0.5) / (RANKED + 1)
         tree = az.from_dict({"prior_sbc": {name: shares[None, :, i] for i, name in enumerate(names)}})
-        plots = az.plot_ecdf_pit(tree, group="prior_sbc", ci_prob=level, backend="matplotlib")
+        plots = az.plot_ecdf_pit(
+            tree, group="prior_sbc", method="simulation", envelope_prob=level, backend="matplotlib"
+        )
         plots.savefig(beside.with_name(f"{beside.stem}-{protocol}.png"))
 
 

@@ -26,8 +26,8 @@ def check_moments(draws: np.ndarray, target: LinearTarget | TwistedTarget) -> No
     assert (np.abs(chains.mean(axis=(0, 1)) - mean) < 4 * error).all()
 
 
-def start_of(target: LinearTarget | TwistedTarget, n_walkers: int = N_WALKERS) -> np.ndarray:
-    return target.draw(n_walkers, np.random.default_rng(1))
+def start_of(target: LinearTarget | TwistedTarget, n_walkers: int = N_WALKERS, seed: int = 1) -> np.ndarray:
+    return target.draw(n_walkers, np.random.default_rng(seed))
 
 
 def short_of_everything(target: LinearTarget | TwistedTarget) -> np.ndarray:
@@ -40,7 +40,7 @@ class TestRandomiseThenOptimise:
     def test_alone(self, target):
         atlas = Atlas(target, target.references)
         move = RandomiseThenOptimiseMove(atlas, ahead=10)
-        check_moments(run_moves(target, atlas, [move], short_of_everything(target), 260, 3)[10:], target)
+        check_moments(run_moves(target, atlas, [move], short_of_everything(target), 270, 3)[10:], target)
 
     def test_proposals_made_ahead_are_forgotten(self):
         """Between two runs nothing is left over, so that a run that is taken up again draws the same."""
@@ -65,24 +65,25 @@ class TestRandomiseThenOptimise:
 
 
 class TestLocal:
+    @pytest.mark.slow
     @pytest.mark.parametrize("target", TARGETS[::2], ids=NAMES[::2])
     def test_alone(self, target, monkeypatch):
         # Longer steps than the mixture needs, so that few of them are enough.
         monkeypatch.setattr(move_local, "SCALES", (0.3, 1.0))
-        atlas = Atlas(target, target.references)
-        move = LocalMove(target, atlas)
-        check_moments(run_moves(target, _Unasked(), [move], start_of(target, 2000), 400, 5), target)
+        move = LocalMove(target, _Unasked())
+        check_moments(run_moves(target, _Unasked(), [move], start_of(target, 3000), 700, 5), target)
 
     @pytest.mark.slow
     @pytest.mark.parametrize("target", TARGETS, ids=NAMES)
     def test_leaves_the_target_as_it_is(self, target):
         """Walkers that start as independent draws of the target are so after every step, whatever its length."""
-        atlas = _Unasked()
-        end = run_moves(target, atlas, [LocalMove(target, atlas)], start_of(target, 24_000), 12, 6)[-1]
+        move = LocalMove(target, _Unasked())
+        ends = [run_moves(target, _Unasked(), [move], start_of(target, 25_000, i), 5, i)[-1] for i in (6, 7)]
+        end = np.concatenate(ends)
         mean, variance = target.moments
         squares = (end - mean) ** 2
         error = squares.std(axis=0) / np.sqrt(len(end))
-        assert (error <= 0.014 * variance).all()
+        assert (error <= 0.01 * variance).all()
         assert (np.abs(squares.mean(axis=0) - variance) < 4 * error).all()
         assert (np.abs(end.mean(axis=0) - mean) < 4 * np.sqrt(variance / len(end))).all()
 
@@ -99,18 +100,20 @@ class TestMixture:
     def test_both(self, target):
         atlas = Atlas(target, target.references)
         moves = [(RandomiseThenOptimiseMove(atlas, ahead=10), 0.9), (LocalMove(target, atlas), 0.1)]
-        check_moments(run_moves(target, atlas, moves, short_of_everything(target), 300, 8)[20:], target)
+        check_moments(run_moves(target, atlas, moves, short_of_everything(target), 320, 8)[20:], target)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("d", [5, 20])
     @pytest.mark.parametrize("n_charts", [1, 2])
     def test_two_modes(self, d, n_charts):
         """Modes of known weights with a fold between them, also where only one of them has a chart."""
-        target = TwistedTarget(d, bend=0.8, apart=1.6, tilt=0.2)
+        target = TwistedTarget(d, bend=1.0, apart=2.2, tilt=0.25)
         assert len(target.references) == 2
         atlas = Atlas(target, target.references[:n_charts])
         moves = [(RandomiseThenOptimiseMove(atlas, ahead=10), 0.7), (LocalMove(target, atlas), 0.3)]
-        n_steps = 300 if n_charts == 2 else 1500
-        draws = run_moves(target, atlas, moves, short_of_everything(target), n_steps, 9)[n_steps // 5 :]
+        # Without a chart of its own a mode is left and reached rarely: the start is right, and has to stay so.
+        start = short_of_everything(target) if n_charts == 2 else start_of(target, 2000)
+        draws = run_moves(target, atlas, moves, start, 120, 9)[20:]
         right = (draws[:, :, 0] > 0).astype(float).T
         values, weights = target.grid
         exact = weights[values > 0].sum()

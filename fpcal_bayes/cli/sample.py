@@ -1,6 +1,7 @@
 """``fpcal sample``: draw from the posterior of a cell."""
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
         TextColumn("{task.fields[effective]:.0f} effective draws"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=options.quiet,
+        disable=options.quiet or not sys.stderr.isatty(),
         transient=True,
     )
     with bar:

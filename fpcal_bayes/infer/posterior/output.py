@@ -1,5 +1,6 @@
 """A posterior as an ArviZ DataTree in a netCDF file, and its summary."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -112,19 +113,22 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
         draws["slip_probability"] = posterior.target.eps(posterior.points.transpose(0, 2, 1, 3)).reshape(
             values.shape[:2]
         )
-    tree = az.from_dict(
-        {
-            "posterior": draws,
-            "prior": {name: prior[:, :, i] for i, name in enumerate(parameters.names)},
-            "sample_stats": {"lp": posterior.log_density.transpose(0, 2, 1).reshape(n_chains, n_draws)},
-            "log_likelihood": {"dl_um": log_likelihood.reshape(shape)},
-            "posterior_predictive": {"dl_um": predicted.reshape(shape)},
-            "observed_data": {"dl_um": problem.target},
-        },
-        coords={"sweep": labels},
-        dims={"dl_um": ["sweep"]},
-        attrs={"/": _attributes(posterior, seed, command)},
-    )
+    with warnings.catch_warnings():
+        # Each walker is a chain: there may be more of them than steps.
+        warnings.filterwarnings("ignore", message="Found chain dimension to be longer", category=UserWarning)
+        tree = az.from_dict(
+            {
+                "posterior": draws,
+                "prior": {name: prior[:, :, i] for i, name in enumerate(parameters.names)},
+                "sample_stats": {"lp": posterior.log_density.transpose(0, 2, 1).reshape(n_chains, n_draws)},
+                "log_likelihood": {"dl_um": log_likelihood.reshape(shape)},
+                "posterior_predictive": {"dl_um": predicted.reshape(shape)},
+                "observed_data": {"dl_um": problem.target},
+            },
+            coords={"sweep": labels},
+            dims={"dl_um": ["sweep"]},
+            attrs={"/": _attributes(posterior, seed, command)},
+        )
     for group in ("posterior", "prior"):
         for p in parameters:
             tree[group][p.name].attrs.update({"units": p.unit, "long_name": p.latex})

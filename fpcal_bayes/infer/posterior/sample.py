@@ -139,7 +139,7 @@ def sample(
     for number, run in enumerate(runs):
         if blocks:
             run.take_up(blocks[-1], number)
-    next_look = max(BLOCK_STEPS * (_WARM_UP_BLOCKS + 5), least)
+    next_look = min(max(BLOCK_STEPS * (_WARM_UP_BLOCKS + 5), least), limit)
     done = 0
     while True:
         while len(blocks) * BLOCK_STEPS < next_look:

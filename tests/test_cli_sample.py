@@ -1,0 +1,144 @@
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import arviz as az
+import numpy as np
+import pytest
+from test_cli import error_lines, refused
+
+from fpcal_bayes.cli.main import main
+from fpcal_bayes.infer import least_squares
+from fpcal_bayes.infer.posterior import sample as sample_module
+
+ROOT = Path(__file__).parents[1]
+CASE_A = Path(__file__).parent / "data" / "case_a.csv"
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch) -> Path:
+    """Every test starts in its own empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    return tmp_path
+
+
+def study(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "studies" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run(*arguments: object, code: int = 0) -> None:
+    assert main(["sample", str(CASE_A), *map(str, arguments)]) == code
+
+
+class TestOutput:
+    def test_files_and_table(self, capsys, here):
+        run("-o", "p.nc", "--draws", 300, "--json", "p.json")
+        out, err = capsys.readouterr()
+        assert {path.name for path in here.iterdir()} == {"p.nc", "p.json"}
+        written = json.loads(Path("p.json").read_text())
+        assert (written["schema"], written["command"]) == ("fpcal/1", "sample")
+        assert written["data"]["file"] == "case_a.csv"
+        for name, entry in written["parameters"].items():
+            assert name in out
+            assert entry["ess_bulk"] >= 300
+            assert entry["ess_tail"] >= 300
+        assert "sampler: " in out
+        assert all(line.startswith("fpcal: warning: ") for line in error_lines(err))
+        with az.from_netcdf("p.nc") as tree:
+            assert tree["posterior"]["z_et"].values.mean() == pytest.approx(written["parameters"]["z_et"]["mean"])
+            assert tree.attrs["data_sha256"] == written["data"]["sha256"]
+
+    def test_quiet(self, capsys):
+        run("-o", "p.nc", "--draws", 50, "--quiet")
+        assert capsys.readouterr().out == ""
+
+    def test_seed(self):
+        for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+            run("-o", f"{name}.nc", "--draws", 50, "--seed", seed, "--quiet")
+        draws_of = study("posterior_kills").draws_of
+        assert draws_of(Path("a.nc")) == draws_of(Path("b.nc"))
+        assert draws_of(Path("a.nc")) != draws_of(Path("c.nc"))
+
+
+class TestNotConverged:
+    @pytest.fixture
+    def limited(self, monkeypatch) -> None:
+        """A sampler that may take few steps only."""
+        unlimited = sample_module.sample
+
+        def limited(*arguments, **options):
+            return unlimited(*arguments, **options, max_steps=60)
+
+        monkeypatch.setattr(sample_module, "sample", limited)
+
+    @pytest.mark.usefixtures("limited")
+    def test_says_so(self, capsys):
+        run("-o", "p.nc", "--draws", 100_000, "--json", "p.json", code=1)
+        lines = error_lines(capsys.readouterr().err)
+        assert any("not converged: " in line and "expected 100000" in line for line in lines)
+        sampler = json.loads(Path("p.json").read_text())["sampler"]
+        assert sampler["converged"] is False
+        assert sampler["failures"]
+        with az.from_netcdf("p.nc") as tree:
+            assert tree.attrs["converged"] == 0
+
+    def test_without_a_maximum_nothing_is_sampled(self, capsys, monkeypatch, here):
+        monkeypatch.setattr(least_squares, "_MAX_EVALUATIONS", 1)
+        monkeypatch.setattr(least_squares, "_POLISH_STEPS", 0)
+        run("-o", "p.nc", "--draws", 50, code=1)
+        assert "its maximum was not found" in capsys.readouterr().err
+        assert not list(here.iterdir())
+
+
+class TestRefused:
+    def test_usage(self, capsys):
+        assert "required: -o" in refused(capsys, "sample", CASE_A)
+        assert "whole number above zero" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--draws", "0")
+        assert "found '1e4'" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--draws", "1e4")
+        assert "whole number from 0" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--seed", "-1")
+        assert "cauchy" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--likelihood", "cauchy")
+        assert "ends in .nc" in refused(capsys, "sample", CASE_A, "-o", "p.h5")
+
+    def test_input(self, capsys):
+        assert "missing.csv" in refused(capsys, "sample", "missing.csv", "-o", "p.nc")
+        assert "no session 'other'" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--session", "other")
+        text = CASE_A.read_text()
+        Path("bad.csv").write_text(text.replace("0.005", "nothing", 1))
+        line = refused(capsys, "sample", "bad.csv", "-o", "p.nc")
+        assert "row 2" in line
+        assert "sigma_um" in line
+
+    def test_outputs_that_cannot_be(self, capsys):
+        assert "missing" in refused(capsys, "sample", CASE_A, "-o", "missing/p.nc")
+        Path("p.nc").write_text("")
+        assert "expected another name" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--json", "p.nc")
+
+    def test_blocks_of_another_run(self, capsys, monkeypatch):
+        """Resuming with another seed is refused; the blocks of the first run stay for it."""
+        monkeypatch.setattr("fpcal_bayes.infer.posterior.output.write_netcdf", _interrupt)
+        run("-o", "p.nc", "--draws", 50, "--quiet", code=130)
+        capsys.readouterr()
+        blocks = list(Path("p.nc.blocks").iterdir())
+        assert blocks
+        arguments = ["sample", str(CASE_A), "-o", "p.nc", "--draws", "50", "--seed", "1", "--resume"]
+        assert main(arguments) == 2
+        *_, line = error_lines(capsys.readouterr().err)
+        assert line.startswith("fpcal: error: p.nc.blocks: holds draws of other data")
+        assert list(Path("p.nc.blocks").iterdir()) == blocks
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_three_kills_change_nothing(here, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    random = np.random.default_rng(1)
+    met = study("posterior_kills").kill_and_resume(CASE_A, here, kills=3, draws=2000, seed=0, random=random)
+    assert met == 3

@@ -58,11 +58,11 @@ def test_replicates_do_not_depend_on_the_number_of_processes(sbc):
 
 @pytest.mark.slow
 def test_calibrated(sbc, femto):
-    """50 truths a protocol; family-wise over all quantities and both protocols."""
+    """25 truths a protocol; family-wise over all quantities and both protocols. The study runs more."""
     names, protocols = sbc.quantities(femto), ("paper", "random")
     worst = {}
     for protocol in protocols:
-        found = sbc.run_protocol(protocol, range(50), seed=1, draws=400, processes=1)
+        found = sbc.run_protocol(protocol, range(25), seed=1, draws=400, processes=1)
         assert all(replicate.ranks is not None for replicate in found)
         ranks = np.array([replicate.ranks for replicate in found])
         random = np.random.default_rng(0)

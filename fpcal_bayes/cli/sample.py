@@ -74,6 +74,9 @@ def run(options: argparse.Namespace) -> int:
         warn(["the posterior is not sampled, since its maximum was not found"])
         return 1
 
+    if result.doubtful_signs:
+        warn(["the draws keep the signs as they were decided: where these are doubtful, the draws are too narrow"])
+
     folder = options.output.with_name(options.output.name + ".blocks")
     store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood))
     if not options.resume:

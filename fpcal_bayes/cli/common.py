@@ -5,16 +5,20 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import require_writable, write_json
+from fpcal_bayes.files import file_sha256, require_writable, write_json
 from fpcal_bayes.model.cell import Cell, load_cell
 from fpcal_bayes.model.estimate import SCHEMA
+
+if TYPE_CHECKING:
+    from fpcal_bayes.infer.identify import Identification
 
 Commands = Any  # argparse names the type of its subparsers only privately
 
@@ -58,6 +62,12 @@ def check_output(output: Path | None, *inputs: str | Path | None) -> None:
         if other is not None and Path(other).exists() and output.exists() and output.samefile(other):
             raise InputError(f"{output}: is an input of this command, expected another name for the output")
     require_writable(output)
+
+
+def with_source(result: "Identification", file: str, session: str) -> "Identification":
+    """The result with name and hash of the file, and the session, that it was made from."""
+    data = {"file": Path(file).name, "sha256": file_sha256(Path(file)), "session": session}
+    return replace(result, estimate=replace(result.estimate, data=data))
 
 
 def write_result(output: Path | None, command: str, content: dict[str, Any]) -> None:

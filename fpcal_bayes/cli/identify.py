@@ -1,8 +1,6 @@
 """``fpcal identify``: find the parameters of a cell from a file of sweeps."""
 
 import argparse
-from dataclasses import replace
-from pathlib import Path
 
 from fpcal_bayes.cli.common import (
     Commands,
@@ -13,6 +11,7 @@ from fpcal_bayes.cli.common import (
     console,
     warm_up,
     warn,
+    with_source,
     write_result,
 )
 
@@ -38,7 +37,6 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.files import file_sha256
     from fpcal_bayes.infer.identify import identify
     from fpcal_bayes.measure.sweep_files import read_sweeps
     from fpcal_bayes.model.estimate import read_estimate
@@ -50,9 +48,8 @@ def run(options: argparse.Namespace) -> int:
     start = None if options.start is None else read_estimate(options.start, cell)
     cell.select(options.free)
     warm_up(cell)
-    result = identify(cell, sweeps, free=options.free, start=start, hold=options.hold)
-    data = {"file": Path(options.file).name, "sha256": file_sha256(Path(options.file)), "session": sweeps.sessions[0]}
-    result = replace(result, estimate=replace(result.estimate, data=data))
+    found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold)
+    result = with_source(found, options.file, sweeps.sessions[0])
 
     out = console(options)
     title = f"{options.file}, session {sweeps.sessions[0]}: {len(result.problem.sweeps)} rows"

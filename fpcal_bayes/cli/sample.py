@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -19,6 +18,7 @@ from fpcal_bayes.cli.common import (
     seed,
     warm_up,
     warn,
+    with_source,
     write_result,
 )
 from fpcal_bayes.errors import InputError
@@ -51,7 +51,6 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.files import file_sha256
     from fpcal_bayes.infer.identify import identify
     from fpcal_bayes.infer.posterior.blocks import BlockStore
     from fpcal_bayes.infer.posterior.output import content, data_tree, slip_probabilities, write_netcdf
@@ -66,9 +65,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)
-    result = identify(cell, sweeps)
-    data = {"file": Path(options.file).name, "sha256": file_sha256(Path(options.file)), "session": sweeps.sessions[0]}
-    result = replace(result, estimate=replace(result.estimate, data=data))
+    result = with_source(identify(cell, sweeps), options.file, sweeps.sessions[0])
     warn(result.warnings)
     if not result.converged:
         warn(["the posterior is not sampled, since its maximum was not found"])

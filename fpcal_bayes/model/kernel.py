@@ -24,7 +24,6 @@ Bools = NDArray[np.bool_]
 BETA, ALPHA, D, THETA, R, GAIN, RUNOUT_COS, RUNOUT_SIN = range(8)
 STRIDE = 8
 BETA_ET, THETA_ET, BETA_WF, THETA_WF, Z_ET, X_WF, Y_WF, Z_WF = range(8)
-N_EXTRINSICS = 8
 
 #: Parameter vectors computed side by side, so that one instruction serves several of them.
 LANES = 64

@@ -9,6 +9,7 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes import __version__
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.infer.identify import Identification
 from fpcal_bayes.infer.mirror import all_minima
@@ -183,6 +184,7 @@ def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -
     held = None if problem.considered is None else problem.considered.factor.tolist()
     return content_sha256(
         {
+            "program": __version__,
             "cell": problem.model.cell.sha256,
             "free": list(problem.model.free.names),
             "held": [problem.model.held.tolist(), held],

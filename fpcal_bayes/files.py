@@ -44,6 +44,14 @@ def require_writable(path: Path) -> None:
     Path(probe).unlink()
 
 
+def make_folder(folder: Path) -> None:
+    """Make `folder` unless it is there; `InputError` if that fails."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: expected a folder that can be made ({_reason(error)})") from error
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path`; on success it takes the place of `path`.

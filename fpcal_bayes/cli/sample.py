@@ -3,6 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -22,6 +23,11 @@ from fpcal_bayes.cli.common import (
     write_result,
 )
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.files import make_folder
+from fpcal_bayes.model.cell import Cell
+
+if TYPE_CHECKING:
+    from fpcal_bayes.infer.posterior.sample import Posterior
 
 _EPILOG = """\
 Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
@@ -46,6 +52,10 @@ def add_parser(commands: Commands) -> None:
         help="slip: each dL may be off by whole half wavelengths (default: gaussian)",
     )
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
+    parser.add_argument("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
+    parser.add_argument(
+        "--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)"
+    )
     add_json(parser)
 
 
@@ -63,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, options.file, options.output)
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
+    pairs = _pairs(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)
     result = with_source(identify(cell, sweeps), options.file, sweeps.sessions[0])
@@ -122,5 +133,32 @@ def run(options: argparse.Namespace) -> int:
     )
     write_netcdf(tree, options.output)
     write_result(options.json, "sample", content(posterior))
+    if options.plots is not None:
+        _write_plots(posterior, tree, options, pairs)
     store.clear()
     return 0 if posterior.converged else 1
+
+
+def _pairs(options: argparse.Namespace, cell: Cell) -> list[str] | None:
+    """Parameters of the pair plot, or None for the most correlated; the folder of figures is made."""
+    names = [name for name in options.pairs.split(",") if name]
+    if options.plots is None:
+        if names:
+            raise InputError("--pairs: expected --plots DIR with it")
+        return None
+    if names and len(set(names)) < 2:
+        raise InputError(f"--pairs {options.pairs!r:.60}: expected at least two parameters")
+    for name in names:
+        if name not in cell.free.names:
+            raise InputError(f"--pairs: {name!r:.60} is not a free parameter of cell {cell.name!r}")
+    make_folder(options.plots)
+    return list(dict.fromkeys(names)) or None
+
+
+def _write_plots(posterior: "Posterior", tree: Any, options: argparse.Namespace, pairs: list[str] | None) -> None:
+    from fpcal_bayes.infer.posterior.leave_out import leave_one_out
+    from fpcal_bayes.report.posterior_figures import write_posterior_figures
+
+    loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
+    for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):
+        console(options).print(f"figure: {path}", markup=False, soft_wrap=True)

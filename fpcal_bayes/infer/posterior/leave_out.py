@@ -1,0 +1,254 @@
+"""How well a model predicts each row from all the others: leave-one-out, without a run for each row where possible.
+
+Draws of the whole posterior are weighted by one over the density of the row that is left out, with the tail of the
+weights smoothed (PSIS, Vehtari, Gelman, Gabry 2017). Where the shape k of that tail says that the weights cannot be
+trusted, the row is left out in earnest: the posterior without it is fitted anew and drawn from by importance sampling
+in its own charts, and the ratio of both normalising constants is taken by bridge sampling (Meng, Wong 1996).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from fpcal_bayes.infer.identify import Identification
+from fpcal_bayes.infer.least_squares import minimise, solution_rank
+from fpcal_bayes.infer.mirror import distinct_minima
+from fpcal_bayes.infer.posterior.atlas import Atlas
+from fpcal_bayes.infer.posterior.sample import Likelihood, Posterior, make_target
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_MOST_K = 0.7
+#: Proposals to a posterior without one row, and draws of the whole posterior that are set against them.
+_PROPOSALS = 512
+_WHOLE_DRAWS = 4096
+#: Draws, and draws times rows, that are looked at; of longer runs evenly spaced ones.
+_MOST_DRAWS, _MOST_CELLS = 16_384, 10_000_000
+_AT_ONCE = 256
+_LEAST_EFFECTIVE = 100.0
+_BRIDGE_STEPS = 200
+#: Log densities closer together than this are the same.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class LeaveOneOut:
+    """Log density of each row given all others.
+
+    Attributes
+    ----------
+    elpd_rows
+        Shape (n_rows,), per um.
+    bound_rows
+        Log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`.
+    pareto_k
+        Shape of the tail of each row's weights, shape (n_rows,).
+    good_k
+        Up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024).
+    refitted
+        Rows that were left out in earnest, shape (n_rows,).
+    """
+
+    elpd_rows: Floats
+    bound_rows: Floats
+    pareto_k: Floats
+    good_k: float
+    refitted: Bools
+
+    @property
+    def bad(self) -> Bools:
+        """Rows whose weights cannot be trusted, shape (n_rows,)."""
+        result: Bools = ~(self.pareto_k <= self.good_k)
+        return result
+
+    @property
+    def open(self) -> Bools:
+        """Rows of them that could not be left out in earnest: what stands there is their upper bound."""
+        return self.bad & ~self.refitted
+
+    @property
+    def elpd(self) -> float:
+        """Sum over the rows."""
+        return float(self.elpd_rows.sum())
+
+    @property
+    def se(self) -> float:
+        """Standard error of the sum, from the scatter of the rows."""
+        return standard_error(self.elpd_rows)
+
+    @property
+    def p_loo(self) -> float:
+        """Effective number of parameters: what knowing a row adds to its own density."""
+        return float((self.bound_rows - self.elpd_rows).sum())
+
+
+def standard_error(rows: Floats) -> float:
+    """Standard error of the sum of independent terms (n_rows,)."""
+    return float(np.sqrt(len(rows) * np.var(rows)))
+
+
+def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: int, seed: int = 0) -> LeaveOneOut:
+    """Log density of each row of a sampled posterior, given all others.
+
+    Parameters
+    ----------
+    posterior
+        Converged.
+    likelihood
+        Under which it was sampled.
+    most_refits
+        If more rows than these need it, none is left out in earnest: what stands would be a bound either way.
+    seed
+        Of the proposals.
+    """
+    n_rows, n = len(posterior.target.problem.target), posterior.points.shape[-1]
+    every = -(-posterior.log_density.size // min(_MOST_DRAWS, _MOST_CELLS // n_rows))
+    thinned = posterior.points[:, ::every].transpose(0, 2, 1, 3)
+    points = thinned.reshape(-1, n)
+    rows = rows_given_others(posterior.target, points)
+    effective = float(np.mean(posterior.diagnostics.ess_bulk)) / len(points)
+    weighted = [_smoothed(row.reshape(-1, thinned.shape[2]), min(effective, 1.0)) for row in rows.T]
+    result = LeaveOneOut(
+        elpd_rows=np.array([elpd for elpd, _ in weighted]),
+        bound_rows=special.logsumexp(rows, axis=0) - np.log(len(points)),
+        pareto_k=np.array([k for _, k in weighted]),
+        good_k=min(1.0 - 1.0 / np.log10(len(points)), _MOST_K),
+        refitted=np.zeros(n_rows, dtype=bool),
+    )
+    rng = np.random.default_rng(seed)
+    bad = np.flatnonzero(result.bad).tolist()
+    for row in bad if len(bad) <= most_refits else []:
+        some = rng.choice(len(points), min(len(points), _WHOLE_DRAWS), replace=False)
+        exact = _left_out(posterior, likelihood, row, rows[some, row], rng)
+        if exact is not None:
+            result.elpd_rows[row], result.refitted[row] = exact, True
+    result.elpd_rows[result.open] = result.bound_rows[result.open]
+    return result
+
+
+def _smoothed(row: Floats, effective: float) -> tuple[float, float]:
+    """Leave-one-out density of a row and its k, from log densities of shape (n_chains, n_draws).
+
+    Parameters
+    ----------
+    effective
+        Share of the draws that counts as independent.
+    """
+    from arviz_stats.base import array_stats
+
+    if np.ptp(row) < _SAME:
+        # No draw matters more than another.
+        return float(row.mean()), 0.0
+    try:
+        # Weights of one draw that outweighs all others underflow; k is then no number.
+        with np.errstate(all="ignore"):
+            elpd, k, _ = array_stats.loo(row, chain_axis=0, draw_axis=1, r_eff=effective)
+    except ValueError:
+        elpd, k = row.min(), np.inf
+    return float(elpd), float(np.nan_to_num(k, nan=np.inf, posinf=np.inf))
+
+
+def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
+    """Log density of each row given the parameters and all other rows, at points (n_points, n_unknowns); per um.
+
+    Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and
+    the variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
+
+    Returns
+    -------
+    ndarray
+        Shape (n_points, n_rows).
+    """
+    parts = [_few_given_others(target, points[i : i + _AT_ONCE]) for i in range(0, len(points), _AT_ONCE)]
+    return np.concatenate(parts)
+
+
+def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
+    problem = target.problem
+    mix = problem.whitening.mix
+    if mix is None:
+        return target.log_likelihoods(points)
+    residuals = target.data_residuals(points)[:, : len(problem.target)]
+    precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
+    # Inverse covariance times the residual in um, row by row.
+    weighed = residuals @ mix
+    result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
+    return result
+
+
+def without_row(identification: Identification, row: int) -> Identification | None:
+    """The identification without one row, from the minima with it; None if no minimum is found.
+
+    Only what a posterior needs is made anew: problem, minima.
+    """
+    problem = identification.problem
+    kept = np.arange(len(problem.target)) != row
+    reduced = problem.take(kept).relinearised(identification.solution.unknowns)
+    known = (identification.solution, *identification.other_minima)
+    found = [minimise(reduced, minimum.unknowns) for minimum in known]
+    best = min(found, key=solution_rank)
+    if not best.converged:
+        return None
+    others = distinct_minima(reduced, best, found)
+    return replace(identification, problem=reduced, solution=best, other_minima=others)
+
+
+def _left_out(
+    posterior: Posterior, likelihood: Likelihood, row: int, with_row: Floats, rng: np.random.Generator
+) -> float | None:
+    """Log density of a row given the others, the posterior being drawn without it; None if that fails.
+
+    Parameters
+    ----------
+    with_row
+        Log density of the row at draws of the whole posterior.
+    """
+    from arviz_stats.base import array_stats
+
+    reduced = without_row(posterior.identification, row)
+    if reduced is None:
+        return None
+    target, references = make_target(reduced, likelihood)
+    atlas = Atlas(target, references)
+    solved = atlas.propose(rng.standard_normal((_PROPOSALS, target.n_unknowns)), rng.random(_PROPOSALS))
+    found = solved.inside
+    if found.sum() < _LEAST_EFFECTIVE:
+        return None
+    try:
+        # The smoother takes log likelihoods, whose negative are the log weights.
+        log_weights, k = array_stats.psislw(solved.log_proposal[found] - solved.log_density[found])
+    except ValueError:
+        return None
+    weights = special.softmax(log_weights)
+    effective = 1.0 / float((weights**2).sum())
+    if effective < _LEAST_EFFECTIVE or not k <= _MOST_K:
+        return None
+    return _bridge(with_row, rows_given_others(posterior.target, solved.points[found])[:, row], weights, effective)
+
+
+def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
+    """Log of the mean of exp(`without`) under `weights`, steadied by draws that the row itself has pulled near.
+
+    Parameters
+    ----------
+    with_row, without
+        Log density of the row at draws that know it (n,), and at weighted draws that do not (m,).
+    weights, effective
+        Of the latter: they add up to one and are worth so many independent draws.
+    """
+    share = len(with_row) / (len(with_row) + effective)
+    log_weights = np.log(np.maximum(weights, 1e-300))
+    ratio = float(special.logsumexp(without + log_weights))
+    for _ in range(_BRIDGE_STEPS):
+        down = np.logaddexp(np.log(share) + without, np.log1p(-share) + ratio)
+        up = np.logaddexp(np.log(share) + with_row, np.log1p(-share) + ratio)
+        last = ratio
+        over = special.logsumexp(without - down + log_weights)
+        ratio = float(over - (special.logsumexp(-up) - np.log(len(with_row))))
+        if abs(ratio - last) < 1e-6:
+            break
+    return ratio

@@ -1,0 +1,31 @@
+"""The table of a model comparison."""
+
+from rich.table import Table
+
+from fpcal_bayes.infer.compare import Comparison, ModelResult
+from fpcal_bayes.report.tables import number, plain_table
+
+
+def compare_table(comparison: Comparison, title: str) -> Table:
+    """Fit and leave-one-out prediction of each model."""
+    columns = ["model", "fit", "chi-square", "expected", "p", "elpd", "se", "p_loo", "bad k", "refits"]
+    table = plain_table(title, columns)
+    for model in comparison.models:
+        fit = model.identification.fit
+        numbers = [f"{fit.chi2_data:.1f}", f"{fit.expected:.1f}", f"{fit.p_value:.1g}"]
+        table.add_row(model.spec.name, _fit_words(model), *numbers, *_predictions(model))
+    return table
+
+
+def _fit_words(model: ModelResult) -> str:
+    if model.state == "no minimum":
+        return "no minimum"
+    return "poor" if model.poor else "good" if model.spec.likelihood == "gaussian" else "not judged"
+
+
+def _predictions(model: ModelResult) -> list[str]:
+    loo = model.loo
+    if loo is None:
+        return ["-"] * 5
+    sizes = [number(loo.elpd, loo.se), number(loo.se, loo.se), f"{loo.p_loo:.1f}"]
+    return [*sizes, str(int(loo.bad.sum())), str(int(loo.refitted.sum()))]

@@ -19,6 +19,8 @@ TARGETS = {
     "138 paper poses, kernel": (1.5, 30.0),
     "138 unrelated poses, kernel": (6.0, None),
     "69 x 21 Jacobian, batch of 100": (12.0, None),
+    "inverse model, batch": (10.0, None),
+    "inverse model, single call": (50.0, None),
 }
 REFERENCE = "138 paper poses, Pinocchio"
 

@@ -1,0 +1,93 @@
+"""``fpcal control``: the joint path of a task, with what has been identified."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from fpcal_bayes.cli.common import (
+    Commands,
+    add_command,
+    add_json,
+    cell_of,
+    check_output,
+    console,
+    count,
+    positive,
+    warm_up,
+    warn,
+    write_result,
+)
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.model.cell import Cell
+
+_EPILOG = """\
+TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, or a PATH.csv with the columns x_um,y_um,z_um,rx_deg,ry_deg,rz_deg
+in the fibre frame, relative to the aligned pose, turns in the order x, y, z about the reflection point.
+
+JOINTS has the columns q1_um .. q6_deg, status (ok, or the reason), predicted_sd_nm (what the cavity length may be off
+by, one standard deviation, from the aligned pose to this one). Points that are not ok have no joint values.
+"""
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command to the program."""
+    parser = add_command(commands, "control", "find the joint path of a task", run, _EPILOG)
+    parser.add_argument(
+        "--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)"
+    )
+    add_task_options(parser, required=True)
+    parser.add_argument("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
+    add_json(parser)
+
+
+def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """Add the options that choose a task."""
+    parser.add_argument(
+        "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
+    )
+    parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    parser.add_argument("--points", type=count, default=61, metavar="N", help="points of the path (default: 61)")
+
+
+def warm_up_inverse(cell: Cell) -> None:
+    """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
+    from fpcal_bayes.model.compiled import needs_compilation
+    from fpcal_bayes.model.inverse import InverseModel
+    from fpcal_bayes.model.kernel_inverse import batch_inverse
+
+    inverse = InverseModel(cell)
+    warm_up(cell)
+    if needs_compilation(batch_inverse):
+        print("fpcal: compiling the inverse model; this happens once and takes about 30 s", file=sys.stderr)
+    nominal = cell.parameters.nominal
+    inverse.solve(nominal, inverse.tool_poses(nominal, inverse.home[None]))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    import numpy as np
+
+    from fpcal_bayes.control.joint_files import check_suffix, write_joints
+    from fpcal_bayes.infer.task_source import read_knowledge
+    from fpcal_bayes.report.task_tables import prediction_content, prediction_table, reach_warnings
+
+    cell = cell_of(options)
+    check_suffix(options.output)
+    check_output(options.output, options.estimate, options.task)
+    check_output(options.json, options.estimate, options.task, options.output)
+    knowledge = read_knowledge(options.estimate, cell)
+    warm_up_inverse(cell)
+    estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    if not task.ok.any():
+        raise InputError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
+    prediction = knowledge.predict(estimate, task.take(task.finite))
+    sd = np.full(len(task), np.nan)
+    sd[task.finite] = prediction.sd
+    write_joints(options.output, task, sd)
+
+    warnings = reach_warnings(task)
+    console(options).print(prediction_table([prediction], None, f"{options.output}: {task.ok.sum()} points"))
+    warn(warnings)
+    content = {**estimate.content(), "tasks": {task.name: prediction_content(prediction, None)}, "warnings": warnings}
+    write_result(options.json, "control", content)
+    return 0

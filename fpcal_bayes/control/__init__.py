@@ -1,0 +1,1 @@
+"""Where the joints must go: tasks, and the controller."""

@@ -1,0 +1,85 @@
+"""What a controller may hold: an estimate file, or the draws of a posterior file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fpcal_bayes.control.tasks import Task, find_task
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.posterior_file import PosteriorDraws, read_posterior
+from fpcal_bayes.infer.task_prediction import (
+    TaskPrediction,
+    central_draw,
+    estimate_of_draws,
+    predict_from_covariance,
+    predict_from_draws,
+)
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.estimate import Estimate, read_estimate
+
+#: Draws of a posterior that are propagated at most.
+_MOST_DRAWS = 20_000
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of a cell's parameters when a task is planned.
+
+    Attributes
+    ----------
+    cell
+        The cell.
+    estimate
+        What the controller holds, or None: then the draws themselves say, task by task (see `central_draw`).
+    draws
+        Of the posterior, or None where there is only the estimate's covariance.
+    """
+
+    cell: Cell
+    estimate: Estimate | None
+    draws: PosteriorDraws | None
+
+    def held(self, task: str, *, radius: float = 100.0) -> Estimate:
+        """The estimate that the controller holds for a task."""
+        if self.draws is None or self.estimate is not None:
+            assert self.estimate is not None
+            return self.estimate
+        model = CavityModel.of(self.cell, self.draws.parameters)
+        values = central_draw(model, self.draws.values, task, radius=radius)
+        return estimate_of_draws(model, self.draws.values, values)
+
+    def predict(self, estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
+        """The distribution of the error of a task that was found with `estimate`."""
+        if self.draws is None:
+            return predict_from_covariance(estimate, task, draws=draws, seed=seed)
+        free = self.draws.parameters
+        model = CavityModel.of(self.cell, free, estimate.vector())
+        return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task)
+
+    def plan(self, task: str, *, radius: float = 100.0, n_points: int = 61) -> tuple[Estimate, Task]:
+        """The estimate that the controller holds for a task, and the joint path it makes with it."""
+        estimate = self.held(task, radius=radius)
+        return estimate, find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
+
+
+def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
+    """Read an estimate JSON or a posterior netCDF file, told apart by the suffix ``.nc``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    held
+        Estimate JSON that the controller holds while the truth is drawn from the posterior.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used or is of another cell.
+    """
+    estimate = None if held is None else read_estimate(held, cell)
+    if Path(path).suffix.lower() == ".nc":
+        return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
+    if held is not None:
+        raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
+    return Knowledge(cell, read_estimate(path, cell), None)

@@ -1,0 +1,274 @@
+"""The inverse geometric model (IGM): joint values at which a calibrated chain takes a pose.
+
+Chains of three revolute and three prismatic joints in any order have a closed form for any parameter vector, so every
+solution is found; other chains of six joints are solved by damped Newton steps from several starts, and a pose counts
+as out of reach when none of them meets it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.kernel import GAIN, STRIDE
+from fpcal_bayes.model.kernel_inverse import (
+    OK,
+    OUT_OF_REACH,
+    SATURATED,
+    SINGULAR,
+    batch_inverse,
+)
+from fpcal_bayes.model.kernel_pose import batch_tool_poses, first_bad_pose
+
+__all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: A rotation matrix may miss orthonormality by this: what survives a file with seven digits.
+ROTATION_TOLERANCE = 1e-6
+#: Starts of Newton for a chain without closed form; farthest starts of joints without limit, in rad and um.
+_STARTS = 64
+_FAR_TURN, _FAR_TRAVEL = np.pi, 1000.0
+
+
+@dataclass(frozen=True)
+class JointSolutions:
+    """Joint values of poses, and what became of each pose.
+
+    Attributes
+    ----------
+    cell
+        Whose joints they are.
+    q
+        Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
+        saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
+    status
+        `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...).
+    joint
+        Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
+    """
+
+    cell: Cell
+    q: Floats
+    status: Ints
+    joint: Ints
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Whether each pose can be driven to, shape (...)."""
+        good: NDArray[np.bool_] = self.status == OK
+        return good
+
+    def texts(self) -> NDArray[np.str_]:
+        """The status of each pose in words, shape (...): ``ok``, or the reason why it cannot be driven to."""
+        flat = zip(self.status.flat, self.joint.flat, self.q.reshape(-1, self.q.shape[-1]), strict=True)
+        texts = [self._text(int(status), int(joint), q) for status, joint, q in flat]
+        return np.array(texts, dtype=np.str_).reshape(self.status.shape)
+
+    def _text(self, status: int, number: int, q: Floats) -> str:
+        if status == OK:
+            return "ok"
+        if status == OUT_OF_REACH:
+            return "out of reach"
+        if status == SINGULAR:
+            return "singular: the pose does not determine the joints"
+        joint, scale = self.cell.joints[number], self.cell.joint_scales[number]
+        side, limit = ("lower", joint.low) if q[number] < joint.low else ("upper", joint.high)
+        wanted = f"{q[number] / scale:.6g} {joint.unit} wanted"
+        return f"saturated: q{number + 1} at its {side} limit {limit / scale:g} {joint.unit} ({wanted})"
+
+
+@dataclass(frozen=True)
+class InverseModel:
+    """The inverse geometric model of a cell with six joints.
+
+    Parameters
+    ----------
+    cell
+        Gives kinds and limits of the joints.
+
+    Raises
+    ------
+    InputError
+        If the cell has other than six joints, or so many prismatic ones that a pose is never fully reached.
+    """
+
+    cell: Cell
+
+    def __post_init__(self) -> None:
+        n, n_prismatic = len(self.cell.joints), int(np.count_nonzero(~self.cell.revolute))
+        if n != 6:
+            raise InputError(
+                f"cell {self.cell.name!r} has {n} joints: a pose has six degrees of freedom, so that the inverse "
+                "model, tasks and control need a cell with six"
+            )
+        if n_prismatic > 3:
+            raise InputError(
+                f"cell {self.cell.name!r} has {n_prismatic} prismatic joints: with fewer than three revolute ones an "
+                "orientation cannot be commanded, expected at most three prismatic joints"
+            )
+
+    @cached_property
+    def home(self) -> Floats:
+        """Middle of the limits of each joint, zero where there is none, shape (n_joints,)."""
+        low, high = self.cell.low, self.cell.high
+        bounded = np.isfinite(low) & np.isfinite(high)
+        with np.errstate(invalid="ignore"):
+            return np.where(bounded, (low + high) / 2.0, np.clip(0.0, low, high))
+
+    @cached_property
+    def closed_form(self) -> bool:
+        """Whether the chain has a closed form, so that every solution is found."""
+        return int(np.count_nonzero(self.cell.revolute)) == 3
+
+    @cached_property
+    def _starts(self) -> Floats:
+        """Where Newton begins, shape (n_starts, n_joints); the same on every run."""
+        far = np.where(self.cell.revolute, _FAR_TURN, _FAR_TRAVEL)
+        low = np.where(np.isfinite(self.cell.low), self.cell.low, -far)
+        high = np.where(np.isfinite(self.cell.high), self.cell.high, far)
+        n_starts = 0 if self.closed_form else _STARTS
+        return np.random.default_rng(0).uniform(low, high, (n_starts, len(low)))
+
+    def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
+        """DGM: tool frames wTe of joint vectors.
+
+        Parameters
+        ----------
+        vectors
+            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        q
+            Joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
+
+        Returns
+        -------
+        ndarray
+            Shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
+        """
+        many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
+        joints = np.ascontiguousarray(q if np.ndim(q) == 3 else q[None], dtype=float)
+        poses = batch_tool_poses(many, self.cell.revolute, joints)
+        return poses[0] if np.ndim(vectors) == 1 else poses
+
+    def solve(
+        self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False, check: bool = True
+    ) -> JointSolutions:
+        """IGM: joint values at which the tool frame takes `poses`.
+
+        Parameters
+        ----------
+        vectors
+            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        poses
+            wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
+        near
+            Of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
+            by default `home`.
+        follow
+            Poses are points of a path: each is solved near the one before it.
+        check
+            Whether to look whether `poses` are poses.
+
+        Returns
+        -------
+        JointSolutions
+            Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
+
+        Raises
+        ------
+        InputError
+            If a pose is not finite or its rotation is not orthonormal.
+        """
+        if check:
+            check_poses(poses)
+        many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
+        targets = np.ascontiguousarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
+        q, status, joint = batch_inverse(
+            many,
+            self.cell.revolute,
+            self.cell.low,
+            self.cell.high,
+            targets,
+            self.home if near is None else np.ascontiguousarray(near, dtype=float),
+            follow,
+            self._starts,
+            -1,
+        )
+        if np.ndim(poses) == 2:
+            q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
+        if np.ndim(vectors) == 1:
+            q, status, joint = q[0], status[0], joint[0]
+        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
+
+    def all_solutions(self, vector: Floats, pose: Floats) -> Floats:
+        """Every joint vector inside the limits at which the tool frame takes `pose`.
+
+        Whole turns of a joint without limits count once. For a chain without closed form these are the solutions that
+        Newton finds from its starts.
+
+        Parameters
+        ----------
+        vector
+            Model vector, shape (model size,).
+        pose
+            wTe, shape (4, 4).
+
+        Returns
+        -------
+        ndarray
+            Shape (n_solutions, n_joints), in um and rad, nearest to `home` first.
+        """
+        check_poses(pose)
+        found: list[Floats] = []
+        for branch in range(2 if self.closed_form else 1 + len(self._starts)):
+            q, status, _ = batch_inverse(
+                np.ascontiguousarray(vector, dtype=float)[None],
+                self.cell.revolute,
+                self.cell.low,
+                self.cell.high,
+                np.ascontiguousarray(pose, dtype=float)[None, None],
+                self.home,
+                False,
+                self._starts,
+                branch,
+            )
+            if status[0, 0] == OK:
+                found += [other for other in self._turned(vector, q[0, 0]) if not _among(other, found)]
+        found.sort(key=lambda q: float(np.abs((q - self.home) / np.where(self.cell.revolute, 1.0, 1e3)).max()))
+        return np.array(found).reshape(-1, len(self.cell.joints))
+
+    def _turned(self, vector: Floats, q: Floats) -> Iterator[Floats]:
+        """The same pose with whole turns added, inside the limits of joints that have both."""
+        choices = []
+        for i, joint in enumerate(self.cell.joints):
+            turns = np.zeros(1)
+            if joint.kind == "revolute" and np.isfinite(joint.low) and np.isfinite(joint.high):
+                period = 2.0 * np.pi / abs(1.0 + vector[STRIDE * i + GAIN])
+                slack = 1e-9 * (1.0 + abs(q[i]))
+                first = np.ceil((joint.low - slack - q[i]) / period)
+                turns = period * np.arange(first, np.floor((joint.high + slack - q[i]) / period) + 1)
+            choices.append(turns)
+        for combination in product(*choices):
+            yield q + np.array(combination)
+
+
+def check_poses(poses: ArrayLike) -> None:
+    """Raise `InputError` at the first of `poses` (..., 4, 4) that is no pose, naming it by its number from 1."""
+    stack = np.ascontiguousarray(poses, dtype=float)
+    if stack.shape[-2:] != (4, 4):
+        raise InputError(f"a pose has shape {stack.shape[-2:]}, expected a 4 x 4 transform")
+    bad = first_bad_pose(stack.reshape(-1, 4, 4), ROTATION_TOLERANCE)
+    if bad >= 0:
+        raise InputError(
+            f"pose {bad + 1}: expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
+        )
+
+
+def _among(q: Floats, others: list[Floats]) -> bool:
+    return any(bool((np.abs(q - other) < 1e-6).all()) for other in others)

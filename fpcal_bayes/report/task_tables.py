@@ -1,0 +1,96 @@
+"""What a task will be off by, as tables and as JSON."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.markup import escape
+from rich.table import Table
+
+from fpcal_bayes.control.tasks import Task
+from fpcal_bayes.infer.task_prediction import BAND, TaskPrediction
+from fpcal_bayes.report.tables import plain_table
+
+Floats = NDArray[np.float64]
+
+
+def prediction_content(prediction: TaskPrediction, tolerance: float | None) -> dict[str, Any]:
+    """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
+
+    Parameters
+    ----------
+    tolerance
+        In um, or None.
+    """
+    task, angles = prediction.task, prediction.angles
+    low, high = 1e3 * prediction.band()
+    ends = 1e3 * prediction.peak_to_peak_band()
+    content: dict[str, Any] = {
+        "method": "linear" if prediction.linear else "draws",
+        "draws": len(prediction.errors),
+        "points": len(task),
+        "points_not_ok": int((~task.ok).sum()),
+        "along": task.along.tolist(),
+        "along_unit": task.unit,
+        "status": task.status.tolist(),
+        "sd_nm": (1e3 * prediction.sd).tolist(),
+        "band_nm": {"share": BAND, "low": low.tolist(), "high": high.tolist()},
+        "worst_sd_nm": float(1e3 * prediction.sd.max()),
+        "peak_to_peak_nm": {
+            "median": float(1e3 * np.median(prediction.peak_to_peak)),
+            "low": float(ends[0]),
+            "high": float(ends[1]),
+            "share": BAND,
+        },
+        "normal_deg": _quantiles(angles.normal.max(axis=1)),
+        "turn_deg": _quantiles(angles.turn.max(axis=1)),
+    }
+    if tolerance is not None:
+        content["tolerance_nm"] = 1e3 * tolerance
+        content["exceeds_probability"] = prediction.exceeds(tolerance)
+    return content
+
+
+def prediction_table(predictions: list[TaskPrediction], tolerance: float | None, title: str) -> Table:
+    """A line a task: worst standard deviation, peak to peak with its band, angles, probability of exceeding."""
+    columns = ["task", "path", "worst sd nm", "pk-pk nm", f"{BAND:.0%} band nm", "normal 95 % deg", "turn 95 % deg"]
+    if tolerance is not None:
+        columns.append(f"P(> {1e3 * tolerance:g} nm)")
+    table = plain_table(title, columns)
+    for prediction in predictions:
+        task, (low, high) = prediction.task, 1e3 * prediction.peak_to_peak_band()
+        row = [
+            escape(task.name),
+            f"{task.along[0]:.4g} .. {task.along[-1]:.4g} {task.unit}",
+            f"{1e3 * prediction.sd.max():.2f}",
+            f"{1e3 * np.median(prediction.peak_to_peak):.2f}",
+            f"{low:.2f} .. {high:.2f}",
+            _angle(prediction.angles.normal),
+            _angle(prediction.angles.turn),
+        ]
+        if tolerance is not None:
+            row.append(f"{prediction.exceeds(tolerance):.3f}")
+        table.add_row(*row)
+    return table
+
+
+def reach_warnings(task: Task) -> list[str]:
+    """A sentence if points of a task cannot be driven to, else nothing."""
+    if task.ok.all():
+        return []
+    first = int(np.argmin(task.ok))
+    return [
+        f"task {task.name}: {int((~task.ok).sum())} of {len(task)} points cannot be driven to; point {first + 1}: "
+        f"{task.status[first]}"
+    ]
+
+
+def _angle(along: Floats) -> str:
+    """The 95 % quantile of the largest angle along the path; what rounding leaves is nothing."""
+    high = _quantiles(along.max(axis=1))["q95"]
+    return f"{high:.2g}" if high > 1e-9 else "0"
+
+
+def _quantiles(worst: Floats) -> dict[str, float]:
+    median, high = np.quantile(worst, [0.5, 0.95])
+    return {"median": float(median), "q95": float(high)}

@@ -15,6 +15,7 @@ from fpcal_bayes.files import replacing
 from fpcal_bayes.measure.hdf5_access import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.measure.sweep_table import TEXTS, Column, check_names, from_columns, joint_columns, to_columns
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.track_record import TrackRecord, get_track, put_track
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell import Cell, Opd
 
@@ -40,6 +41,8 @@ class Campaign:
         What a simulation was made from, else None.
     estimates
         Estimates as written by ``fpcal identify --json``, by session.
+    track
+        States that ``fpcal track`` left, or None.
     """
 
     sweeps: Sweeps
@@ -51,6 +54,7 @@ class Campaign:
     seed: int | None = None
     truth: TruthRecord | None = None
     estimates: dict[str, dict[str, Any]] = field(default_factory=dict)
+    track: TrackRecord | None = None
 
     @classmethod
     def of(
@@ -104,6 +108,8 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
             group = estimates.create_group(_group_name(session))
             _put_estimate(group, estimate)
             put_text(group, "session", session)
+        if campaign.track is not None:
+            put_track(root.create_group("track"), campaign.track)
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campaign:
@@ -143,6 +149,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         table = _table(reader, cell, plan)
         truth = _truth(reader) if reader.has(root, "truth") else None
         texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
+        track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
     if truth is not None:
         truth.check(cell, f"{path}: /truth")
     rows = np.arange(1, len(table[joint_columns(cell)[0]]) + 1)
@@ -156,6 +163,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         seed=seed,
         truth=truth,
         estimates={session: _estimate(path, session, text) for session, text in texts.items()},
+        track=track,
     )
 
 

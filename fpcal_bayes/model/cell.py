@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.errors import InputError, located
 from fpcal_bayes.files import content_sha256
+from fpcal_bayes.model.drift_sizes import DriftSize
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
 
 JointKind = Literal["prismatic", "revolute"]
@@ -81,6 +82,8 @@ class Cell:
         Length the interferometer sees: ``axis`` (along the optical axis) or ``perpendicular``.
     optical_axis
         Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
+    drift
+        How the parameters drift; those not named stay.
     """
 
     name: str
@@ -89,6 +92,7 @@ class Cell:
     wavelength: float
     opd: Opd
     optical_axis: OpticalAxis
+    drift: tuple[DriftSize, ...] = ()
 
     @cached_property
     def revolute(self) -> NDArray[np.bool_]:
@@ -138,6 +142,11 @@ class Cell:
                 "parameters": [[p.name, p.nominal, p.prior_sd, p.optional] for p in self.parameters],
             }
         )
+
+    @cached_property
+    def drift_sha256(self) -> str:
+        """Hash of the drift sizes, which `sha256` leaves out: they change no cavity length."""
+        return content_sha256([size.content() for size in self.drift])
 
     def with_opd(self, opd: Opd) -> "Cell":
         """The same cell with the other path model."""

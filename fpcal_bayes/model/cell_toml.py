@@ -8,7 +8,8 @@ from typing import Any, get_args
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import read_text
 from fpcal_bayes.model.cell import JOINT_UNITS, Cell, ControllerAxis, Joint, Opd, OpticalAxis, make_parameters
-from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS
+from fpcal_bayes.model.drift_sizes import SIZES_IN_UNIT, DriftSize
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
 from fpcal_bayes.resources import built_in_cells, data_file
 
 SCHEMA = "fpcal-cell/1"
@@ -84,17 +85,19 @@ class _Reader:
                     if stem.startswith("runout") and joints[-1].kind == "prismatic":
                         raise self.error(f"{place}.{stem}", "a prismatic joint has no runout")
         extrinsic = self.table(table, "", "extrinsic")
-        self.keys(extrinsic, "extrinsic", set(EXTRINSICS))
+        self.keys(extrinsic, "extrinsic", {"drift", *EXTRINSICS})
         for stem in EXTRINSICS:
             if stem in extrinsic:
                 entries[stem] = self.parameter(extrinsic, "extrinsic", stem, optional=False)
+        parameters = make_parameters(entries, len(joints))
         cell = Cell(
             name=name,
             joints=tuple(joints),
-            parameters=make_parameters(entries, len(joints)),
+            parameters=parameters,
             wavelength=wavelength,
             opd=opd,
             optical_axis=optical_axis,
+            drift=self.drifts(joint_tables, extrinsic, parameters),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
@@ -103,7 +106,7 @@ class _Reader:
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
-        self.keys(table, place, {"kind", f"limits_{unit}", f"repeatability_{unit}", "controller", *LINK_SLOTS})
+        self.keys(table, place, {"kind", f"limits_{unit}", f"repeatability_{unit}", "controller", "drift", *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
@@ -144,6 +147,37 @@ class _Reader:
         if not isinstance(flag, bool):
             raise self.error(f"{place}.optional", f"expected true or false, found {_shown(flag)}")
         return nominal, prior_sd, flag
+
+    def drifts(
+        self, joints: list[dict[str, Any]], extrinsic: dict[str, Any], parameters: ParameterSet
+    ) -> tuple[DriftSize, ...]:
+        """Drift of the parameters that name one, in the cell's order."""
+        parts = [(table, f"joint {number}", f"_{number}") for number, table in enumerate(joints, 1)]
+        found: dict[str, DriftSize] = {}
+        for table, place, suffix in [*parts, (extrinsic, "extrinsic", "")]:
+            if "drift" not in table:
+                continue
+            drift = self.table(table, place, "drift")
+            stems = {stem: f"{stem}{suffix}" for stem in (LINK_SLOTS if suffix else EXTRINSICS)}
+            free = {stem: name for stem, name in stems.items() if parameters[name].prior_sd > 0}
+            self.keys(drift, f"{place}.drift", set(free))
+            for stem, name in free.items():
+                if stem in drift:
+                    found[name] = self.drift_size(drift, f"{place}.drift", stem, name)
+        return tuple(found[name] for name in parameters.names if name in found)
+
+    def drift_size(self, parent: dict[str, Any], place: str, stem: str, name: str) -> DriftSize:
+        table, unit = self.table(parent, place, stem), UNITS[stem]
+        place = f"{place}.{stem}"
+        self.keys(table, place, {"bounded_hours", *(f"{size}_{unit}" for size in SIZES_IN_UNIT)})
+        sizes = {
+            size: self.number(table, place, f"{size}_{unit}", low=low, default=0.0) * SCALES[unit]
+            for size, low in SIZES_IN_UNIT.items()
+        }
+        hours = self.number(table, place, "bounded_hours", low=0.0, default=0.0)
+        if (sizes["bounded_sd"] > 0) != (hours > 0):
+            raise self.error(f"{place}.bounded_hours", f"expected bounded_hours and bounded_sd_{unit} together")
+        return DriftSize(name, bounded_hours=hours, **sizes)
 
     def error(self, key: str, expected: str) -> InputError:
         return InputError(f"{self.file}: key {key}: {expected}")

@@ -1,0 +1,1 @@
+"""How the parameters drift, followed from session to session."""

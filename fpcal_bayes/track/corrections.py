@@ -1,0 +1,154 @@
+"""Rows that are not what they seem: changes whose sign is not known, and fringe counts that slipped.
+
+Both are judged against the predicted state: with a tracked cell, what a sweep will read is mostly known beforehand.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, stats
+
+from fpcal_bayes.infer.slips import MOST_HALF_WAVES
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.filter import Innovation, State, update
+from fpcal_bayes.track.measurement import SweepMeasurement
+
+Floats = NDArray[np.float64]
+
+#: A predicted sign is taken when its odds exceed e^12 with a predictive standard deviation three times as wide.
+_DECISIVE_LOG_ODDS = 12.0
+_WIDENING = 3.0
+#: Probability of a slip somewhere in a session, and of a jump of the parameters before it.
+_SLIP = 1e-3
+_JUMP = 1e-3
+#: A slip is corrected when it is this much likelier than anything else (e^7: a thousand times).
+_DECISIVE = 7.0
+#: Probability of the corrected innovation that a correction must reach.
+_ACCEPT = 1e-3
+
+
+def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
+    """The rows of a session with their signs, decided by what the state predicts.
+
+    Rows with a clear sign are taken in first, which may make those of others clear. Rows that stay open are left out.
+
+    Returns
+    -------
+    tuple
+        Signed rows, and a warning if rows were left out.
+    """
+    known = sweeps.signed | sweeps.absolute
+    if known.all():
+        return sweeps, []
+    dl = sweeps.dl.copy()
+    while not known.all():
+        state = predicted
+        if known.any():
+            part = sweeps.take(known).with_measurement(dl[known], sweeps.sigma[known])
+            state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
+        scaled = jacobian * drift.scale
+        n = drift.n_parameters
+        variance = ((scaled @ state.covariance[:n, :n]) * scaled).sum(axis=1) + sweeps.sigma**2
+        clear = ~known & (2.0 * np.abs(expected) * np.abs(dl) > _DECISIVE_LOG_ODDS * _WIDENING**2 * variance)
+        if not clear.any():
+            break
+        dl[clear] = np.copysign(dl[clear], expected[clear])
+        known |= clear
+    signed = sweeps.with_measurement(dl, sweeps.sigma).take(known)
+    left = int((~known).sum())
+    if not left:
+        return signed, []
+    named = ", ".join(sweeps.label[~known].tolist()[:5]) + (", ..." if left > 5 else "")
+    return signed, [f"the sign of {left} rows cannot be told, they are not used: {named}"]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Rows corrected for slips.
+
+    Attributes
+    ----------
+    dl
+        Corrected changes, shape (n_rows,), in um.
+    warnings
+        One a corrected row, or one that says that a slip is as likely as all else.
+    """
+
+    dl: Floats
+    warnings: tuple[str, ...]
+
+
+def correct_slips(
+    sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
+) -> Correction:
+    """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
+
+    Parameters
+    ----------
+    sweeps, measurement, innovation
+        The session, signed; its innovation is too large.
+    jumps
+        Standard deviations of the jumps that may explain it instead, each of shape (n_states,).
+    """
+    half_wave = 0.5 * measurement.model.cell.wavelength
+    count = len(sweeps)
+    # One um of a row in units of the innovation's standard deviations.
+    units = linalg.solve_triangular(innovation.factor, measurement.whitening.apply(np.eye(count)), lower=True)
+    whitened, dl = innovation.whitened.copy(), sweeps.dl.copy()
+    changes = np.zeros(count, dtype=np.int64)
+    log_odds = float(np.log(_SLIP / (2 * MOST_HALF_WAVES * count)))
+    evidence, needed = 0.0, (count + 1) // 2
+    for _ in range(needed):
+        row, waves, squared = _best_slip(whitened, units * half_wave, changes)
+        evidence += log_odds
+        changes[row] = waves
+        whitened = whitened - waves * half_wave * units[:, row]
+        dl[row] -= waves * half_wave
+        if stats.chi2.sf(squared, count) > _ACCEPT:
+            break
+    else:
+        return Correction(sweeps.dl, ())
+    others = innovation.log_likelihood + _other_gains(innovation, predicted, jumps)
+    slipped, best = evidence + innovation.log_likelihood + 0.5 * (innovation.squared - squared), others
+    if slipped < best + _DECISIVE:
+        doubt = f"slipped fringe counts would explain the session about as well: {_named(sweeps, changes)}"
+        return Correction(sweeps.dl, (doubt,) if slipped > best - _DECISIVE else ())
+    text = f"fringe counts slipped, corrected by whole half wavelengths: {_named(sweeps, changes)}"
+    return Correction(dl, (text,))
+
+
+def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]) -> float:
+    """How much the best explanation without a slip raises the log likelihood, its rarity taken off; at least zero.
+
+    Explanations are chance, each of `jumps`, and each parameter of the last of them jumping alone.
+    """
+    gains = [0.0]
+    rarity = float(np.log(_JUMP))
+    for jump in jumps:
+        covariance = predicted.covariance + np.diag(jump**2)
+        wide = Innovation.of(innovation.misfit, innovation.jacobian, covariance, innovation.log_volume)
+        gains.append(rarity + wide.log_likelihood - innovation.log_likelihood)
+    moving = np.flatnonzero(jumps[-1])
+    columns = innovation.whiten(innovation.jacobian[:, moving] * jumps[-1][moving])
+    size = (columns**2).sum(axis=0)
+    alone = 0.5 * ((columns.T @ innovation.whitened) ** 2 / (1.0 + size) - np.log1p(size))
+    return max(*gains, rarity - float(np.log(len(moving))) + float(alone.max()))
+
+
+def _best_slip(whitened: Floats, columns: Floats, changes: NDArray[np.int64]) -> tuple[int, int, float]:
+    """Row, number of half wavelengths and what is left of the square, for the best further correction."""
+    waves = np.array([k for k in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1) if k])
+    along, size = columns.T @ whitened, (columns**2).sum(axis=0)
+    left = whitened @ whitened - 2.0 * waves[:, None] * along + waves[:, None] ** 2 * size
+    left = np.where(changes == 0, left, np.inf)
+    k, row = (int(i) for i in np.unravel_index(np.argmin(left), left.shape))
+    return row, int(waves[k]), float(left[k, row])
+
+
+def _named(sweeps: Sweeps, changes: NDArray[np.int64]) -> str:
+    return ", ".join(f"{sweeps.label[i]} ({-changes[i]:+d})" for i in np.flatnonzero(changes))

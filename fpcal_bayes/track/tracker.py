@@ -1,0 +1,245 @@
+"""Follow a cell through a campaign: full calibration first, then an update a session."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.observability import GAUGE_SHARE, WEAK_SHARE
+from fpcal_bayes.infer.slips import find_slips
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.track.consistency import Limits, Monitor
+from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.sessions import check_sessions, mean_temperature
+from fpcal_bayes.track.step import SessionOutcome, take_in
+
+Floats = NDArray[np.float64]
+
+#: A first session that determines a smaller share of the free parameters is no calibration.
+_CALIBRATED = 0.6
+
+
+@dataclass(frozen=True)
+class Track:
+    """What following a campaign gave.
+
+    Attributes
+    ----------
+    cell, drift
+        What was followed, and how it drifts.
+    outcomes
+        One a session, in order of time; the first is the calibration.
+    status
+        Of each parameter after the calibration.
+    resumed
+        How many of the outcomes were taken over from an earlier run.
+    warnings
+        Sentences about the calibration.
+    """
+
+    cell: Cell
+    drift: DriftModel
+    outcomes: tuple[SessionOutcome, ...]
+    status: tuple[str, ...]
+    resumed: int = 0
+    warnings: tuple[str, ...] = ()
+    data: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def last(self) -> SessionOutcome:
+        """The latest session."""
+        return self.outcomes[-1]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the calibration and every update came to rest."""
+        return all(outcome.converged for outcome in self.outcomes)
+
+    @property
+    def calibration_due(self) -> str | None:
+        """Name of the last session at which the robot itself was found to have moved, or None.
+
+        A session since with at least as many rows as parameters counts as the calibration.
+        """
+        due = None
+        for outcome in self.outcomes:
+            if outcome.dof >= len(self.drift.parameters):
+                due = None
+            elif outcome.verdict == "intrinsics-moved":
+                due = outcome.session
+        return due
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all sessions after the calibration, given it."""
+        return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
+
+    def estimate(self, valid_until_h: float | None = None) -> Estimate:
+        """The current best estimate: the state after the last session."""
+        return estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+
+
+def estimate_of(
+    cell: Cell,
+    drift: DriftModel,
+    state: State,
+    status: Sequence[str],
+    data: dict[str, str] | None = None,
+    valid_until_h: float | None = None,
+) -> Estimate:
+    """A state as an estimate, in um and rad.
+
+    Parameters
+    ----------
+    status
+        Of each parameter after the calibration; what the data no longer halve the prior variance of becomes weak.
+    """
+    covariance = drift.covariance(state.covariance)
+    left = np.diag(covariance) / drift.scale**2
+    now = tuple(
+        s if s == "gauge" else "weak" if v > WEAK_SHARE else "identified" for s, v in zip(status, left, strict=True)
+    )
+    return Estimate(
+        cell, drift.parameters, drift.values(state.mean), covariance, now, state.time_h, valid_until_h, data or {}
+    )
+
+
+def track(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    drift: DriftModel | None = None,
+    limits: Limits | None = None,
+    known: Track | None = None,
+    calibration: Estimate | None = None,
+    now_h: float | None = None,
+) -> Track:
+    """Follow the free parameters of a cell through the sessions of a campaign.
+
+    Parameters
+    ----------
+    cell
+        With its drift sizes.
+    sweeps
+        Of all sessions, measured. The first session is the full calibration.
+    drift
+        In place of the cell's own.
+    limits
+        Of the tests, by default `Limits()`.
+    known
+        An earlier track of the first sessions, which are not taken in again.
+    calibration
+        What the first session told, in place of its identification: mean and covariance of posterior draws, say.
+    now_h
+        Sessions after this time are refused.
+
+    Raises
+    ------
+    InputError
+        If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
+        calibration.
+    """
+    drift = DriftModel.of(cell) if drift is None else drift
+    limits = Limits() if limits is None else limits
+    parts = check_sessions(sweeps, now_h)
+    model = CavityModel.of(cell, drift.parameters)
+    if known is None and calibration is not None:
+        status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
+        known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
+    elif known is None:
+        first, status, warnings = calibrate(cell, drift, parts[0])
+        known = Track(cell, drift, (first,), status, 0, warnings)
+    else:
+        known = replace(known, resumed=len(known.outcomes))
+    outcomes = list(known.outcomes)
+    for part in parts[len(outcomes) :]:
+        before = outcomes[-1]
+        outcomes.append(take_in(drift, model, limits, before.state, before.monitor, part))
+    return replace(known, outcomes=tuple(outcomes))
+
+
+def calibrate(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[SessionOutcome, tuple[str, ...], tuple[str, ...]]:
+    """Identify all parameters from the first session.
+
+    Returns
+    -------
+    tuple
+        The outcome of the session, the status of each parameter, and warnings.
+
+    Raises
+    ------
+    InputError
+        If the sweeps determine too little to be a calibration.
+    """
+    found = identify(cell, sweeps, free=drift.parameters.names)
+    warnings: tuple[str, ...] = ()
+    if found.fit.p_value < POOR_FIT_BELOW:
+        found, warnings = _without_slips(cell, drift, found)
+    free = len(drift.parameters)
+    if found.spectrum.rank < _CALIBRATED * free:
+        raise InputError(
+            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
+            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
+            "to be a full calibration"
+        )
+    outcome = start(drift, found.estimate, sweeps, found.converged)
+    rows = len(found.problem.sweeps)
+    # The calibration's own innovation is its sum of squares against the prior.
+    squared = found.solution.sum_of_squares
+    outcome = replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=warnings + found.warnings)
+    gauge = found.spectrum.null_share > GAUGE_SHARE
+    status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
+    return outcome, status, ()
+
+
+def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:
+    """The outcome of a calibration from its estimate: maximum of the posterior with Laplace covariance, or others."""
+    values, covariance = estimate.block(drift.parameters.names)
+    state = State(float(sweeps.time_h.max()), *drift.initial(values, covariance), mean_temperature(sweeps))
+    return SessionOutcome(
+        session=str(sweeps.session[0]),
+        time_h=state.time_h,
+        utc=str(sweeps.utc[-1]),
+        n_sweeps=len(sweeps),
+        nis=0.0,
+        dof=0,
+        verdict="as-modelled",
+        evidence=(),
+        warnings=(),
+        log_likelihood=0.0,
+        converged=converged,
+        jump=np.zeros(drift.n_states),
+        predicted=state,
+        state=state,
+        monitor=Monitor(),
+    )
+
+
+def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:
+    """The identification with slipped fringe counts corrected, if that is what spoils it."""
+    slips = find_slips(found.problem, found.solution)
+    rows = np.flatnonzero(slips.counts)
+    if not len(rows):
+        return found, ()
+    used = found.problem.sweeps
+    again = identify(
+        cell,
+        replace(used.with_measurement(slips.problem.target, used.sigma), signed=np.ones(len(used), dtype=bool)),
+        free=drift.parameters.names,
+    )
+    named = ", ".join(f"{used.label[i]} ({-slips.counts[i]:+d})" for i in rows)
+    return again, (f"fringe counts slipped, corrected by whole half wavelengths: {named}",)
+
+
+def innovation_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
+    """Equal-tailed chi-square bounds of a normalised innovation squared."""
+    tail = (1.0 - level) / 2.0
+    return float(2.0 * special.gammaincinv(dof / 2.0, tail)), float(2.0 * special.gammainccinv(dof / 2.0, tail))

@@ -1,0 +1,129 @@
+"""The command ``fpcal track``."""
+
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from track_fixtures import CELL, campaign, knock
+
+from fpcal_bayes.cli.main import main
+from fpcal_bayes.files import file_sha256
+from fpcal_bayes.measure.campaign import read_campaign
+from fpcal_bayes.measure.sweep_files import write_sweeps
+from fpcal_bayes.model.estimate import read_estimate
+
+TRUTH, SWEEPS = campaign(5, sessions=4, change=knock(np.random.default_rng(0)), changed=3)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def written(name: str, *sessions: str, **changes) -> str:
+    sweeps = replace(SWEEPS, **changes)
+    write_sweeps(name, sweeps.take(np.isin(sweeps.session, ["day0", *sessions])) if sessions else sweeps, CELL)
+    return name
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(["track", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    return line
+
+
+def test_json_and_estimate(capsys):
+    file = written("week.csv")
+    before = file_sha256(Path(file))
+    assert main(["track", file, "--json", "out.json", "--estimate", "estimate.json"]) == 0
+    assert file_sha256(Path(file)) == before
+    content = json.loads(Path("out.json").read_text())
+    assert (content["schema"], content["command"], content["time_h"]) == ("fpcal/1", "track", 32.0)
+    sessions = content["sessions"]
+    assert [s["session"] for s in sessions] == ["day0", "s1", "s2", "s3", "s4"]
+    assert {"session", "time_h", "n_sweeps", "nis", "dof", "verdict"} <= set(sessions[0])
+    assert [s["verdict"] for s in sessions[1:]] == ["as-modelled", "as-modelled", "extrinsics-moved", "as-modelled"]
+    assert [s["dof"] for s in sessions[1:]] == [6, 6, 6, 6]
+    assert sessions[3]["nis"] > 100
+    assert content["data"]["sha256"] == before
+    assert any(text.startswith("s3: extrinsics-moved: ") for text in content["warnings"])
+    estimate = read_estimate("estimate.json", CELL)
+    assert estimate.time_h == 32.0
+    assert estimate.parameters.names == CELL.free.names
+    for name, entry in content["parameters"].items():
+        assert entry["value"] == pytest.approx(estimate.shown()[name]["value"], rel=1e-12)
+    x_wf = estimate.parameters.position("x_wf")
+    assert abs(estimate.values[x_wf] - TRUTH.at(32.0)[x_wf]) < 5 * estimate.sd[x_wf]
+    out, err = capsys.readouterr()
+    assert "extrinsics-moved" in out
+    assert "s3: extrinsics-moved: " in err
+
+
+def test_a_campaign_file_keeps_the_states(capsys):
+    file = written("week.h5", "s1", "s2")
+    assert main(["track", file, "--quiet"]) == 0
+    saved = read_campaign(file, CELL)
+    assert saved.track.mean.shape == (3, 21)
+    sweeps = SWEEPS.take(np.isin(SWEEPS.session, ["day0", "s1", "s2", "s3"]))
+    from fpcal_bayes.measure.campaign import write_campaign
+
+    write_campaign(file, replace(saved, sweeps=sweeps), CELL)
+    assert main(["track", file]) == 0
+    assert "4 sessions, 3 known before" in capsys.readouterr().out
+    before = file_sha256(Path(file))
+    assert main(["track", file]) == 0
+    assert "4 sessions, 4 known before" in capsys.readouterr().out
+    assert file_sha256(Path(file)) == before
+    assert main(["track", file, "--opd", "perpendicular"]) == 2
+    assert "of another cell or path model" in capsys.readouterr().err
+    assert main(["track", file, "--anew", "--json", "anew.json"]) == 0
+    assert "4 sessions, 0 known before" in capsys.readouterr().out
+
+
+def test_clock_times_are_shown(capsys):
+    utc = [f"2024-05-{1 + int(hour) // 24:02d}T{int(hour) % 24:02d}:00:00Z" for hour in SWEEPS.time_h]
+    file = written("week.csv", utc=np.array(utc))
+    assert main(["track", file, "--now", "2024-05-02T09:00:00Z"]) == 0
+    assert "2024-05-02 08:00 UTC" in capsys.readouterr().out
+    line = refused(capsys, file, "--now", "2024-05-02T07:00:00Z")
+    assert "session s4 lies in the future" in line
+
+
+def test_what_is_refused(capsys):
+    file = written("week.csv")
+    assert "expected two names" in refused(capsys, file, "--json", "a.json", "--estimate", "a.json")
+    assert "is an input of this command" in refused(capsys, file, "--json", file)
+    write_sweeps("few.csv", SWEEPS.take(SWEEPS.session != "day0"), CELL)
+    assert "is no calibration" in refused(capsys, "few.csv")
+    text = CELL_FILE.read_text().split("[extrinsic.drift]")[0]
+    Path("still.toml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("drift = ")))
+    assert "states no drift" in refused(capsys, file, "--cell", "still.toml")
+
+
+def test_a_reader_never_sees_half_an_estimate():
+    file = written("week.csv", "s1")
+    assert main(["track", file, "--quiet", "--estimate", "estimate.json"]) == 0
+    done, failures = threading.Event(), []
+
+    def read() -> None:
+        while not done.is_set():
+            try:
+                read_estimate("estimate.json", CELL)
+            except Exception as error:
+                failures.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for _ in range(5):
+        main(["track", file, "--quiet", "--estimate", "estimate.json"])
+    done.set()
+    reader.join()
+    assert not failures
+
+
+CELL_FILE = Path(__file__).parents[1] / "data" / "femto-st.toml"

@@ -1,0 +1,103 @@
+"""A track saved and taken up again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from track_fixtures import CELL, DRIFT, campaign, knock
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
+from fpcal_bayes.track.consistency import Limits
+from fpcal_bayes.track.record import record_of, resume
+from fpcal_bayes.track.sessions import check_sessions
+from fpcal_bayes.track.smoother import smooth
+from fpcal_bayes.track.tracker import track
+
+LIMITS = Limits()
+SWEEPS = campaign(5, sessions=7, change=knock(np.random.default_rng(0)), changed=3)[1]
+
+
+def early(*sessions: str):
+    return SWEEPS.take(np.isin(SWEEPS.session, ["day0", *sessions]))
+
+
+def assert_same(a, b):
+    assert [o.session for o in a.outcomes] == [o.session for o in b.outcomes]
+    for one, other in zip(a.outcomes, b.outcomes, strict=True):
+        np.testing.assert_array_equal(one.state.mean, other.state.mean)
+        np.testing.assert_array_equal(one.state.covariance, other.state.covariance)
+        np.testing.assert_array_equal(one.predicted.covariance, other.predicted.covariance)
+        assert (one.verdict, one.nis, one.evidence) == (other.verdict, other.nis, other.evidence)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return track(CELL, SWEEPS)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A campaign file tracked up to session s4, two sessions after a knock."""
+    part = early("s1", "s2", "s3", "s4")
+    path = tmp_path / "campaign.h5"
+    record = record_of(track(CELL, part), part, LIMITS)
+    write_campaign(path, replace(Campaign.of(part, CELL), track=record), CELL)
+    return read_campaign(path, CELL).track
+
+
+def test_tracking_goes_on_as_if_it_had_never_stopped(saved, whole):
+    known, note = resume(saved, CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
+    assert note == ""
+    assert known.resumed == 5
+    assert_same(track(CELL, SWEEPS, known=known), whole)
+
+
+def test_a_late_session_is_taken_in_at_its_time(whole):
+    without = SWEEPS.take(SWEEPS.session != "s5")
+    record = record_of(track(CELL, without), without, LIMITS)
+    known, note = resume(record, CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
+    assert note == "sessions after s4 are taken in anew"
+    assert len(known.outcomes) == 5
+    assert_same(track(CELL, SWEEPS, known=known), whole)
+
+
+def test_a_changed_session_is_taken_in_anew(saved, whole):
+    changed = SWEEPS.with_measurement(np.where(SWEEPS.session == "s2", SWEEPS.dl + 1e-4, SWEEPS.dl), SWEEPS.sigma)
+    known, note = resume(saved, CELL, DRIFT, LIMITS, check_sessions(changed), "file")
+    assert note == "sessions after s1 are taken in anew"
+    assert_same(track(CELL, changed, known=known), track(CELL, changed))
+
+
+def test_other_drift_sizes_or_limits_start_anew(saved):
+    other = DRIFT.resized(lambda size: replace(size, walk=2 * size.walk))
+    for drift, limits in ((other, LIMITS), (DRIFT, Limits(looks=2))):
+        known, note = resume(saved, CELL, drift, limits, check_sessions(SWEEPS), "file")
+        assert known is None
+        assert "all sessions are taken in anew" in note
+
+
+def test_a_state_of_another_cell_is_refused(saved):
+    other = CELL.with_opd("perpendicular")
+    with pytest.raises(InputError, match="file: the track saved in it is of another cell or path model"):
+        resume(saved, other, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
+
+
+@pytest.mark.parametrize("summary", ["[]", "{}", "not JSON", '{"sessions": [1], "status": [], "warnings": []}'])
+def test_a_damaged_state_is_refused(saved, summary):
+    with pytest.raises(InputError, match="file: the saved track cannot be read"):
+        resume(replace(saved, summary=summary), CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
+
+
+def test_the_smoother_knows_more_than_the_filter(whole):
+    smoothed = smooth(DRIFT, whole.outcomes)
+    for outcome, state in zip(whole.outcomes, smoothed, strict=True):
+        excess = np.linalg.eigvalsh(outcome.state.covariance - state.covariance)
+        assert excess.min() > -1e-6
+        assert state.time_h == outcome.time_h
+    np.testing.assert_allclose(smoothed[-1].mean, whole.last.state.mean, atol=1e-12)
+
+
+def test_a_calibration_may_be_given(whole):
+    given = track(CELL, SWEEPS, calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
+    np.testing.assert_allclose(given.last.state.mean, whole.last.state.mean, atol=1e-6)

@@ -1,0 +1,119 @@
+"""Rows that are not what they seem, and identifications with stale values."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from track_fixtures import CELL, DRIFT, campaign
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.sweeps import join
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track.filter import State, predict, update
+from fpcal_bayes.track.measurement import SweepMeasurement
+from fpcal_bayes.track.stale import stale_measurement
+from fpcal_bayes.track.tracker import track
+
+
+@pytest.fixture(scope="module")
+def week():
+    return campaign(1, sessions=4, hours=2.0)
+
+
+def test_unsigned_sweeps_are_given_the_sign_that_is_expected(week):
+    _, sweeps = week
+    lost = replace(sweeps, signed=sweeps.session == "day0")
+    lost = replace(lost, dl=np.where(lost.signed, lost.dl, np.abs(lost.dl)))
+    signed, found = track(CELL, sweeps), track(CELL, lost)
+    dropped = sum("cannot be told" in text for o in found.outcomes[1:] for text in o.warnings)
+    assert sum(o.n_sweeps for o in found.outcomes[1:]) >= 24 - 6
+    for a, b in zip(signed.outcomes[1:], found.outcomes[1:], strict=True):
+        if a.n_sweeps == b.n_sweeps and not dropped:
+            np.testing.assert_allclose(a.state.mean, b.state.mean)
+    assert {o.verdict for o in found.outcomes} == {"as-modelled"}
+
+
+def test_a_slipped_fringe_count_is_corrected_and_said(week):
+    _, sweeps = week
+    row = int(np.flatnonzero(sweeps.session == "s3")[1])
+    dl = sweeps.dl.copy()
+    dl[row] += CELL.wavelength
+    clean, found = track(CELL, sweeps), track(CELL, sweeps.with_measurement(dl, sweeps.sigma))
+    assert found.outcomes[3].verdict == "as-modelled"
+    assert found.outcomes[3].warnings == (
+        f"fringe counts slipped, corrected by whole half wavelengths: {sweeps.label[row]} (-2)",
+    )
+    np.testing.assert_allclose(found.last.state.mean, clean.last.state.mean, atol=1e-9)
+
+
+def test_a_slip_in_the_calibration_is_corrected(week):
+    _, sweeps = week
+    dl = sweeps.dl.copy()
+    dl[3] -= CELL.wavelength
+    found = track(CELL, sweeps.with_measurement(dl, sweeps.sigma))
+    assert any("fringe counts slipped" in text for text in found.outcomes[0].warnings)
+    assert {o.verdict for o in found.outcomes} == {"as-modelled"}
+
+
+def test_one_sweep_is_enough_and_paths_are_left_out(week):
+    _, sweeps = week
+    one = sweeps.take((sweeps.session == "day0") | (sweeps.label == "q3-2"))
+    path = replace(one.take(np.array([-1])), session=np.array(["check"]), time_h=np.array([9.0]))
+    path = replace(path, kind=np.array(["path"]))
+    found = track(CELL, join([one, path]))
+    assert [o.dof for o in found.outcomes[1:]] == [1, 1, 1, 1, 0]
+    assert found.last.warnings == ("1 rows of kind path are not used",)
+    before, after = found.outcomes[-2].state, found.last.state
+    assert (np.diag(after.covariance) >= np.diag(before.covariance)).all()
+
+
+def test_a_stale_identification_is_what_its_sweeps_say():
+    """An extrinsic fit with the intrinsics held: its measurement moves the state as its sweeps projected do."""
+    truth, sweeps = campaign(2, sessions=1, hours=120.0, count=24)
+    full = identify(CELL, sweeps.of_session("day0"))
+    state = predict(DRIFT, State(0.0, *DRIFT.initial(full.estimate.values, full.estimate.covariance)), 120.0)
+    later = sweeps.of_session("s1")
+    stale = identify(CELL, later, free="extrinsic", start=full.estimate, hold="exact").estimate
+    plan = later.with_measurement(np.full(len(later), np.nan), later.sigma)
+    taken = update(state, stale_measurement(DRIFT, plan, stale, ("extrinsic",)))
+    # As a truth it would be far off; as a biased, correlated observation it fits.
+    extrinsic = [p.name for p in CELL.select("extrinsic")]
+    values, covariance = stale.block(extrinsic)
+    error = values - truth.at(120.0)[CELL.free.positions(extrinsic)]
+    assert error @ np.linalg.solve(covariance, error) > 1000
+    assert taken.innovation.squared < 4 * taken.innovation.dof
+    # It holds no more than the sweeps themselves.
+    direct = update(state, SweepMeasurement.of(DRIFT, CavityModel.of(CELL), later, state.mean))
+    extra = np.linalg.eigvalsh(taken.state.covariance - direct.state.covariance)
+    assert extra.min() > -0.02 * extra.max()
+    assert np.trace(taken.state.covariance) < np.trace(state.covariance)
+
+
+def test_a_stale_identification_needs_its_sigmas():
+    _, sweeps = campaign(2, sessions=1)
+    estimate = identify(CELL, sweeps.of_session("day0")).estimate
+    plan = sweeps.of_session("s1").with_measurement(np.full(6, np.nan), np.nan)
+    with pytest.raises(InputError, match="expected sigma_um in every row"):
+        stale_measurement(DRIFT, plan, estimate, ("extrinsic",))
+
+
+def test_a_logged_temperature_drives_the_parameters():
+    """A truth that follows the temperature: with the coefficient in the cell all is as modelled, without it is not."""
+    truth, sweeps = campaign(3, sessions=5)
+    degrees = 20.0 + 3.0 * (np.arange(6) % 2)
+    at = CELL.free.position("x_wf")
+    values = truth.values.copy()
+    values[:, at] += 2.0 * (degrees - 20.0)
+    warm = replace(sweeps, temperature_c=degrees[np.searchsorted(truth.times_h, sweeps.time_h)])
+    measured = simulate(CELL, replace(truth, values=values), warm, sigma=0.005, seed=3)
+    sizes = [replace(s, temperature=2.0) if s.name == "x_wf" else s for s in CELL.drift]
+    learning = [replace(s, temperature_sd=3.0) if s.name == "x_wf" else s for s in CELL.drift]
+    for drift in (sizes, learning):
+        found = track(replace(CELL, drift=tuple(drift)), measured)
+        assert {o.verdict for o in found.outcomes} == {"as-modelled"}
+    # The coefficient has been learnt: 2 um/K.
+    coefficient, sd = 3.0 * found.last.state.mean[21], 3.0 * np.sqrt(found.last.state.covariance[21, 21])
+    assert abs(coefficient - 2.0) < 4 * sd < 1.5
+    assert "extrinsics-moved" in [o.verdict for o in track(CELL, measured).outcomes]

@@ -72,7 +72,7 @@ def log_density_in_jax(found: Identification) -> Callable[[jax.Array], jax.Array
     at = {name: int(cell.parameters[name].slot) for name in EXTRINSICS}
     q = jnp.asarray(np.concatenate([sweeps.q_start, sweeps.q_end]))
     target, scale = jnp.asarray(problem.target), jnp.asarray(problem.whitening.scale)
-    mean, sd = jnp.asarray(problem.prior_mean), jnp.asarray(problem.prior_sd)
+    mean, sd = jnp.asarray(problem.prior.mean), jnp.asarray(problem.prior.sd)
 
     def rot_x(a: jax.Array) -> jax.Array:
         c, s = jnp.cos(a), jnp.sin(a)

@@ -1,5 +1,6 @@
 """The reader of cells: every kind of bad file gives one line that names file and key, and never another exception."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -326,3 +327,65 @@ def tables() -> st.SearchStrategy[str]:
 @given(tables())
 def test_well_formed_toml_of_any_shape(fuzzed: Path, text: str) -> None:
     accepted_or_refused(fuzzed, text.encode())
+
+
+class TestPriors:
+    @staticmethod
+    def cell(tmp_path, table: str):
+        path = tmp_path / "cell.toml"
+        path.write_text(
+            data_file("femto-st.toml")
+            .read_text()
+            .replace("z_et = { nominal_um = 0.0, prior_sd_um = 20.0 }", f"z_et = {{ {table} }}")
+        )
+        return load_cell(path)
+
+    @pytest.mark.parametrize(
+        ("table", "kind", "nominal", "sd"),
+        [
+            ('prior = "normal", nominal_um = 1.0, prior_sd_um = 5.0', None, 1.0, 5.0),
+            ('prior = "uniform", low_um = -3.0, high_um = 9.0', "uniform", 3.0, 12 / 12**0.5),
+            ('prior = "truncated-normal", prior_sd_um = 2.0, low_um = -100.0', "truncated-normal", 0.0, 2.0),
+            (
+                'prior = "half-normal", nominal_um = 1.0, prior_sd_um = 2.0',
+                "truncated-normal",
+                1.0,
+                2 * (1 - 2 / np.pi) ** 0.5,
+            ),
+            ('prior = "log-normal", nominal_um = 5.0, prior_factor = 1.001', "log-normal", 5.0, 5 * np.log(1.001)),
+        ],
+    )
+    def test_kinds(self, tmp_path, table, kind, nominal, sd):
+        p = self.cell(tmp_path, table).parameters["z_et"]
+        assert (None if p.prior is None else p.prior.kind) == kind
+        assert (p.nominal, p.prior_sd) == pytest.approx((nominal, sd), rel=1e-5)
+
+    def test_the_hash_knows_the_kind(self, tmp_path):
+        hashes = {
+            self.cell(tmp_path, table).sha256
+            for table in (
+                "nominal_um = 0.0, prior_sd_um = 20.0",
+                'prior = "truncated-normal", prior_sd_um = 20.0, low_um = -1000.0',
+                'prior = "truncated-normal", prior_sd_um = 20.0, low_um = -2000.0',
+            )
+        }
+        assert len(hashes) == 3
+        assert load_cell().sha256 in hashes
+
+    @pytest.mark.parametrize(
+        ("table", "message"),
+        [
+            ('prior = "cauchy", prior_sd_um = 1.0', "extrinsic.z_et.prior: expected one of normal, truncated-normal"),
+            ('prior = "uniform", low_um = -3.0', "extrinsic.z_et.high_um: expected a finite number"),
+            ('prior = "uniform", low_um = 3.0, high_um = 1.0', "extrinsic.z_et: a uniform prior: expected low < high"),
+            ('prior = "uniform", low_um = 0.0, high_um = 1.0, nominal_um = 2.0', "expected low < nominal < high"),
+            ('prior = "uniform", low_um = 0.0, high_um = 1.0, prior_sd_um = 2.0', "prior_sd_um: unknown key"),
+            ('prior = "log-normal", nominal_um = -1.0, prior_factor = 2.0', "expected a nominal value above zero"),
+            ('prior = "half-normal", prior_sd_um = 0.0', "expected a spread above zero"),
+            ('prior = "truncated-normal", prior_sd_um = 1.0, low_um = 2.0', "expected a spread above zero and low <="),
+            ("prior_sd_um = 20.0, low_um = -1.0", "extrinsic.z_et.low_um: unknown key"),
+        ],
+    )
+    def test_refused(self, tmp_path, table, message):
+        with pytest.raises(InputError, match=re.escape(message)):
+            self.cell(tmp_path, table)

@@ -45,7 +45,7 @@ def test_a_linear_case_is_a_parabola():
     for i, name in enumerate(("x_wf", "y_wf", "z_wf")):
         result = profile(problem, found.solution, name)
         assert result.shape == "finite"
-        centre, width = problem.values(best)[i], sd[i] * problem.prior_sd[i]
+        centre, width = problem.values(best)[i], sd[i] * problem.prior.sd[i]
         # The prior, 200 um wide, stays in the fit of the others and pulls by far less than a percent.
         assert result.low == pytest.approx(centre - 1.959964 * width, abs=0.01 * width)
         assert result.high == pytest.approx(centre + 1.959964 * width, abs=0.01 * width)

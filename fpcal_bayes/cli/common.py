@@ -15,7 +15,7 @@ from rich.console import Console
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import file_sha256, require_writable, write_json
 from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.model.estimate import SCHEMA
+from fpcal_bayes.model.estimate import SCHEMA, Estimate, read_estimate
 
 if TYPE_CHECKING:
     from fpcal_bayes.infer.identify import Identification
@@ -47,6 +47,18 @@ def add_command(
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--json``."""
     parser.add_argument("--json", metavar="OUT", type=Path, help="write the result as JSON")
+
+
+def add_prior(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--prior``."""
+    parser.add_argument(
+        "--prior", metavar="ESTIMATE", help="estimate JSON whose values and covariance replace the cell's priors"
+    )
+
+
+def prior_of(options: argparse.Namespace, cell: Cell) -> Estimate | None:
+    """The estimate that ``--prior`` names."""
+    return None if options.prior is None else read_estimate(options.prior, cell)
 
 
 def cell_of(options: argparse.Namespace) -> Cell:

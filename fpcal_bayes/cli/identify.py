@@ -6,9 +6,11 @@ from fpcal_bayes.cli.common import (
     Commands,
     add_command,
     add_json,
+    add_prior,
     cell_of,
     check_output,
     console,
+    prior_of,
     warm_up,
     warn,
     with_source,
@@ -31,24 +33,27 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
     parser.add_argument("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
     parser.add_argument("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
+    add_prior(parser)
     parser.add_argument("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    from fpcal_bayes.infer.estimate_draws import draws_content
     from fpcal_bayes.infer.identify import identify
     from fpcal_bayes.measure.sweep_files import read_sweeps
     from fpcal_bayes.model.estimate import read_estimate
     from fpcal_bayes.report.tables import fit_lines, parameter_table
 
     cell = cell_of(options)
-    check_output(options.json, options.file, options.start)
+    check_output(options.json, options.file, options.start, options.prior)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
+    prior = prior_of(options, cell)
     cell.select(options.free)
     warm_up(cell)
-    found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold)
+    found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
     result = with_source(found, options.file, sweeps.sessions[0])
 
     out = console(options)
@@ -57,5 +62,6 @@ def run(options: argparse.Namespace) -> int:
     for line in fit_lines(result):
         out.print(line, markup=False, soft_wrap=True)
     warn(result.warnings)
-    write_result(options.json, "identify", result.content())
+    if options.json is not None:
+        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     return 0 if result.converged else 1

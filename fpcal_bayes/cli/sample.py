@@ -12,10 +12,12 @@ from fpcal_bayes.cli.common import (
     Commands,
     add_command,
     add_json,
+    add_prior,
     cell_of,
     check_output,
     console,
     count,
+    prior_of,
     seed,
     warm_up,
     warn,
@@ -51,6 +53,7 @@ def add_parser(commands: Commands) -> None:
         default="gaussian",
         help="slip: each dL may be off by whole half wavelengths (default: gaussian)",
     )
+    add_prior(parser)
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
     parser.add_argument("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
     parser.add_argument(
@@ -69,14 +72,15 @@ def run(options: argparse.Namespace) -> int:
     from fpcal_bayes.report.posterior_tables import posterior_table
 
     cell = cell_of(options)
-    check_output(options.output, options.file)
-    check_output(options.json, options.file, options.output)
+    check_output(options.output, options.file, options.prior)
+    check_output(options.json, options.file, options.output, options.prior)
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
+    prior = prior_of(options, cell)
     warm_up(cell)
-    result = with_source(identify(cell, sweeps), options.file, sweeps.sessions[0])
+    result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps.sessions[0])
     warn(result.warnings)
     if not result.converged:
         warn(["the posterior is not sampled, since its maximum was not found"])

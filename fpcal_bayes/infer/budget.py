@@ -35,6 +35,8 @@ Floats = NDArray[np.float64]
 #: Share of the probability inside the coverage interval, and draws of its Monte Carlo evaluation (JCGM 101).
 COVERAGE = 0.95
 _DRAWS = 200_000
+#: Sweeps are those that an estimate was made from if they leave the same standard deviation but for this share.
+_AGREEMENT = 0.01
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def budget_of(
     Raises
     ------
     InputError
-        If a point of the task is out of reach, or the sweeps carry no measurement.
+        If a point of the task is out of reach, or the sweeps carry no measurement or are not those of the estimate.
     """
     conditions = Conditions() if conditions is None else conditions
     model = CavityModel.of(estimate.cell, estimate.parameters)
@@ -224,10 +226,17 @@ def _prior_lines(estimate: Estimate, model: CavityModel, row: Floats, sweeps: Sw
     unknowns = problem.unknowns(estimate.values)
     problem = problem.relinearised(unknowns)
     whitened = problem.data_jacobian(unknowns)
+    slopes = problem.prior.slopes(unknowns)
     # e = seen . (Jw' noise - prior deviation), in whitened units: seen is the row of (Jw'Jw + I)^-1.
-    seen = np.linalg.solve(whitened.T @ whitened + np.eye(len(row)), problem.prior_sd * row)
+    seen = np.linalg.solve(whitened.T @ whitened + np.eye(len(row)), slopes.T @ row)
+    left, stated = float(row @ slopes @ seen) ** 0.5, float(row @ estimate.covariance @ row) ** 0.5
+    if abs(left - stated) > _AGREEMENT * stated:
+        raise InputError(
+            f"{sweeps.file}: these sweeps, all parameters free, leave {1e3 * left:.3g} nm of the task, the estimate "
+            f"{1e3 * stated:.3g} nm: expected the sweeps that it was made from"
+        )
     predicted, jacobian = model.predict_with_jacobian(estimate.values, problem.rows)
-    gain = problem.whitening.weigh(jacobian @ (problem.prior_sd * seen))
+    gain = problem.whitening.weigh(jacobian @ (slopes @ seen))
     fringe = _reading_sd(gain, used)
     others = float(np.sqrt(max(float(np.sum((whitened @ seen) ** 2)) - fringe**2, 0.0)))
     typical = float(np.median(used.sigma))

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, Solution, minimise, solution_rank
 from fpcal_bayes.infer.mirror import distinct_minima, mirror_images
 from fpcal_bayes.infer.observability import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.prior import Prior
 from fpcal_bayes.infer.problem import Considered, Problem
 from fpcal_bayes.infer.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -139,6 +140,7 @@ def identify(
     free: str | Sequence[str] = "all",
     start: Estimate | None = None,
     hold: Hold = "consider",
+    prior: Estimate | None = None,
     seed: int = 0,
     max_starts: int = 10,
 ) -> Identification:
@@ -157,6 +159,9 @@ def identify(
     hold
         ``consider``: held parameters are uncertain by the covariance of `start` (the prior without one) and that
         uncertainty reaches the result (Schmidt's consider parameters). ``exact``: they are taken as known.
+    prior
+        An earlier estimate whose values and covariance are the prior, jointly normal, of the free parameters that it
+        holds (yesterday's posterior as today's prior); by default the priors of the cell.
     seed
         Of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
     max_starts
@@ -177,8 +182,8 @@ def identify(
     chosen = cell.select(free)
     if not len(chosen):
         raise InputError("nothing is free: expected at least one parameter to identify")
-    problem = _set_up(cell, used, chosen, start, hold)
-    first = problem.unknowns(_starting_values(chosen, start))
+    problem = _set_up(cell, used, chosen, start, hold, prior)
+    first = _starting_unknowns(problem, start)
 
     signs = None
     if not (used.signed | used.absolute).all():
@@ -188,9 +193,9 @@ def identify(
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     unknowns = solution.unknowns
-    spectrum = spectrum_of(problem.data_jacobian(unknowns)[:, : len(chosen)])
+    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
     covariance = problem.covariance(unknowns)
-    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / chosen.prior_sd**2)
+    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
     fit = _goodness(problem, unknowns)
 
     if not solution.converged:
@@ -243,7 +248,9 @@ def identify(
     )
 
 
-def _set_up(cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold) -> Problem:
+def _set_up(
+    cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold, prior: Estimate | None
+) -> Problem:
     """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
     known = start.parameters.names if start is not None else ()
     held = ParameterSet(p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free))
@@ -258,16 +265,19 @@ def _set_up(cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | 
     considered = None
     if hold == "consider" and len(held):
         considered = Considered.of(held, covariance)
-    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered)
+    before = None if prior is None else Prior.joint(chosen, prior)
+    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
 
 
-def _starting_values(chosen: ParameterSet, start: Estimate | None) -> Floats:
-    values = chosen.nominal.copy()
-    if start is not None:
-        for i, name in enumerate(chosen.names):
-            if name in start.parameters:
-                values[i] = start.values[start.parameters.position(name)]
-    return values
+def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
+    """Scaled unknowns (n_unknowns,) of `start`, or the middle of the prior."""
+    if start is None:
+        return np.zeros(problem.n_unknowns)
+    values = problem.values(np.zeros(problem.n_unknowns))
+    for i, name in enumerate(problem.model.free.names):
+        if name in start.parameters:
+            values[i] = start.values[start.parameters.position(name)]
+    return problem.unknowns(values)
 
 
 def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
@@ -355,8 +365,11 @@ def _estimate(
     chosen = problem.model.free
     uncertain = list(chosen.names) + list(problem.considered.parameters.names if problem.considered else ())
     vector = problem.model.vector(problem.values(unknowns))
+    prior_sd = dict(zip(chosen.names, problem.prior.sd.tolist(), strict=True))
     parameters = ParameterSet(
-        p for p in cell.parameters if p.name in uncertain or p.name in cell.free or vector[p.slot] != p.nominal
+        replace(p, prior_sd=prior_sd.get(p.name, p.prior_sd))
+        for p in cell.parameters
+        if p.name in uncertain or p.name in cell.free or vector[p.slot] != p.nominal
     )
     at = parameters.positions(uncertain)
     full = np.zeros((len(parameters), len(parameters)))

@@ -17,6 +17,7 @@ from fpcal_bayes.infer.identify import Identification, identify
 from fpcal_bayes.infer.indices import Indices, indices_of
 from fpcal_bayes.infer.information import Information, gain_of, information_of
 from fpcal_bayes.infer.observability import WEAK_SHARE, Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.prior import Prior
 from fpcal_bayes.infer.profile import Profile, profile
 from fpcal_bayes.measure.protocol import add_midpoints
 from fpcal_bayes.measure.sweeps import Sweeps, join
@@ -239,7 +240,7 @@ def observe(
     if identification is None:
         used = replace(used, sigma=np.where(np.isfinite(used.sigma), used.sigma, sigma))
         rng = np.random.default_rng(seed)
-        points = cell.free.nominal + cell.free.prior_sd * rng.standard_normal((_DRAWS, len(cell.free)))
+        points = Prior.of(cell.free).values(rng.standard_normal((_DRAWS, len(cell.free))))
     else:
         points = identification.problem.values(identification.solution.unknowns)[None]
 

@@ -1,8 +1,9 @@
 """The whitened least-squares problem that the identification, the posterior and the reports share.
 
-Unknowns are deviations from the prior mean in units of the prior standard deviation, so that every prior row is a unit
-row. Parameters that are held but uncertain (consider parameters, Schmidt 1966) enter as further unknowns in which the
-data are linear: their uncertainty reaches the free parameters, their values stay.
+Unknowns are standard normal scores of the prior (for a normal prior: deviations from its mean in units of its standard
+deviation), so that every prior row is a unit row. Parameters that are held but uncertain (consider parameters, Schmidt
+1966) enter as further unknowns in which the data are linear: their uncertainty reaches the free parameters, their
+values stay.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fpcal_bayes.infer.covariance import Whitening, whitening_of
+from fpcal_bayes.infer.prior import Prior
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.model.parameters import ParameterSet
@@ -64,8 +66,8 @@ class Problem:
         Measured changes with the sign decided for each row, shape (n_rows,).
     whitening
         Of the rows.
-    prior_mean, prior_sd
-        Of the free parameters in um and rad, shape (n,).
+    prior
+        Of the free parameters.
     considered
         Held but uncertain parameters, or None.
     sensitivity
@@ -77,33 +79,35 @@ class Problem:
     rows: Rows
     target: Floats
     whitening: Whitening
-    prior_mean: Floats
-    prior_sd: Floats
+    prior: Prior
     considered: Considered | None = None
     sensitivity: Floats | None = None
 
     @classmethod
     def of(
-        cls, model: CavityModel, sweeps: Sweeps, considered: Considered | None = None, target: Floats | None = None
+        cls,
+        model: CavityModel,
+        sweeps: Sweeps,
+        considered: Considered | None = None,
+        target: Floats | None = None,
+        prior: Prior | None = None,
     ) -> "Problem":
-        """The problem of `sweeps` under the cell's prior, linearised at nominal where that matters."""
-        free = model.free
+        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
         problem = cls(
             model=model,
             sweeps=sweeps,
             rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
             target=sweeps.dl if target is None else target,
             whitening=Whitening(1.0 / sweeps.sigma),
-            prior_mean=free.nominal,
-            prior_sd=free.prior_sd,
+            prior=Prior.of(model.free) if prior is None else prior,
             considered=considered,
         )
-        return problem.relinearised(np.zeros(len(free)))
+        return problem.relinearised(np.zeros(len(model.free)))
 
     @property
     def n_free(self) -> int:
         """Number of free parameters."""
-        return len(self.prior_mean)
+        return len(self.prior.mean)
 
     @property
     def n_unknowns(self) -> int:
@@ -117,12 +121,18 @@ class Problem:
 
     def values(self, unknowns: Floats) -> Floats:
         """Free parameters in um and rad of scaled unknowns (..., n_unknowns)."""
-        return self.prior_mean + self.prior_sd * unknowns[..., : self.n_free]
+        return self.prior.values(unknowns[..., : self.n_free])
 
     def unknowns(self, values: Floats) -> Floats:
-        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero."""
+        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero.
+
+        Raises
+        ------
+        InputError
+            If the prior excludes a value.
+        """
         result = np.zeros(self.n_unknowns)
-        result[: self.n_free] = (values - self.prior_mean) / self.prior_sd
+        result[: self.n_free] = self.prior.scores(values)
         return result
 
     def relinearised(self, unknowns: Floats) -> "Problem":
@@ -144,8 +154,7 @@ class Problem:
 
     def take(self, chosen: NDArray[np.bool_]) -> "Problem":
         """The problem of some of the rows, under the same prior."""
-        problem = Problem.of(self.model, self.sweeps.take(chosen), self.considered, self.target[chosen])
-        return problem
+        return Problem.of(self.model, self.sweeps.take(chosen), self.considered, self.target[chosen], self.prior)
 
     def data_residuals(self, unknowns: Floats) -> Floats:
         """Whitened prediction minus measurement, shape (n_rows,)."""
@@ -157,10 +166,17 @@ class Problem:
     def data_jacobian(self, unknowns: Floats) -> Floats:
         """Derivatives of `data_residuals` by the unknowns, shape (n_rows, n_unknowns)."""
         _, jacobian = self.model.predict_with_jacobian(self.values(unknowns), self.rows)
-        scaled = jacobian * self.prior_sd
+        scaled = self.prior.by_scores(jacobian, unknowns[: self.n_free])
         if self.sensitivity is not None:
             scaled = np.hstack([scaled, self.sensitivity])
         return self.whitening.apply(scaled)
+
+    def prior_scaled_jacobian(self, unknowns: Floats) -> Floats:
+        """Derivatives of the whitened rows by the free parameters in prior standard deviations, shape (n_rows, n)."""
+        if self.prior.factor is None and not self.prior.others:
+            return self.data_jacobian(unknowns)[:, : self.n_free]
+        _, jacobian = self.model.predict_with_jacobian(self.values(unknowns), self.rows)
+        return self.whitening.apply(jacobian * self.prior.sd)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         """Whitened data residuals and their derivatives at many points.
@@ -184,7 +200,7 @@ class Problem:
 
     def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
         predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)
-        scaled = jacobian * self.prior_sd
+        scaled = self.prior.by_scores(jacobian, points[:, : self.n_free])
         change = predicted - self.target
         if self.sensitivity is not None:
             change = change + points[:, self.n_free :] @ self.sensitivity.T
@@ -222,7 +238,7 @@ class Problem:
         scaled = inverse @ inverse.T
         transform = np.zeros((self.n_unknowns, self.n_unknowns))
         n = self.n_free
-        transform[:n, :n] = np.diag(self.prior_sd)
+        transform[:n, :n] = self.prior.slopes(unknowns[:n])
         if self.considered is None:
             return _symmetric(transform @ scaled @ transform)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.

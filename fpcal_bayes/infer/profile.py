@@ -65,7 +65,7 @@ def profile(problem: Problem, solution: Solution, name: str, *, level: float = 0
     """
     position = problem.model.free.position(name)
     threshold = 2.0 * float(special.gammaincinv(0.5, level))
-    prior_sd = problem.prior_sd[position]
+    prior_sd = problem.prior.sd[position]
     centre = problem.values(solution.unknowns)[position]
     others = np.delete(np.arange(problem.n_unknowns), position)
     track = _Track(problem, position, solution.unknowns[others])

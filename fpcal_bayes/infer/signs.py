@@ -100,7 +100,7 @@ class _Branch:
         unknowns = self.solution.unknowns
         n = problem.n_free
         predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
-        scaled = jacobian * problem.prior_sd
+        scaled = problem.prior.by_scores(jacobian, unknowns[:n])
         if problem.sensitivity is not None:
             predicted = predicted + problem.sensitivity @ unknowns[n:]
             scaled = np.hstack([scaled, problem.sensitivity])

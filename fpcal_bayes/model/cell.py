@@ -1,10 +1,10 @@
 """A cell: robot chain, mirror, fibre and optics, as described by a TOML file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from fpcal_bayes.errors import InputError, located
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.model.drift_sizes import DriftSize
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
+from fpcal_bayes.model.priors import Marginal
 
 JointKind = Literal["prismatic", "revolute"]
 Opd = Literal["axis", "perpendicular"]
@@ -139,7 +140,9 @@ class Cell:
                 "opd": self.opd,
                 "optical_axis": self.optical_axis,
                 "joints": [[j.kind, _finite(j.low), _finite(j.high), j.repeatability] for j in self.joints],
-                "parameters": [[p.name, p.nominal, p.prior_sd, p.optional] for p in self.parameters],
+                "parameters": [
+                    [p.name, p.nominal, p.prior_sd, p.optional, *_settings(p.prior)] for p in self.parameters
+                ],
             }
         )
 
@@ -183,8 +186,20 @@ class Cell:
         return f"Cell({self.name!r}, chain {chain}, {len(self.free)} free parameters, opd {self.opd!r})"
 
 
+class ParameterEntry(NamedTuple):
+    """What a cell says of a parameter: nominal value, prior standard deviation, whether optional, prior if not normal.
+
+    In internal units.
+    """
+
+    nominal: float
+    prior_sd: float
+    optional: bool
+    prior: Marginal | None = None
+
+
 def make_parameters(
-    entries: dict[str, tuple[float, float, bool]],
+    entries: Mapping[str, ParameterEntry | tuple[float, float, bool]],
     n_joints: int,
 ) -> ParameterSet:
     """Every parameter of the model vector of a chain.
@@ -192,8 +207,7 @@ def make_parameters(
     Parameters
     ----------
     entries
-        Nominal value, prior standard deviation (both in internal units) and `optional`, by name;
-        what is missing is zero and cannot be freed.
+        By name; what is missing is zero and cannot be freed.
     n_joints
         Number of links of the chain.
     """
@@ -204,8 +218,8 @@ def make_parameters(
         raise InputError(f"unknown parameter {sorted(unknown)[0]!r} for a chain of {n_joints} joints")
     made = []
     for slot, (name, unit, kind) in enumerate(names):
-        nominal, prior_sd, optional = entries.get(name, (0.0, 0.0, False))
-        made.append(Parameter(name, unit, nominal, prior_sd, kind, slot, optional))  # type: ignore[arg-type]
+        nominal, prior_sd, optional, prior = ParameterEntry(*entries.get(name, (0.0, 0.0, False)))
+        made.append(Parameter(name, unit, nominal, prior_sd, kind, slot, optional, prior))  # type: ignore[arg-type]
     return ParameterSet(made)
 
 
@@ -257,6 +271,10 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cel
 
     cell = read_cell(source)
     return cell.with_opd(opd) if opd is not None else cell
+
+
+def _settings(prior: Marginal | None) -> list[str | float | None]:
+    return [] if prior is None else [prior.kind, *map(_finite, prior.settings())]
 
 
 def _finite(value: float) -> float | None:

@@ -7,9 +7,19 @@ from typing import Any, get_args
 
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import read_text
-from fpcal_bayes.model.cell import JOINT_UNITS, Cell, ControllerAxis, Joint, Opd, OpticalAxis, make_parameters
+from fpcal_bayes.model.cell import (
+    JOINT_UNITS,
+    Cell,
+    ControllerAxis,
+    Joint,
+    Opd,
+    OpticalAxis,
+    ParameterEntry,
+    make_parameters,
+)
 from fpcal_bayes.model.drift_sizes import SIZES_IN_UNIT, DriftSize
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
+from fpcal_bayes.model.priors import LogNormal, Marginal, TruncatedNormal, Uniform
 from fpcal_bayes.resources import built_in_cells, data_file
 
 SCHEMA = "fpcal-cell/1"
@@ -49,6 +59,16 @@ def read_cell(source: str | Path) -> Cell:
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
     return _Reader(str(source)).cell(table)
+
+
+#: Keys of a parameter's table by its kind of prior, beside `prior`, `nominal` and `optional`.
+_PRIOR_KEYS = {
+    "normal": ("prior_sd_{unit}",),
+    "truncated-normal": ("prior_sd_{unit}", "low_{unit}", "high_{unit}"),
+    "half-normal": ("prior_sd_{unit}",),
+    "uniform": ("low_{unit}", "high_{unit}"),
+    "log-normal": ("prior_factor",),
+}
 
 
 class _Reader:
@@ -137,16 +157,41 @@ class _Reader:
             per_unit=units[unit],
         )
 
-    def parameter(self, parent: dict[str, Any], place: str, stem: str, optional: bool) -> tuple[float, float, bool]:
+    def parameter(self, parent: dict[str, Any], place: str, stem: str, optional: bool) -> ParameterEntry:
         table = self.table(parent, place, stem)
         place, unit = f"{place}.{stem}", UNITS[stem]
-        self.keys(table, place, {f"nominal_{unit}", f"prior_sd_{unit}", "optional"})
-        nominal = self.number(table, place, f"nominal_{unit}", default=0.0) * SCALES[unit]
-        prior_sd = self.number(table, place, f"prior_sd_{unit}", low=0.0, default=0.0) * SCALES[unit]
+        kind = self.choice(table, place, "prior", tuple(_PRIOR_KEYS), "normal")
+        allowed = {key.format(unit=unit) for key in _PRIOR_KEYS[kind]}
+        self.keys(table, place, {"prior", f"nominal_{unit}", "optional", *allowed})
+
+        def length(stem: str, *, low: float = -math.inf, default: float | None = None) -> float:
+            return self.number(table, place, f"{stem}_{unit}", low=low, default=default) * SCALES[unit]
+
         flag = table.get("optional", optional)
         if not isinstance(flag, bool):
             raise self.error(f"{place}.optional", f"expected true or false, found {_shown(flag)}")
-        return nominal, prior_sd, flag
+        if kind == "normal":
+            return ParameterEntry(length("nominal", default=0.0), length("prior_sd", low=0.0, default=0.0), flag)
+        ends = [length(end) if f"{end}_{unit}" in table else None for end in ("low", "high")]
+        prior: Marginal
+        try:
+            if kind == "uniform":
+                low, high = length("low"), length("high")
+                nominal = length("nominal", default=(low + high) / 2 / SCALES[unit])
+                prior = Uniform(low, high)
+                if not low < nominal < high:
+                    raise InputError("a uniform prior: expected low < nominal < high")
+            elif kind == "log-normal":
+                nominal = length("nominal")
+                prior = LogNormal(nominal, self.number(table, place, "prior_factor"))
+            else:
+                nominal = length("nominal", default=0.0)
+                low = nominal if kind == "half-normal" else -math.inf if ends[0] is None else ends[0]
+                high = math.inf if ends[1] is None else ends[1]
+                prior = TruncatedNormal(nominal, length("prior_sd"), low, high)
+        except InputError as error:
+            raise error if place in str(error) else self.error(place, str(error)) from error
+        return ParameterEntry(nominal, prior.sd, flag, prior)
 
     def drifts(
         self, joints: list[dict[str, Any]], extrinsic: dict[str, Any], parameters: ParameterSet

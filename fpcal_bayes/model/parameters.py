@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.model.priors import Marginal
 
 Kind = Literal["intrinsic", "extrinsic"]
 
@@ -50,6 +51,8 @@ class Parameter:
         Position in the model vector (see `model_size`).
     optional
         Freed only when it is asked for by name.
+    prior
+        The prior where it is not normal; `prior_sd` is its standard deviation.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Parameter:
     kind: Kind
     slot: int
     optional: bool = False
+    prior: Marginal | None = None
 
     @property
     def scale(self) -> float:

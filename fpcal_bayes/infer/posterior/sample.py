@@ -181,18 +181,23 @@ def make_target(identification: Identification, likelihood: Likelihood) -> tuple
 def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -> str:
     """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
     sweeps = problem.sweeps
-    held = None if problem.considered is None else problem.considered.factor.tolist()
+    held = None if problem.considered is None else problem.considered.factor
     return content_sha256(
         {
             "program": __version__,
             "cell": problem.model.cell.sha256,
             "free": list(problem.model.free.names),
-            "held": [problem.model.held.tolist(), held],
+            "prior": [problem.prior.mean.tolist(), problem.prior.sd.tolist(), _listed(problem.prior.factor)],
+            "held": [problem.model.held.tolist(), _listed(held)],
             "data": [sweeps.q_start.tolist(), sweeps.q_end.tolist(), problem.target.tolist(), sweeps.sigma.tolist()],
             "rows": [sweeps.signed.tolist(), sweeps.group.tolist(), sweeps.kind.tolist()],
             "sampler": [likelihood, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
         }
     )
+
+
+def _listed(numbers: Floats | None) -> list[object] | None:
+    return None if numbers is None else numbers.tolist()
 
 
 class _Ensemble:

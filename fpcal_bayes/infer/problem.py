@@ -240,7 +240,7 @@ class Problem:
         n = self.n_free
         transform[:n, :n] = self.prior.slopes(unknowns[:n])
         if self.considered is None:
-            return _symmetric(transform @ scaled @ transform)
+            return _symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
         jacobian = self.data_jacobian(unknowns)
         gain = scaled[:n] @ jacobian.T

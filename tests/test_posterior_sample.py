@@ -241,7 +241,6 @@ class TestUnsigned:
         found = self.one_parameter(femto, [3.0, 2.0], 0.05, [False, False])
         assert [probability for _, probability in found.doubtful_signs] == pytest.approx([0.5, 0.5], abs=0.01)
 
-    @pytest.mark.xfail(reason="the charts know one assignment of signs only", strict=True)
     def test_signs_left_open_are_sampled(self, femto):
         found = self.one_parameter(femto, [3.0, 2.0], 0.05, [False, False])
         draws, unknowns, weights = self.check(found)

@@ -26,6 +26,9 @@ class ToyTarget:
     def log_density(self, residuals: np.ndarray, points: np.ndarray) -> np.ndarray:
         return half_squares(residuals, points)
 
+    def centred(self, reference: np.ndarray) -> "ToyTarget":
+        return self
+
 
 class LinearTarget(ToyTarget):
     """N(0, Sigma) with standard deviations over two decades, in rotated axes."""

@@ -49,10 +49,12 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
     parser.add_argument(
         "--likelihood",
-        choices=("gaussian", "slip"),
+        choices=("gaussian", "student", "slip"),
         default="gaussian",
-        help="slip: each dL may be off by whole half wavelengths (default: gaussian)",
+        help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
+        "(default: gaussian)",
     )
+    parser.add_argument("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
     add_prior(parser)
     parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
     parser.add_argument("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
@@ -86,11 +88,15 @@ def run(options: argparse.Namespace) -> int:
         warn(["the posterior is not sampled, since its maximum was not found"])
         return 1
 
-    if result.doubtful_signs:
-        warn(["the draws keep the signs as they were decided: where these are doubtful, the draws are too narrow"])
+    if result.doubtful_signs and (result.problem.sweeps.group != "").any():
+        warn(
+            [
+                "rows that share a reading keep the signs as they were decided: where these are doubtful, the draws are too narrow"
+            ]
+        )
 
     folder = options.output.with_name(options.output.name + ".blocks")
-    store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood))
+    store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood, options.noise_scale))
     if not options.resume:
         store.clear()
     bar = Progress(
@@ -109,7 +115,13 @@ def run(options: argparse.Namespace) -> int:
             bar.update(task, completed=share, effective=effective)
 
         posterior = sample(
-            result, draws=options.draws, likelihood=options.likelihood, seed=options.seed, store=store, progress=show
+            result,
+            draws=options.draws,
+            likelihood=options.likelihood,
+            noise_scale=options.noise_scale,
+            seed=options.seed,
+            store=store,
+            progress=show,
         )
 
     out = console(options)
@@ -119,11 +131,14 @@ def run(options: argparse.Namespace) -> int:
     out.print(
         f"sampler: {posterior.log_density.size} draws in {posterior.seconds:.1f} s, acceptance "
         f"{100 * posterior.acceptance:.0f} %, effective {diagnostics.effective:.0f} or more, nested R-hat at most "
-        f"{diagnostics.rhat.max():.4f}, charts {1 + len(result.other_minima)}, outside them "
+        f"{diagnostics.rhat.max():.4f}, charts {posterior.charts}, outside them "
         f"{100 * posterior.outside:.2g} %",
         markup=False,
         soft_wrap=True,
     )
+    noise = posterior.target.noise_factors(posterior.points)
+    if noise is not None:
+        out.print(f"noise: {noise.mean():.3f} +- {noise.std():.3f} times the stated", markup=False, soft_wrap=True)
     slips = slip_probabilities(posterior)
     if slips is not None:
         likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]

@@ -1,6 +1,6 @@
 """The covariance of the measured rows, and the whitening that makes them independent with unit variance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -106,6 +106,11 @@ class Whitening:
         for batch in self.batches:
             batch.apply(columns, into)
         return result
+
+    def scaled(self, factor: float) -> "Whitening":
+        """The whitening of rows whose errors are `factor` times as large."""
+        batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
+        return Whitening(self.scale / factor, batches)
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse, special
 
 from fpcal_bayes.infer.least_squares import Solution, minimise
+from fpcal_bayes.infer.mirror import distinct_minima
 from fpcal_bayes.infer.problem import Problem
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,8 @@ _SEPARABLE = 4.0
 #: Assignments whose sum of squares exceeds the best by this are one in a thousand.
 _RIVAL_EXCESS = 13.8
 _MAX_FITS = 400
+#: Most assignments that are handed on beside the best.
+_MOST_RIVALS = 7
 #: A sign with more than this probability of being wrong is doubtful.
 DOUBTFUL = 0.01
 
@@ -46,12 +49,15 @@ class SignDecision:
         Probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows.
     complete
         Whether the search ended before its limit of fits.
+    rivals
+        Minima of other assignments that fit nearly as well, each away from the rest, best first.
     """
 
     target: Floats
     solution: Solution
     doubt: Floats
     complete: bool
+    rivals: tuple[Solution, ...]
 
 
 def decide_signs(problem: Problem, start: Floats) -> SignDecision:
@@ -84,7 +90,8 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
         finished = [_settle(problem, _Branch(target, np.ones_like(signed), branch.solution))]
     chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
     doubt = np.maximum(_rival_doubt(chosen, finished), _flip_doubt(problem.with_target(chosen.target), chosen.solution))
-    return SignDecision(chosen.target, chosen.solution, np.where(signed, 0.0, doubt), complete)
+    rivals = _rivals(problem.with_target(chosen.target), chosen.solution, finished)
+    return SignDecision(chosen.target, chosen.solution, np.where(signed, 0.0, doubt), complete, rivals)
 
 
 @dataclass(frozen=True)
@@ -154,6 +161,14 @@ def _settle(problem: Problem, branch: _Branch) -> _Branch:
             return branch
         branch = flipped
     return branch
+
+
+def _rivals(problem: Problem, best: Solution, finished: list[_Branch]) -> tuple[Solution, ...]:
+    """Minima of other assignments within the excess that counts; those a standard deviation apart or less are one."""
+    near = [
+        branch.solution for branch in finished if branch.solution.sum_of_squares < best.sum_of_squares + _RIVAL_EXCESS
+    ]
+    return distinct_minima(problem, best, near)[:_MOST_RIVALS]
 
 
 def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:

@@ -73,8 +73,8 @@ class Chart:
     """
 
     def __init__(self, target: Target, reference: Floats) -> None:
-        self.target, self.reference = target, reference
-        residuals, jacobian = target.data_batch(reference[None])
+        self.target, self.reference = target.centred(reference), reference
+        residuals, jacobian = self.target.data_batch(reference[None])
         rows = np.vstack([jacobian[0], np.eye(len(reference))])
         orthonormal, triangle = linalg.qr(rows, mode="economic")
         # Positive diagonal: det Q'J is positive at the reference point.

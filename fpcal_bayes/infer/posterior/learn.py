@@ -35,7 +35,7 @@ def learn_charts(target: Target, minima: Floats, rng: np.random.Generator) -> Fl
         The minima and further points, shape (n_charts, n).
     """
     references = minima
-    while len(references) < _MOST_CHARTS:
+    while len(references) < max(_MOST_CHARTS, len(minima) + 1):
         atlas = Atlas(target, references)
         solved = atlas.propose(rng.standard_normal((_TRIALS, target.n_unknowns)), rng.random(_TRIALS))
         log_weights = np.full(_TRIALS, -np.inf)

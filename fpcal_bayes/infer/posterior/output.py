@@ -25,19 +25,22 @@ def summarise(posterior: Posterior) -> dict[str, dict[str, float]]:
     """Mean, sd, quantiles, effective sizes and nested R-hat of each parameter, in the units a person reads."""
     parameters = posterior.identification.free
     draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
-    quantiles = np.quantile(draws, QUANTILES, axis=0)
     diagnostics = posterior.diagnostics
     return {
         p.name: {
-            "mean": float(draws[:, i].mean()),
-            "sd": float(draws[:, i].std(ddof=1)),
-            **{f"q{100 * q:02.0f}": float(quantiles[k, i]) for k, q in enumerate(QUANTILES)},
+            **_summary(draws[:, i]),
             "ess_bulk": float(diagnostics.ess_bulk[i]),
             "ess_tail": float(diagnostics.ess_tail[i]),
             "rhat": float(diagnostics.rhat[i]),
         }
         for i, p in enumerate(parameters)
     }
+
+
+def _summary(draws: Floats) -> dict[str, float]:
+    quantiles = np.quantile(draws, QUANTILES)
+    named = {f"q{100 * q:02.0f}": float(value) for q, value in zip(QUANTILES, quantiles, strict=True)}
+    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), **named}
 
 
 def content(posterior: Posterior) -> dict[str, Any]:
@@ -50,6 +53,9 @@ def content(posterior: Posterior) -> dict[str, Any]:
         # Value and sd are those of the posterior; the maximum stands in the fit.
         base["parameters"][name] |= {"value": entry["mean"], **entry}
     diagnostics = posterior.diagnostics
+    noise = posterior.target.noise_factors(posterior.points)
+    if noise is not None:
+        base["noise_scale"] = _summary(noise.ravel())
     slips = slip_probabilities(posterior)
     if slips is not None:
         base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
@@ -69,7 +75,7 @@ def content(posterior: Posterior) -> dict[str, Any]:
             "max_rhat": float(diagnostics.rhat.max()),
             "autocorrelation_time": diagnostics.autocorrelation_time,
             "outside_charts": posterior.outside,
-            "charts": 1 + len(posterior.identification.other_minima),
+            "charts": posterior.charts,
             "converged": posterior.converged,
             "failures": list(posterior.failures),
         },
@@ -109,6 +115,9 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     shape = (n_chains, unknowns.shape[1], -1)
     labels = np.array([str(label) for label in problem.sweeps.label])
     draws = {name: shown[:, :, i] for i, name in enumerate(parameters.names)}
+    noise = posterior.target.noise_factors(posterior.points.transpose(0, 2, 1, 3))
+    if noise is not None:
+        draws["noise_scale"] = noise.reshape(values.shape[:2])
     if isinstance(posterior.target, SlipTarget):
         draws["slip_probability"] = posterior.target.eps(posterior.points.transpose(0, 2, 1, 3)).reshape(
             values.shape[:2]
@@ -166,17 +175,17 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
     mix = problem.whitening.mix
     scale = problem.whitening.scale if mix is None else mix.diagonal()
     likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
-    noise = rng.standard_normal((len(unknowns), n_rows))
     for i in range(0, len(unknowns), 256):
         part = slice(i, i + 256)
         mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
         if problem.sensitivity is not None:
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
         likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
+        noise = posterior.target.draw_noise(unknowns[part], rng)
         if mix is None:
-            predicted[part] = mean + noise[part] / scale
+            predicted[part] = mean + noise / scale
         else:
             from scipy.sparse.linalg import spsolve_triangular
 
-            predicted[part] = mean + spsolve_triangular(mix, noise[part].T, lower=True).T
+            predicted[part] = mean + spsolve_triangular(mix, noise.T, lower=True).T
     return likelihood, predicted

@@ -1,9 +1,9 @@
 """Sample the posterior of an identification with emcee, until it has converged."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import emcee
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fpcal_bayes import __version__
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.infer.identify import Identification
+from fpcal_bayes.infer.least_squares import Solution, minimise
 from fpcal_bayes.infer.mirror import all_minima
 from fpcal_bayes.infer.posterior.atlas import Atlas
 from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
@@ -19,10 +20,12 @@ from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, d
 from fpcal_bayes.infer.posterior.learn import learn_charts
 from fpcal_bayes.infer.posterior.move_local import LocalMove
 from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
+from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.infer.problem import Problem
-from fpcal_bayes.infer.slips import find_slips
+from fpcal_bayes.infer.slips import Slips, find_slips
+from fpcal_bayes.infer.student import DOF, StudentProblem, robust_minimum
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +43,8 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 #: A promise is taken with this much in hand.
 _IN_HAND = 1.05
 
-Likelihood = Literal["gaussian", "slip"]
+Likelihood = Literal["gaussian", "student", "slip"]
+LIKELIHOODS: tuple[Likelihood, ...] = get_args(Likelihood)
 Progress = Callable[[float, float], None]
 
 
@@ -58,6 +62,8 @@ class Posterior:
         Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
     log_density
         Unnormalised, shape (n_ensembles, n_steps, n_walkers).
+    charts
+        Number of charts that proposals came from.
     outside
         Share of the draws that lie outside every chart, where only the local move leads.
     diagnostics
@@ -76,6 +82,7 @@ class Posterior:
     target: PosteriorTarget
     points: Floats
     log_density: Floats
+    charts: int
     outside: float
     diagnostics: Diagnostics
     failures: tuple[str, ...]
@@ -100,6 +107,7 @@ def sample(
     *,
     draws: int = 10_000,
     likelihood: Likelihood = "gaussian",
+    noise_scale: bool = False,
     seed: int = 0,
     store: BlockStore | None = None,
     max_steps: int | None = None,
@@ -114,7 +122,10 @@ def sample(
     draws
         Effective draws wanted of every parameter, in the bulk and in the tails.
     likelihood
-        ``gaussian``, or ``slip``: each dL may be off by whole half wavelengths.
+        ``gaussian``; ``student``: outliers of any size have bounded pull; ``slip``: each dL may be off by whole half
+        wavelengths.
+    noise_scale
+        Whether the noise of all rows has an unknown factor, a priori within four times the stated noise.
     seed
         The same seed gives the same draws.
     store
@@ -129,7 +140,7 @@ def sample(
     Posterior
         With `failures` if the limit was reached before convergence.
     """
-    target, references = make_target(identification, likelihood)
+    target, references = make_target(identification, likelihood, noise_scale)
     children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
     atlas = Atlas(target, learn_charts(target, references, np.random.default_rng(children[-1])))
     runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
@@ -152,7 +163,7 @@ def sample(
                 progress(0.0, len(blocks) * BLOCK_STEPS / limit)
         done = -(-next_look // BLOCK_STEPS)
         # Blocks beyond this look, from a run that was asked for more, are not looked at: resuming changes nothing.
-        posterior = _gather(identification, target, blocks[:done], draws)
+        posterior = _gather(identification, atlas, target, blocks[:done], draws)
         if progress is not None:
             progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
         if posterior.converged or done * BLOCK_STEPS >= limit:
@@ -167,18 +178,42 @@ def _next_look(steps: int, diagnostics: Diagnostics, draws: int) -> int:
     return int(np.ceil(steps * np.nan_to_num(growth, nan=_MOST_GROWTH)))
 
 
-def make_target(identification: Identification, likelihood: Likelihood) -> tuple[PosteriorTarget, Floats]:
+def make_target(
+    identification: Identification, likelihood: Likelihood, noise_scale: bool = False
+) -> tuple[PosteriorTarget, Floats]:
     """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
+    problem, signs = identification.problem, identification.signs
+    minima: Sequence[Solution] = (identification.solution, *identification.other_minima)
+    slips: Slips | None = None
     if likelihood == "slip":
-        slips = find_slips(identification.problem, identification.solution)
-        slip_target = SlipTarget(slips)
-        minima = all_minima(slips.problem, slips.solution)
-        return slip_target, np.array([np.append(minimum.unknowns, slip_target.reference) for minimum in minima])
-    minima = (identification.solution, *identification.other_minima)
-    return PosteriorTarget(identification.problem), np.array([minimum.unknowns for minimum in minima])
+        slips = find_slips(problem, identification.solution)
+        problem, minima = slips.problem, all_minima(slips.problem, slips.solution)
+    elif likelihood == "student":
+        problem = StudentProblem.like(problem, DOF)
+        minima = all_minima(problem, robust_minimum(problem, identification.solution.unknowns))
+    noise = None
+    if noise_scale:
+        noise = NoiseScale.of(problem, minima[0])
+        minima = [minimise(scaled_problem(problem, noise.reference), minimum.unknowns) for minimum in minima]
+    if signs is not None:
+        # Other signs that fit nearly as well: a chart at the minimum of each.
+        minima = [*minima, *signs.rivals]
+    references = np.array([minimum.unknowns for minimum in minima])
+    if noise is not None:
+        references = np.column_stack([references, np.full(len(references), noise.reference)])
+    if slips is not None:
+        slip_target = SlipTarget(slips, noise=noise)
+        return slip_target, np.column_stack([references, np.full(len(references), slip_target.reference)])
+    target = PosteriorTarget(
+        identification.problem,
+        dof=DOF if likelihood == "student" else None,
+        noise=noise,
+        doubt=None if signs is None else signs.doubt,
+    )
+    return target, references
 
 
-def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -> str:
+def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian", noise_scale: bool = False) -> str:
     """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
     sweeps = problem.sweeps
     held = None if problem.considered is None else problem.considered.factor
@@ -191,7 +226,7 @@ def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -
             "held": [problem.model.held.tolist(), _listed(held)],
             "data": [sweeps.q_start.tolist(), sweeps.q_end.tolist(), problem.target.tolist(), sweeps.sigma.tolist()],
             "rows": [sweeps.signed.tolist(), sweeps.group.tolist(), sweeps.kind.tolist()],
-            "sampler": [likelihood, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
+            "sampler": [likelihood, noise_scale, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
         }
     )
 
@@ -260,7 +295,9 @@ def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
     )
 
 
-def _gather(identification: Identification, target: PosteriorTarget, blocks: list[Block], draws: int) -> Posterior:
+def _gather(
+    identification: Identification, atlas: Atlas, target: PosteriorTarget, blocks: list[Block], draws: int
+) -> Posterior:
     kept = blocks[_WARM_UP_BLOCKS:]
     points = np.concatenate([block.points for block in kept], axis=1)
     proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
@@ -272,6 +309,7 @@ def _gather(identification: Identification, target: PosteriorTarget, blocks: lis
         target=target,
         points=points,
         log_density=np.concatenate([block.log_density for block in kept], axis=1),
+        charts=len(atlas.charts),
         outside=float(np.isneginf(proposals).mean()),
         diagnostics=diagnostics,
         failures=tuple(diagnostics.failures(draws)),

@@ -1,13 +1,20 @@
 """The density that is sampled: half a sum of squares of data rows, and unit normal prior rows."""
 
-from typing import Protocol
+import copy
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale, factors
 from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.student import StudentTangent, bend, log_peak
 
 Floats = NDArray[np.float64]
+
+#: A row of unknown sign this near to zero, in standard deviations, is proposed for both signs at once.
+_NEAR_ZERO = 3.0
+_LOG_PEAK = -0.5 * float(np.log(2.0 * np.pi))
 
 
 class Target(Protocol):
@@ -22,13 +29,20 @@ class Target(Protocol):
         """Number of unknowns."""
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Residuals (n_points, n_rows) and derivatives (n_points, n_rows, n) at points (n_points, n)."""
+        """Residuals (n_points, n_rows) and derivatives (n_points, n_rows, n) at points (n_points, n).
+
+        A residual that depends on one unknown alone makes the derivatives of the others by that unknown dispensable:
+        the determinant is that of the blocks.
+        """
 
     def data_residuals(self, points: Floats) -> Floats:
         """The residuals alone, which cost much less."""
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log density (n_points,) from residuals (n_points, n_rows) and points (n_points, n)."""
+
+    def centred(self, reference: Floats) -> Self:
+        """The same density with the residuals that serve best near `reference` (n,)."""
 
 
 def half_squares(residuals: Floats, points: Floats) -> Floats:
@@ -42,45 +56,137 @@ class PosteriorTarget:
 
     A row of unknown sign is the size of a change: its density is the sum of those of both signs. Rows that share a
     reading are taken with the sign that was decided.
+
+    Parameters
+    ----------
+    problem
+        With the signs that were decided.
+    dof
+        Degrees of freedom of Student-t rows; None for Gaussian ones.
+    noise
+        If the noise has an unknown factor: where it is likeliest. It joins the unknowns behind those of the problem.
+    doubt
+        Probability that the sign of each row is the other one, shape (n_rows,); rows of unknown sign near zero whose
+        sign is doubtful are proposed for both at once.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.evaluations = 0
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        dof: float | None = None,
+        noise: NoiseScale | None = None,
+        doubt: Floats | None = None,
+    ) -> None:
+        self.problem, self.dof, self.noise = problem, dof, noise
+        self._count = [0]
+        self._tangent: StudentTangent | None = None
         # Large problems are evaluated a few points at a time, so that memory stays small.
         self._block = max(1, 20_000_000 // (len(problem.target) * problem.n_unknowns))
         sweeps = problem.sweeps
         folded = ~(sweeps.signed | sweeps.absolute)
         self._folded = np.flatnonzero(folded) if problem.whitening.mix is None else np.zeros(0, dtype=np.int64)
         self._twice = 2.0 * (problem.target * problem.whitening.scale)[self._folded]
+        near = np.zeros(len(self._folded), dtype=bool)
+        if doubt is not None:
+            near = (np.abs(self._twice) < 2.0 * _NEAR_ZERO) & (doubt[self._folded] > 1e-4)
+        self._near = self._folded[near]
+        self._offset = 0.5 * self._twice[near]
+        # Both signs together have this variance about zero.
+        self._shrink = 1.0 / np.sqrt(1.0 + self._offset**2)
+
+    @property
+    def evaluations(self) -> int:
+        """Points at which the density was evaluated."""
+        return self._count[0]
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns."""
-        return self.problem.n_unknowns
+        """Number of unknowns: those of the problem, and that of the noise."""
+        return self.problem.n_unknowns + (self.noise is not None)
+
+    def centred(self, reference: Floats) -> Self:
+        """The same density, with residuals made for the neighbourhood of `reference` (n_unknowns,).
+
+        Rows of unknown sign are taken with the sign that is predicted there, Student-t rows by their tangents.
+        """
+        result = self._signed_at(reference)
+        if self.dof is not None:
+            result = copy.copy(result)
+            result._tangent = None
+            rows = result.data_residuals(reference[None])[0, : len(self.problem.target)]
+            result._tangent = StudentTangent.at(rows, self.dof)
+        return result
+
+    def _signed_at(self, reference: Floats) -> Self:
+        if not len(self._folded):
+            return self
+        problem = self.problem
+        unknowns = reference[None, : problem.n_unknowns]
+        predicted = (self._whitened(unknowns)[0] / problem.whitening.scale + problem.target)[self._folded]
+        target = problem.target.copy()
+        target[self._folded] = np.copysign(target[self._folded], predicted)
+        other = copy.copy(self)
+        other.problem = problem.with_target(target)
+        signs = np.copysign(1.0, target * problem.target)
+        other._twice = self._twice * signs[self._folded]
+        other._offset = self._offset * signs[self._near]
+        return other
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Whitened data residuals and derivatives at `points`."""
-        self.evaluations += len(points)
+        """Residuals and derivatives at `points`, as the charts take them."""
+        own = points[:, : self.problem.n_unknowns]
         if len(points) <= self._block:
-            return self.problem.data_batch(points)
-        parts = [self.problem.data_batch(points[i : i + self._block]) for i in range(0, len(points), self._block)]
-        return np.concatenate([r for r, _ in parts]), np.concatenate([j for _, j in parts])
+            residuals, jacobian = self.problem.data_batch(own)
+        else:
+            parts = [self.problem.data_batch(own[i : i + self._block]) for i in range(0, len(own), self._block)]
+            residuals, jacobian = np.concatenate([r for r, _ in parts]), np.concatenate([j for _, j in parts])
+        self._count[0] += len(points)
+        if len(self._near):
+            jacobian[:, self._near] *= self._shrink[:, None]
+        if self.noise is not None:
+            jacobian /= self._factors(points)[:, :, None]
+        residuals = self._widened(residuals, points)
+        if self._tangent is not None:
+            residuals = self._tangent.rows(residuals)
+            jacobian *= self._tangent.gain[:, None]
+        if self.noise is None:
+            return residuals, jacobian
+        n_points, n_rows, n = jacobian.shape
+        wider = np.zeros((n_points, n_rows + 1, n + 1))
+        wider[:, :n_rows, :n] = jacobian
+        wider[:, n_rows, n] = self.noise.curvature
+        return np.hstack([residuals, self.noise.row(points[:, n : n + 1])]), wider
 
     def data_residuals(self, points: Floats) -> Floats:
-        """Whitened data residuals at `points`."""
-        self.evaluations += len(points)
-        problem = self.problem
-        change = problem.model.predict(problem.values(points), problem.rows) - problem.target
-        if problem.sensitivity is not None:
-            change = change + points[:, problem.n_free :] @ problem.sensitivity.T
-        return problem.whitening.apply(change.T).T
+        """The residuals alone."""
+        self._count[0] += len(points)
+        residuals = self._widened(self._whitened(points[:, : self.problem.n_unknowns]), points)
+        if self._tangent is not None:
+            residuals = self._tangent.rows(residuals)
+        if self.noise is None:
+            return residuals
+        n = self.problem.n_unknowns
+        return np.hstack([residuals, self.noise.row(points[:, n : n + 1])])
+
+    def standardised(self, points: Floats) -> Floats:
+        """Whitened residuals over the noise's factor at points (n_points, n_unknowns), shape (n_points, n_rows)."""
+        self._count[0] += len(points)
+        residuals = self._whitened(points[:, : self.problem.n_unknowns])
+        return residuals if self.noise is None else residuals / self._factors(points)
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log posterior."""
-        total = half_squares(residuals, points)
-        if len(self._folded):
-            total += self._other_sign(residuals).sum(axis=1)
+        rows = residuals[:, : len(self.problem.target)]
+        total = half_squares(rows, points)
+        if len(self._folded) or self.dof is not None:
+            standardised = self._standardised(rows, points)
+            if len(self._near) or self.dof is not None:
+                total += 0.5 * ((rows**2).sum(axis=1) - (self._bent(standardised) ** 2).sum(axis=1))
+            if len(self._folded):
+                total += self._other_sign(standardised, points).sum(axis=1)
+        if self.noise is not None:
+            total -= rows.shape[1] * LOG_SD * points[:, self.problem.n_unknowns]
         return total
 
     def log_likelihoods(self, points: Floats) -> Floats:
@@ -88,21 +194,68 @@ class PosteriorTarget:
 
         Of rows that share a reading, that of a row given those before it in its group.
         """
-        residuals, _ = self.data_batch(points)
-        result = -0.5 * residuals**2
-        result[:, self._folded] += self._other_sign(residuals)
-        return result + self.log_scale
+        standardised = self.standardised(points)
+        result = -0.5 * self._bent(standardised) ** 2
+        result[:, self._folded] += self._other_sign(standardised, points)
+        result += self.log_scale
+        if self.noise is not None:
+            result -= LOG_SD * points[:, self.problem.n_unknowns, None]
+        return result
+
+    def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
+        """Errors of the whitened rows, in units of their stated noise, at points (n_points, n_unknowns)."""
+        shape = (len(points), len(self.problem.target))
+        errors = rng.standard_normal(shape) if self.dof is None else rng.standard_t(self.dof, shape)
+        return errors if self.noise is None else errors * self._factors(points)
+
+    def noise_factors(self, points: Floats) -> Floats | None:
+        """Factors on the noise at points (..., n_unknowns), or None if the noise is as stated."""
+        return None if self.noise is None else factors(points[..., self.problem.n_unknowns])
 
     @property
     def log_scale(self) -> Floats:
         """Log density of each row at zero residual, shape (n_rows,)."""
         whitening = self.problem.whitening
         scale = whitening.scale if whitening.mix is None else whitening.mix.diagonal()
-        result: Floats = np.log(scale) - 0.5 * np.log(2.0 * np.pi)
+        result: Floats = np.log(scale) + (_LOG_PEAK if self.dof is None else log_peak(self.dof))
         return result
 
-    def _other_sign(self, residuals: Floats) -> Floats:
+    def _whitened(self, own: Floats) -> Floats:
+        """Whitened residuals (n_points, n_rows) at unknowns of the problem (n_points, n)."""
+        problem = self.problem
+        change = problem.model.predict(problem.values(own), problem.rows) - problem.target
+        if problem.sensitivity is not None:
+            change = change + own[:, problem.n_free :] @ problem.sensitivity.T
+        return problem.whitening.apply(change.T).T
+
+    def _factors(self, points: Floats) -> Floats:
+        n = self.problem.n_unknowns
+        return factors(points[:, n : n + 1])
+
+    def _widened(self, residuals: Floats, points: Floats) -> Floats:
+        """Residuals as charts see them: over the noise's factor, those near zero about zero."""
+        if len(self._near):
+            residuals = residuals.copy()
+            residuals[:, self._near] = (residuals[:, self._near] + self._offset) * self._shrink
+        return residuals if self.noise is None else residuals / self._factors(points)
+
+    def _standardised(self, rows: Floats, points: Floats) -> Floats:
+        """The standardised residuals behind the charts' rows (n_points, n_rows)."""
+        residuals = rows if self._tangent is None else self._tangent.standardised(rows)
+        if len(self._near):
+            residuals = residuals.copy()
+            offset = self._offset if self.noise is None else self._offset / self._factors(points)
+            residuals[:, self._near] = residuals[:, self._near] / self._shrink - offset
+        return residuals
+
+    def _bent(self, standardised: Floats) -> Floats:
+        return standardised if self.dof is None else bend(standardised, self.dof)[0]
+
+    def _other_sign(self, standardised: Floats, points: Floats) -> Floats:
         """What the other sign adds to the log density of rows whose sign is not known."""
-        # Residual r with the sign that was decided, r + 2 t with the other one.
-        other = self._twice * (residuals[:, self._folded] + 0.5 * self._twice)
-        return np.logaddexp(0.0, -other)
+        # Residual s with the sign that was decided, s + 2 t with the other one.
+        twice = self._twice if self.noise is None else self._twice / self._factors(points)
+        folded = standardised[:, self._folded]
+        if self.dof is None:
+            return np.logaddexp(0.0, -twice * (folded + 0.5 * twice))
+        return np.logaddexp(0.0, 0.5 * self._bent(folded) ** 2 - 0.5 * self._bent(folded + twice) ** 2)

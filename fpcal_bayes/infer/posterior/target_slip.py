@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import special
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.posterior.target import PosteriorTarget, half_squares
+from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.slips import MOST_HALF_WAVES, Slips
 
 Floats = NDArray[np.float64]
@@ -29,6 +30,8 @@ class SlipTarget(PosteriorTarget):
     ----------
     slips
         Corrections that were found; they only say where to look first.
+    noise
+        If the noise has an unknown factor: where it is likeliest.
 
     Raises
     ------
@@ -36,8 +39,8 @@ class SlipTarget(PosteriorTarget):
         If rows share a reading or have no sign: a slip of one would be a slip of others.
     """
 
-    def __init__(self, slips: Slips) -> None:
-        super().__init__(slips.problem)
+    def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:
+        super().__init__(slips.problem, noise=noise)
         sweeps = slips.problem.sweeps
         if slips.problem.whitening.mix is not None or not (sweeps.signed | sweeps.absolute).all():
             raise InputError(
@@ -55,8 +58,8 @@ class SlipTarget(PosteriorTarget):
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns: those of the problem, and that of eps."""
-        return self.problem.n_unknowns + 1
+        """Number of unknowns: those of the problem and of the noise, and that of eps."""
+        return super().n_unknowns + 1
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         """Residuals of the corrected rows, and a row that stands for what the data tell about eps."""
@@ -73,20 +76,23 @@ class SlipTarget(PosteriorTarget):
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
-        corrected = residuals[:, :-1]
+        corrected = residuals[:, : len(self.problem.target)]
         mixture = self._log_terms(corrected, points)
-        total: Floats = (special.logsumexp(mixture, axis=0) + 0.5 * corrected**2).sum(axis=1)
-        return total + half_squares(corrected, points)
+        total: Floats = special.logsumexp(mixture, axis=0).sum(axis=1) - 0.5 * (points**2).sum(axis=1)
+        if self.noise is not None:
+            total -= corrected.shape[1] * LOG_SD * points[:, self.problem.n_unknowns]
+        return total
 
     def log_likelihoods(self, points: Floats) -> Floats:
         """Log likelihood of each row, summed over the ways in which it may have slipped."""
-        residuals, _ = self.data_batch(points)
-        return special.logsumexp(self._log_terms(residuals[:, :-1], points), axis=0) + self.log_scale
+        result: Floats = special.logsumexp(self._log_terms(self.standardised(points), points), axis=0) + self.log_scale
+        if self.noise is not None:
+            result -= LOG_SD * points[:, self.problem.n_unknowns, None]
+        return result
 
     def slip_probabilities(self, points: Floats) -> Floats:
         """Probability that each row has slipped, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
-        residuals, _ = self.data_batch(points)
-        mixture = self._log_terms(residuals[:, :-1], points)
+        mixture = self._log_terms(self.standardised(points), points)
         stayed = np.exp(mixture[MOST_HALF_WAVES] - special.logsumexp(mixture, axis=0))
         probability: Floats = 1.0 - stayed
         return probability
@@ -95,6 +101,14 @@ class SlipTarget(PosteriorTarget):
         """Probability of a slip, shape (n_points,)."""
         probability: Floats = special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
         return probability
+
+    def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
+        """Errors of the rows, slips among them, in units of their stated noise, at points (n_points, n_unknowns)."""
+        errors = super().draw_noise(points, rng)
+        slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
+        counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
+        drawn: Floats = errors + np.where(slipped, counts, 0) * self._half_wave
+        return drawn
 
     def _row_of_eps(self, points: Floats) -> Floats:
         """A residual whose square, with the prior's, is lowest at the likeliest u; shape (n_points, 1)."""
@@ -106,9 +120,10 @@ class SlipTarget(PosteriorTarget):
         """Log density of each row for each count from -3 to 3, shape (7, n_points, n_rows)."""
         log_eps = special.log_expit(LOGIT_MEAN + LOGIT_SD * points[:, -1])[:, None]
         log_not = special.log_expit(-(LOGIT_MEAN + LOGIT_SD * points[:, -1]))[:, None]
+        half_wave = self._half_wave if self.noise is None else self._half_wave / self._factors(points)
         terms = np.full((2 * MOST_HALF_WAVES + 1, *corrected.shape), -np.inf)
         for i, count in enumerate(range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1)):
-            residual = corrected + (count - self._corrected) * self._half_wave
+            residual = corrected + (count - self._corrected) * half_wave
             if count:
                 weight = np.where(self._can_slip, log_eps - np.log(2.0 * MOST_HALF_WAVES), -np.inf)
             else:

@@ -1,0 +1,155 @@
+"""Student-t rows and an unknown noise factor, against sums over a grid of the densities that scipy has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.posterior.noise_scale import LOG_SD
+from fpcal_bayes.infer.posterior.sample import make_target, sample
+from fpcal_bayes.infer.student import DOF, StudentProblem, StudentTangent, bend, log_peak, robust_minimum
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cell import load_cell
+
+CELL = load_cell()
+NAMES = ("beta_wf", "x_wf")
+OUTLIERS = {3: 4.0, 17: -2.5, 40: 9.0, 60: 30.0}
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Two free parameters and a few outliers."""
+    clean = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.3, seed=1)
+    known = identify(CELL, clean).estimate
+    dl = clean.dl.copy()
+    for row, size in OUTLIERS.items():
+        dl[row] += size
+    sweeps = replace(clean, dl=dl)
+    return sweeps, identify(CELL, sweeps, free=NAMES, start=known, hold="exact")
+
+
+def grid_moments(found, log_likelihood, w=(0.0,), reach=12.0):
+    """Mean and sd of parameters and w, summed over a grid around where the draws lie."""
+    problem = found.problem
+    axes = [np.linspace(-reach, reach, 81) * sd for sd in found.estimate.sd[found.estimate.sd > 0]]
+    best = robust_minimum(StudentProblem.like(problem, DOF), found.solution.unknowns)
+    centre = problem.values(best.unknowns)
+    shifts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    values = centre + shifts
+    standardised = (problem.model.predict(values, problem.rows) - problem.target) / problem.sweeps.sigma
+    prior = stats.norm.logpdf(values, CELL.select(NAMES).nominal, CELL.select(NAMES).prior_sd).sum(axis=1)
+    w = np.asarray(w)
+    log_density = np.stack(
+        [prior + log_likelihood(standardised / np.exp(LOG_SD * each), each) - 0.5 * each**2 for each in w]
+    )
+    weight = np.exp(log_density - log_density.max())
+    weight /= weight.sum()
+    points = np.concatenate(
+        [np.broadcast_to(values, (len(w), *values.shape)), np.broadcast_to(w[:, None, None], (len(w), len(values), 1))],
+        axis=2,
+    )
+    mean = np.einsum("wp,wpk->k", weight, points)
+    return mean, np.sqrt(np.einsum("wp,wpk->k", weight, (points - mean) ** 2))
+
+
+def check(posterior, mean, sd, count):
+    draws = posterior.values().reshape(-1, 2)
+    if count == 3:
+        draws = np.column_stack(
+            [draws, posterior.points.transpose(0, 2, 1, 3).reshape(-1, posterior.points.shape[-1])[:, 2]]
+        )
+    assert posterior.converged
+    assert (np.abs(draws.mean(axis=0) - mean[:count]) < 0.08 * sd[:count]).all()
+    np.testing.assert_allclose(draws.std(axis=0), sd[:count], rtol=0.05)
+
+
+def test_student_draws(case):
+    _, found = case
+    mean, sd = grid_moments(found, lambda s, w: stats.t.logpdf(s, DOF).sum(axis=1))
+    check(sample(found, draws=4000, likelihood="student", seed=2), mean, sd, 2)
+
+
+@pytest.mark.parametrize("likelihood", ["gaussian", "student"])
+def test_noise_factor(case, likelihood):
+    _, found = case
+    density = stats.norm.logpdf if likelihood == "gaussian" else lambda s: stats.t.logpdf(s, DOF)
+    n_rows = len(found.problem.target)
+    # Outliers make the Gaussian noise thirteen times as large.
+    centre, reach = (3.7, 80.0) if likelihood == "gaussian" else (0.8, 15.0)
+    mean, sd = grid_moments(
+        found,
+        lambda s, w: density(s).sum(axis=1) - n_rows * LOG_SD * w,
+        w=centre + np.linspace(-1.0, 1.0, 33) * (1.0 if likelihood == "gaussian" else 2.0),
+        reach=reach,
+    )
+    check(sample(found, draws=4000, likelihood=likelihood, noise_scale=True, seed=3), mean, sd, 3)
+
+
+class TestStudent:
+    def test_bent_residual_has_the_log_density_of_scipy(self):
+        s = np.concatenate([-np.geomspace(1e-9, 1e4, 50), [0.0], np.geomspace(1e-9, 1e4, 50)])
+        bent, slope = bend(s, DOF)
+        np.testing.assert_allclose(log_peak(DOF) - 0.5 * bent**2, stats.t.logpdf(s, DOF), rtol=1e-10)
+        assert (slope > 0).all()
+        inner = np.abs(s) < 1e3
+        step = 1e-5 * np.maximum(np.abs(s), 1e-3)
+        numerical = (bend(s + step, DOF)[0] - bend(s - step, DOF)[0]) / (2 * step)
+        np.testing.assert_allclose(slope[inner], numerical[inner], rtol=1e-5)
+
+    def test_tangent_has_the_slope_of_the_log_density(self):
+        s = np.linspace(-8.0, 8.0, 33)
+        tangent = StudentTangent.at(s, DOF)
+        step = 1e-5
+        slope = (stats.t.logpdf(s + step, DOF) - stats.t.logpdf(s - step, DOF)) / (2 * step)
+        np.testing.assert_allclose(-tangent.rows(s) * tangent.gain, slope, atol=1e-8)
+        np.testing.assert_allclose(tangent.standardised(tangent.rows(s + 0.3)), s + 0.3)
+
+    def test_outliers_hardly_pull(self):
+        clean = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=1)
+        best = identify(CELL, clean)
+        dl = clean.dl.copy()
+        for row, size in OUTLIERS.items():
+            dl[row] += 0.1 * size
+        spoilt = identify(CELL, replace(clean, dl=dl))
+        robust = robust_minimum(StudentProblem.like(spoilt.problem, DOF), spoilt.solution.unknowns)
+        assert robust.converged
+        residuals = StudentProblem.like(spoilt.problem, DOF).model.predict(
+            spoilt.problem.values(robust.unknowns), spoilt.problem.rows
+        )
+        apart = (residuals - best.problem.model.predict(best.estimate.values, best.problem.rows)) / 0.005
+        kept = np.setdiff1d(np.arange(69), list(OUTLIERS))
+        assert np.sqrt(np.mean(apart[kept] ** 2)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "noise_scale"), [("student", False), ("gaussian", True), ("student", True), ("slip", True)]
+)
+def test_rows_and_prior_make_up_the_density(case, likelihood, noise_scale):
+    """The density that is sampled is the product of the rows' likelihoods and the prior, also as a chart sees it."""
+    _, found = case
+    target, references = make_target(found, likelihood, noise_scale)
+    points = references[0] + 0.3 * np.random.default_rng(0).standard_normal((20, target.n_unknowns)) / 100
+    expected = target.log_likelihoods(points).sum(axis=1) + stats.norm.logpdf(points).sum(axis=1)
+    for seen in (target, target.centred(references[0]), target.centred(points[3])):
+        found_density = seen.log_density(seen.data_residuals(points), points)
+        np.testing.assert_allclose(found_density - found_density[0], expected - expected[0], atol=1e-6)
+        residuals, _ = seen.data_batch(points)
+        np.testing.assert_allclose(residuals, seen.data_residuals(points), atol=1e-9)
+
+
+def test_drawn_errors_have_the_scatter_of_the_likelihood(case):
+    _, found = case
+    target, references = make_target(found, "student", True)
+    points = np.repeat(references[:1], 4000, axis=0)
+    errors = target.draw_noise(points, np.random.default_rng(0)) / target.noise_factors(points)[:, None]
+    assert stats.kstest(errors.ravel()[::7], stats.t(DOF).cdf).pvalue > 0.001
+    slipped, references = make_target(found, "slip")
+    errors = slipped.draw_noise(np.repeat(references[:1], 4000, axis=0), np.random.default_rng(0))
+    eps = special.expit(-3.0 + 1.2 * references[0, -1])
+    half_wave = 0.5 * CELL.wavelength / 0.3
+    # Counts from 1 to 3 have a mean square of 14 / 3.
+    assert np.mean(errors**2) == pytest.approx(1.0 + eps * 14.0 / 3.0 * half_wave**2, rel=0.05)

@@ -216,8 +216,9 @@ class TestUnsigned:
         assert draws.std() == pytest.approx(sd, rel=0.05)
         return draws, unknowns, weights
 
-    def test_near_zero_both_signs_mix(self, femto):
-        found = self.one_parameter(femto, [0.1, 0.2], 0.4, [False, False])
+    @pytest.mark.parametrize("sizes", [[0.1, 0.2], [0.3, 0.6], [0.6, 0.9]])
+    def test_near_zero_both_signs_mix(self, femto, sizes):
+        found = self.one_parameter(femto, sizes, 0.4, [False, False])
         draws, unknowns, weights = self.check(found)
         right = weights[unknowns > 0].sum()
         assert 0.4 < right < 0.6

@@ -38,7 +38,7 @@ def estimates(week) -> dict[str, dict]:
 
 
 def test_files(week):
-    expected = {"campaign.h5", "report.txt", "extrinsics.svg", *(f"{name}.json" for name in NAMES)}
+    expected = {"campaign.h5", "report.txt", "posterior.nc", "extrinsics.svg", *(f"{name}.json" for name in NAMES)}
     assert {path.name for path in week.iterdir()} == expected
 
 
@@ -88,7 +88,9 @@ def test_warnings_name_their_session(tmp_path, capsys):
 
 
 def test_report(week):
-    text = (week / "report.txt").read_text()
+    text, posterior = (week / "report.txt").read_text().split("Posterior of day 0")
+    sampled = [line.split() for line in posterior.splitlines() if line.strip()]
+    assert {row[0] for row in sampled if row[0] in CELL.free.names} == set(CELL.free.names)
     starts = [text.index(f"Day {session.day:g}: {session.tables} of the paper anew") for session in SESSIONS]
     assert starts == sorted(starts)
     for session, section in zip(SESSIONS, np.split(np.array(list(text)), starts)[1:], strict=True):

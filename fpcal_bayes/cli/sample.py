@@ -89,11 +89,7 @@ def run(options: argparse.Namespace) -> int:
         return 1
 
     if result.doubtful_signs and (result.problem.sweeps.group != "").any():
-        warn(
-            [
-                "rows that share a reading keep the signs as they were decided: where these are doubtful, the draws are too narrow"
-            ]
-        )
+        warn(["rows that share a reading keep the signs that were decided: where doubtful, the draws are too narrow"])
 
     folder = options.output.with_name(options.output.name + ".blocks")
     store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood, options.noise_scale))

@@ -24,12 +24,16 @@ from fpcal_bayes.model.estimate import SCHEMA
 
 if TYPE_CHECKING:
     from fpcal_bayes.infer.identify import Identification
+    from fpcal_bayes.infer.posterior.sample import Posterior
     from fpcal_bayes.week import Week
 
 _EPILOG = """\
 Writes into DIR: campaign.h5 (sweeps, truth and estimates), an estimate JSON a session, report.txt (the paper's
-Tables II to VII anew, beside the truth), extrinsics.svg.
+Tables II to VII anew, beside the truth, and the posterior of day 0), posterior.nc (its draws), extrinsics.svg.
 """
+
+#: Effective draws of the posterior of day 0.
+_DRAWS = 1000
 
 
 def add_parser(commands: Commands) -> None:
@@ -44,6 +48,8 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
+    from fpcal_bayes.infer.posterior.sample import sample
     from fpcal_bayes.measure.campaign import Campaign, write_campaign
     from fpcal_bayes.report.week_figure import draw_week, save_figure
     from fpcal_bayes.week import SESSIONS, Week, identify_session, measure_week
@@ -67,6 +73,10 @@ def run(options: argparse.Namespace) -> int:
             results[session.name] = identify_session(cell, sweeps, session, full, {"file": "campaign.h5"})
             if session.free == "all":
                 full = results[session.name]
+        posterior = None
+        if results[SESSIONS[0].name].converged:
+            status.update(f"sampling the posterior of {SESSIONS[0].name}")
+            posterior = sample(results[SESSIONS[0].name], draws=_DRAWS, seed=options.seed)
     week = Week(cell, truth, sweeps, results)
 
     contents = {name: {"schema": SCHEMA, "command": "identify", **r.content()} for name, r in results.items()}
@@ -78,18 +88,24 @@ def run(options: argparse.Namespace) -> int:
     for name, content in contents.items():
         write_json(folder / f"{name}.json", content)
     save_figure(draw_week(week), folder / "extrinsics.svg")
+    if posterior is not None:
+        write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
     text = io.StringIO()
-    print_week(week, Console(file=text, width=120, highlight=False), timed=False)
+    report = Console(file=text, width=120, highlight=False)
+    print_week(week, report, timed=False)
+    print_posterior(posterior, report)
     write_text(folder / "report.txt", text.getvalue())
 
     print_week(week, out)
+    print_posterior(posterior, out)
     warn(f"{name}: {warning}" for name, result in results.items() for warning in result.warnings)
     out.print(
         f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {folder}/",
         markup=False,
         soft_wrap=True,
     )
-    return 0 if all(result.converged for result in results.values()) else 1
+    sampled = posterior is not None and posterior.converged
+    return 0 if sampled and all(result.converged for result in results.values()) else 1
 
 
 def without_seconds(fit: dict[str, Any]) -> dict[str, Any]:
@@ -113,3 +129,15 @@ def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
         for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result, timed=timed):
             out.print(line, markup=False, soft_wrap=True)
         out.print()
+
+
+def print_posterior(posterior: "Posterior | None", out: Console) -> None:
+    """Print the posterior of day 0, or what it fails by."""
+    from fpcal_bayes.report.posterior_tables import posterior_table
+
+    if posterior is None:
+        out.print("Posterior of day 0: not sampled, since its maximum was not found")
+        return
+    out.print(posterior_table(posterior, "Posterior of day 0"))
+    for failure in posterior.failures:
+        out.print(f"not converged: {failure}", markup=False, soft_wrap=True)

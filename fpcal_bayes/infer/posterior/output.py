@@ -138,6 +138,9 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
             dims={"dl_um": ["sweep"]},
             attrs={"/": _attributes(posterior, seed, command)},
         )
+    for node in tree.subtree:
+        # The same draws give the same file.
+        node.attrs.pop("created_at", None)
     for group in ("posterior", "prior"):
         for p in parameters:
             tree[group][p.name].attrs.update({"units": p.unit, "long_name": p.latex})

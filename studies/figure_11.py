@@ -30,7 +30,7 @@ def main() -> None:
     figure = Figure(figsize=(9, 8.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     axes[0].plot(angle, rig.irradiance(q), linewidth=0.7)
-    axes[0].set(ylabel="irradiance", title="Fig 11: spin about the optical axis after full calibration")
+    axes[0].set(ylim=(0, 1.05), ylabel="irradiance", title="Fig 11: spin about the optical axis after full calibration")
     for i in range(3):
         axes[1].plot(angle, q[:, i], label=f"q{i + 1}")
     for i in (3, 4):
@@ -41,20 +41,25 @@ def main() -> None:
         for end in ends:
             axis.axvline(end, color="0.6", linewidth=0.8)
     for axis in axes[1:]:
-        axis.legend(loc="upper right")
-    first = str(task.status[np.argmin(np.abs(angle - ends[0]) + 1e9 * task.ok)]).split(" (")[0]
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     px, py = point[0, :2]
-    change = rig.change_nm(task)
-    beyond = rig.fringes(1e3 * np.ptp(rig.lengths(q[angle >= ends[1]])))
+    driven = (angle >= ends[0]) & (angle <= ends[1])
+    change = rig.change_nm(task.take(driven))
+    joints, beyond = [], []
+    for side in (angle < ends[0], angle > ends[1]):
+        past = np.argmin(np.where(side, np.abs(angle), np.inf))
+        joints.append(str(task.status[past]).removeprefix("saturated: ").split(" (")[0])
+        beyond.append(rig.fringes(1e3 * np.ptp(rig.lengths(q[side]))))
     save(
         figure,
         options,
         "figure-11",
         "irradiance constant until at least one translation saturates, then fringes; reflection point on the mirror "
         "(141.1, 116.34) um. The angle is not printed.",
-        f"constant from {ends[0]:.1f} to {ends[1]:.1f} deg ({change:.1f} nm), where a limit is met ({first}); "
-        f"{beyond:.1f} fringes in the next {BEYOND:g} deg. Reflection point ({px:.1f}, {py:.1f}) um "
-        "from Tables II and III; the printed one does not follow from the tables.",
+        f"constant ({change:.1f} nm) from {ends[0]:.1f} deg ({joints[0]}) to {ends[1]:.1f} deg ({joints[1]}); "
+        f"{beyond[0]:.2f} and {beyond[1]:.2f} fringes in the {BEYOND:g} deg beyond: a translation that stays behind is "
+        f"felt as far as its axis is out of the mirror plane. Reflection point ({px:.1f}, {py:.1f}) um from Tables II "
+        "and III; the printed one does not follow from the tables.",
     )
 
 

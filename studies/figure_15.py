@@ -22,7 +22,7 @@ def main() -> None:
     number = estimate.parameters.position("beta_et")
     offsets = [0.0, *paper_tables()["claims"]["offset_steps_deg"]]
     figure = Figure(figsize=(9, 8), layout="constrained")
-    left, right = figure.subplots(2, 1)
+    top, bottom = figure.subplots(2, 1)
     changes: dict[str, list[float]] = {name: [] for name in TASKS}
     for offset in offsets:
         values = estimate.values.copy()
@@ -35,15 +35,15 @@ def main() -> None:
                 # As in the experiment the fringe stands where it is steepest at the middle of the line.
                 shift = rig.lengths(task.q)[300] - rig.cell.wavelength / 8.0
                 phase = 4.0 * np.pi * (rig.lengths(task.q) - shift) / rig.cell.wavelength
-                left.plot(task.along, (1 + np.cos(phase)) / 2, label=f"{offset:g} deg")
-    left.set(xlabel="along Zf [um]", ylabel="irradiance", title="Fig 15: line-z with beta_et off")
-    left.legend(ncols=4, fontsize=8)
+                top.plot(task.along, (1 + np.cos(phase)) / 2, label=f"{offset:g} deg")
+    top.set(xlabel="along Zf [um]", ylabel="irradiance", title="Fig 15: line-z with beta_et off")
+    top.legend(ncols=4, fontsize=8)
     for name, values in changes.items():
-        right.plot(offsets, values, "o-", label=name)
-    right.axhline(1e3 * rig.cell.wavelength / 4 / 8, color="0.5", linestyle="--", label="paper: lambda/4/8 = 48.75 nm")
-    right.plot(offsets, 300e3 * np.radians(offsets), ":", color="k", label="300 um x offset")
-    right.set(xlabel="offset of beta_et [deg]", ylabel="peak to peak [nm]")
-    right.legend(fontsize=8)
+        bottom.plot(offsets, values, "o-", label=name)
+    bottom.axhline(1e3 * rig.cell.wavelength / 4 / 8, color="0.5", linestyle="--", label="paper: lambda/4/8 = 48.75 nm")
+    bottom.plot(offsets, 300e3 * np.radians(offsets), ":", color="k", label="300 um x offset")
+    bottom.set(xlabel="offset of beta_et [deg]", ylabel="peak to peak [nm]")
+    bottom.legend(fontsize=8)
     print("offset deg " + " ".join(f"{offset:8g}" for offset in offsets))
     for name, found in changes.items():
         print(f"{name:10} " + " ".join(f"{value:8.2f}" for value in found))

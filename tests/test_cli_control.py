@@ -100,7 +100,7 @@ class TestControl:
 
 class TestTaskError:
     def test_all_tasks(self, capsys: pytest.CaptureFixture[str]) -> None:
-        run("task-error", "e.json", "--tolerance-nm", 50, "--json", "t.json", "--draws", 2000)
+        run("task-error", "e.json", "--tolerance-nm", 50, "--json", "t.json")
         out = capsys.readouterr().out
         written = json.loads(Path("t.json").read_text())
         assert written["command"] == "task-error"
@@ -111,13 +111,18 @@ class TestTaskError:
             assert 0 < band["low"] < band["median"] < band["high"]
             assert 0 <= task["exceeds_probability"] < 0.5
             assert len(task["sd_nm"]) == len(task["band_nm"]["low"]) == task["points"] == 61
+            assert (task["method"], task["draws"]) == ("draws", 500)
         assert written["tasks"]["circle"]["worst_sd_nm"] == pytest.approx(1.0, abs=0.1)
         assert written["tasks"]["tilt-x"]["worst_sd_nm"] == pytest.approx(31.5, rel=0.2)
 
-    def test_same_seed_same_numbers(self) -> None:
+    def test_without_draws_the_same_seed_gives_the_same_numbers(self) -> None:
+        content = json.loads(Path("e.json").read_text())
+        del content["draws"]
+        Path("e.json").write_text(json.dumps(content))
         for name, seed in (("a", 1), ("b", 1), ("c", 2)):
             run("task-error", "e.json", "--task", "circle", "--draws", 100, "--seed", seed, "--json", name)
         first, again, other = (json.loads(Path(name).read_text())["tasks"]["circle"] for name in "abc")
+        assert first["method"] == "linear"
         assert first == again
         assert first["band_nm"] != other["band_nm"]
 

@@ -30,12 +30,12 @@ def prediction(femto: Cell) -> TaskPrediction:
 
 
 def test_prediction(prediction: TaskPrediction) -> None:
-    content = prediction_content(prediction, 0.002)
+    content = prediction_content(prediction, 0.002, prediction.task)
     json.dumps(content, allow_nan=False)
     assert content["worst_sd_nm"] == pytest.approx(1e3 * prediction.sd.max())
     assert content["exceeds_probability"] == prediction.exceeds(0.002)
     assert content["peak_to_peak_nm"]["median"] == pytest.approx(1e3 * np.median(prediction.peak_to_peak))
-    assert "tolerance_nm" not in prediction_content(prediction, None)
+    assert "tolerance_nm" not in prediction_content(prediction, None, prediction.task)
     text = text_of(prediction_table([prediction], 0.002, "errors"))
     assert "circle" in text
     assert "P(> 2 nm)" in text
@@ -45,8 +45,15 @@ def test_prediction(prediction: TaskPrediction) -> None:
 
 def test_lines_that_saturate(femto: Cell) -> None:
     estimate = paper_estimate(femto)
-    (sentence,) = reach_warnings(task_path(femto, estimate.vector(), "line-x", n_points=7))
+    task = task_path(femto, estimate.vector(), "line-x", n_points=7)
+    (sentence,) = reach_warnings(task)
     assert sentence.startswith("task line-x: 1 of 7 points cannot be driven to; point 7: saturated: q3")
+    driven = predict_from_covariance(estimate, task.driven(), draws=500)
+    content = prediction_content(driven, None, task)
+    json.dumps(content, allow_nan=False)
+    assert (content["points"], content["points_not_ok"]) == (7, 1)
+    assert content["sd_nm"] == [*(1e3 * driven.sd), None]
+    assert content["band_nm"]["low"][-1] is None
 
 
 def test_budget(femto: Cell) -> None:

@@ -93,6 +93,8 @@ def test_spin_ends_at_the_first_limit(femto: Cell) -> None:
     beyond = np.zeros((2, 6))
     beyond[:, 4] = np.radians(task.along[[0, -1]]) * (1 + 1e-6)
     assert not follow_offsets(femto, vector, "beyond", beyond).ok.any()
+    # A joint file must not ask for more than a joint has, be it by a rounding error.
+    assert ((task.q >= femto.low) & (task.q <= femto.high)).all()
 
 
 def test_spin_ends_at_a_quarter_turn_where_no_joint_stops_it(femto: Cell) -> None:
@@ -106,6 +108,11 @@ def test_lines_that_saturate_say_so(femto: Cell) -> None:
     assert task.finite.all()
     assert not task.ok.all()
     assert task.take(task.ok).ok.all()
+    driven = task.driven()
+    assert driven.ok.all()
+    assert len(driven) == task.ok.sum() < len(task)
+    with pytest.raises(InputError, match="no point can be driven to; point 1: saturated"):
+        task.take(~task.ok).driven()
 
 
 def test_unusable_commands_are_refused(femto: Cell) -> None:

@@ -17,7 +17,6 @@ from fpcal_bayes.cli.common import (
     warn,
     write_result,
 )
-from fpcal_bayes.errors import InputError
 from fpcal_bayes.model.cell import Cell
 
 _EPILOG = """\
@@ -25,7 +24,8 @@ TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, or a PATH.csv with the col
 in the fibre frame, relative to the aligned pose, turns in the order x, y, z about the reflection point.
 
 JOINTS has the columns q1_um .. q6_deg, status (ok, or the reason), predicted_sd_nm (what the cavity length may be off
-by, one standard deviation, from the aligned pose to this one). Points that are not ok have no joint values.
+by, one standard deviation, from the aligned pose to this one). Points that are not ok have neither joint values nor a
+prediction, and do not count for the peak to peak.
 """
 
 
@@ -78,16 +78,20 @@ def run(options: argparse.Namespace) -> int:
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
-    if not task.ok.any():
-        raise InputError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
-    prediction = knowledge.predict(estimate, task.take(task.finite))
+    prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)
-    sd[task.finite] = prediction.sd
+    sd[task.ok] = prediction.sd
     write_joints(options.output, task, sd)
 
     warnings = reach_warnings(task)
-    console(options).print(prediction_table([prediction], None, f"{options.output}: {task.ok.sum()} points"))
+    console(options).print(
+        prediction_table([prediction], None, f"{options.output}: {task.ok.sum()} of {len(task)} points")
+    )
     warn(warnings)
-    content = {**estimate.content(), "tasks": {task.name: prediction_content(prediction, None)}, "warnings": warnings}
+    content = {
+        **estimate.content(),
+        "tasks": {task.name: prediction_content(prediction, None, task)},
+        "warnings": warnings,
+    }
     write_result(options.json, "control", content)
     return 0

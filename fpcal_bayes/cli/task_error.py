@@ -17,17 +17,19 @@ from fpcal_bayes.cli.common import (
     write_result,
 )
 from fpcal_bayes.cli.control import add_task_options, warm_up_inverse
+from fpcal_bayes.errors import InputError
 
 _EPILOG = """\
 TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, all of these (the default), or a PATH.csv (see fpcal control).
 
-The task error is the change of cavity length along the task that the controller does not know of. From an estimate it
-is propagated to first order from the covariance; from posterior draws, draw by draw. --budget prints the uncertainty
-budget of the worst point (GUM, JCGM 100 and 101); with --sweeps, the file that the estimate was made from, it tells
-the noise, the prior and the wavelength apart.
+The task error is the change of cavity length along the task that the controller does not know of, where the joints can
+follow. It is worked out from posterior draws, which an estimate of fpcal identify holds too (500); from an estimate
+without draws, to first order from its covariance. --budget prints the uncertainty budget of the worst point (GUM, JCGM
+100 and 101), always to first order; with --sweeps, the file that the estimate was made from, it tells the noise, the
+prior and the wavelength apart.
 
-Bands of 95 % from an estimate hold 91 % (spin) to 96 % of simulated truths after the paper's end-point sweeps, and 94
-to 97 % with midpoints (studies/task_coverage.py).
+Of bands of 95 % after the paper's end-point sweeps 94 to 95 % hold the true value in simulation, for every task; to
+first order from the covariance 91 % do for spin, 93 to 95 % for the others (studies/task_coverage.py).
 """
 
 
@@ -40,7 +42,7 @@ def add_parser(commands: Commands) -> None:
         "--tolerance-nm", type=positive, metavar="T", help="probability that the peak to peak exceeds T"
     )
     parser.add_argument("--estimate", metavar="ESTIMATE", help="with draws: what the controller holds")
-    parser.add_argument("--draws", type=count, default=10_000, help="errors to draw from an estimate (default: 10000)")
+    parser.add_argument("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
     parser.add_argument("--seed", type=seed, default=0, help="of these draws (default: 0)")
     parser.add_argument("--budget", action="store_true", help="print the uncertainty budget of each task")
     parser.add_argument("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
@@ -62,6 +64,8 @@ def run(options: argparse.Namespace) -> int:
     sweeps = None
     if options.sweeps is not None:
         sweeps = read_sweeps(options.sweeps, cell).of_session(options.session)
+    if options.sweeps is not None and not options.budget:
+        raise InputError(f"{options.sweeps}: --sweeps is taken with --budget only")
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     tolerance = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
@@ -69,15 +73,17 @@ def run(options: argparse.Namespace) -> int:
     for name in TASKS if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
         warnings += reach_warnings(task)
-        prediction = knowledge.predict(estimate, task, draws=options.draws, seed=options.seed)
+        driven = task.driven()
+        prediction = knowledge.predict(estimate, driven, draws=options.draws, seed=options.seed)
         predictions.append(prediction)
-        content[task.name] = prediction_content(prediction, tolerance)
+        content[task.name] = prediction_content(prediction, tolerance, task)
         if options.budget:
-            budget = budget_of(estimate, task, sweeps=sweeps)
+            budget = budget_of(estimate, driven, sweeps=sweeps)
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
 
-    out.print(prediction_table(predictions, tolerance, f"{Path(options.file).name}: task errors"))
+    source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
+    out.print(prediction_table(predictions, tolerance, f"{Path(options.file).name}: task errors {source}"))
     for budget in budgets:
         out.print(budget_table(budget))
         for line in correlation_lines(budget):

@@ -75,6 +75,18 @@ class Task:
         """Whether the model gives joint values for each point, inside the limits or not, shape (n_points,)."""
         return np.isfinite(self.q).all(axis=1)
 
+    def driven(self) -> "Task":
+        """The same task at the points that can be driven to.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if not self.ok.any():
+            raise InputError(f"task {self.name!r}: no point can be driven to; point 1: {self.status[0]}")
+        return self.take(self.ok)
+
     def take(self, chosen: NDArray[np.bool_]) -> "Task":
         """The same task at some of its points, shape (n_points,)."""
         return replace(
@@ -189,9 +201,13 @@ def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> 
         offsets[:, 4] = side * angles
         tools = placement.tool_poses(placement.moved(offsets))
         found = inverse.solve(vector, tools, near=np.zeros(len(cell.joints)), follow=True)
-        if angles[0] == 0.0 and not found.ok[0]:
-            raise InputError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
-        return found.ok
+        # A joint a rounding error beyond its limit is ok elsewhere; a path that seeks the limit ends inside it.
+        good: NDArray[np.bool_] = found.ok & ((found.q >= cell.low) & (found.q <= cell.high)).all(axis=1)
+        if angles[0] == 0.0 and not good[0]:
+            if not found.ok[0]:
+                raise InputError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
+            good[0] = True
+        return good
 
     steps = np.linspace(0.0, FARTHEST_SPIN, round(FARTHEST_SPIN / _SPIN_STEP) + 1)
     good = reached(steps)

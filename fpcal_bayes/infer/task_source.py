@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fpcal_bayes.control.tasks import Task, find_task
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.estimate_draws import read_estimate_draws
 from fpcal_bayes.infer.posterior_file import PosteriorDraws, read_posterior
 from fpcal_bayes.infer.task_prediction import (
     TaskPrediction,
@@ -32,7 +33,7 @@ class Knowledge:
     estimate
         What the controller holds, or None: then the draws themselves say, task by task (see `central_draw`).
     draws
-        Of the posterior, or None where there is only the estimate's covariance.
+        Of the posterior, from its own file or from the estimate's; None where there is only the covariance.
     """
 
     cell: Cell
@@ -63,7 +64,7 @@ class Knowledge:
 
 
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
-    """Read an estimate JSON or a posterior netCDF file, told apart by the suffix ``.nc``.
+    """Read an estimate JSON, with the draws that it may hold, or a posterior netCDF file (suffix ``.nc``).
 
     Parameters
     ----------
@@ -82,4 +83,4 @@ def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = No
         return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
     if held is not None:
         raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
-    return Knowledge(cell, read_estimate(path, cell), None)
+    return Knowledge(cell, read_estimate(path, cell), read_estimate_draws(path, cell))

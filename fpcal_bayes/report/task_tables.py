@@ -14,15 +14,17 @@ from fpcal_bayes.report.tables import plain_table
 Floats = NDArray[np.float64]
 
 
-def prediction_content(prediction: TaskPrediction, tolerance: float | None) -> dict[str, Any]:
+def prediction_content(prediction: TaskPrediction, tolerance: float | None, task: Task) -> dict[str, Any]:
     """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
 
     Parameters
     ----------
     tolerance
         In um, or None.
+    task
+        The whole task, of which the points that are ok are predicted; the others have nulls.
     """
-    task, angles = prediction.task, prediction.angles
+    angles = prediction.angles
     low, high = 1e3 * prediction.band()
     ends = 1e3 * prediction.peak_to_peak_band()
     content: dict[str, Any] = {
@@ -33,8 +35,8 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None) -> d
         "along": task.along.tolist(),
         "along_unit": task.unit,
         "status": task.status.tolist(),
-        "sd_nm": (1e3 * prediction.sd).tolist(),
-        "band_nm": {"share": BAND, "low": low.tolist(), "high": high.tolist()},
+        "sd_nm": _whole(1e3 * prediction.sd, task),
+        "band_nm": {"share": BAND, "low": _whole(low, task), "high": _whole(high, task)},
         "worst_sd_nm": float(1e3 * prediction.sd.max()),
         "peak_to_peak_nm": {
             "median": float(1e3 * np.median(prediction.peak_to_peak)),
@@ -83,6 +85,12 @@ def reach_warnings(task: Task) -> list[str]:
         f"task {task.name}: {int((~task.ok).sum())} of {len(task)} points cannot be driven to; point {first + 1}: "
         f"{task.status[first]}"
     ]
+
+
+def _whole(driven: Floats, task: Task) -> list[float | None]:
+    """Numbers of the points that are ok, with nothing in the place of the others."""
+    numbers = iter(driven.tolist())
+    return [next(numbers) if good else None for good in task.ok]
 
 
 def _angle(along: Floats) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from fpcal_bayes import __version__
-from fpcal_bayes.cli import compare, control, identify, observe, sample, simulate, task_error, track, week
+from fpcal_bayes.cli import compare, control, decide, identify, observe, plan, sample, simulate, task_error, track, week
 from fpcal_bayes.errors import InputError
 
 _DESCRIPTION = """\
@@ -40,7 +40,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for module in (simulate, observe, identify, sample, compare, control, task_error, track, week):
+    for module in (simulate, observe, identify, sample, compare, control, task_error, plan, track, decide, week):
         module.add_parser(commands)
     return parser
 

@@ -3,7 +3,7 @@
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fpcal_bayes.cli.common import (
     Commands,
@@ -12,11 +12,17 @@ from fpcal_bayes.cli.common import (
     cell_of,
     check_output,
     console,
-    warm_up,
     warn,
     write_result,
 )
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.follow import follow
+from fpcal_bayes.cli.goal import add_goal, goal_of
 from fpcal_bayes.errors import InputError
+
+if TYPE_CHECKING:
+    from fpcal_bayes.track.horizon import Goal
+    from fpcal_bayes.track.tracker import Track
 
 _EPILOG = """\
 The first session of CAMPAIGN is the full calibration, the following ones update it: any number of sweeps, at any time.
@@ -26,7 +32,8 @@ the next run takes in what is new; a CSV is never changed.
 Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
 widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
 
-ESTIMATE is replaced as a whole, so a controller may read it at any time.
+ESTIMATE is replaced as a whole, so a controller may read it at any time. It holds until the probability that a task's
+error passes the tolerance reaches the level (valid_until_h); fpcal decide says what to do then.
 """
 
 
@@ -36,6 +43,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     parser.add_argument("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
     parser.add_argument("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
+    add_goal(parser)
     parser.add_argument("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add_json(parser)
 
@@ -43,52 +51,62 @@ def add_parser(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from fpcal_bayes.files import file_sha256
-    from fpcal_bayes.measure.campaign import read_campaign, write_campaign
-    from fpcal_bayes.measure.sweep_files import is_campaign_file, read_sweeps
+    from fpcal_bayes.measure.campaign import write_campaign
     from fpcal_bayes.report.tables import parameter_table
     from fpcal_bayes.report.track_text import session_table, time_text, verdict_lines
     from fpcal_bayes.track.consistency import Limits
-    from fpcal_bayes.track.drift import DriftModel
-    from fpcal_bayes.track.record import record_of, resume
-    from fpcal_bayes.track.sessions import check_sessions, hours_of
-    from fpcal_bayes.track.tracker import track
+    from fpcal_bayes.track.record import record_of
 
     cell = cell_of(options)
     for output in (options.estimate, options.json):
-        check_output(output, options.campaign)
+        check_output(output, options.campaign, *(options.task or ()))
     if options.estimate is not None and options.json is not None and options.estimate == options.json:
         raise InputError(f"{options.json}: expected two names for --estimate and --json")
-    drift, limits = DriftModel.of(cell), Limits()
-    campaign = read_campaign(options.campaign, cell) if is_campaign_file(options.campaign) else None
-    sweeps = read_sweeps(options.campaign, cell) if campaign is None else campaign.sweeps
-    now_h = None if options.now is None else hours_of(options.now, sweeps)
-    parts = check_sessions(sweeps, now_h)
-    notes: list[str] = []
-    known = None
-    if campaign is not None and campaign.track is not None and not options.anew:
-        known, note = resume(campaign.track, cell, drift, limits, parts, options.campaign)
-        notes += [note] if note else []
-    warm_up(cell)
-    found = track(cell, sweeps, drift=drift, limits=limits, known=known, now_h=now_h)
-    if campaign is not None and found.resumed < len(found.outcomes):
+    goal = goal_of(options)
+    followed = follow(options, cell, anew=options.anew)
+    found, sweeps, notes = followed.track, followed.sweeps, followed.notes
+    if followed.campaign is not None and found.resumed < len(found.outcomes):
         try:
-            write_campaign(options.campaign, replace(campaign, track=record_of(found, sweeps, limits)), cell)
+            saved = replace(followed.campaign, track=record_of(found, sweeps, Limits()))
+            write_campaign(options.campaign, saved, cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")
-    data = {"file": Path(options.campaign).name, "sha256": file_sha256(Path(options.campaign))}
-    found = replace(found, data=data | {"session": found.last.session})
+        found = replace(found, data=found.data | {"sha256": file_sha256(Path(options.campaign))})
 
     out = console(options)
     out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
     title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"
     out.print(parameter_table(found.estimate(), title))
     lines = verdict_lines(found)
+    valid_until_h, note = _valid_until(found, goal, asked=options.task is not None)
+    notes += note
+    if valid_until_h is not None:
+        exceeds = f"P({', '.join(goal.tasks)} > {options.tolerance_nm:g} nm)"
+        until = time_text(valid_until_h, found.outcomes)
+        valid = f"valid until {until}: {exceeds} < {options.level:g}"
+        passed = f"not valid: {exceeds} is above {options.level:g} already"
+        out.print(valid if valid_until_h > found.last.time_h else passed, markup=False, soft_wrap=True)
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     warn(warnings)
+    content = found.estimate(valid_until_h).content() | {"fit": _fit(found)}
     if options.estimate is not None:
-        write_result(options.estimate, "track", found.estimate().content() | {"fit": _fit(found)})
-    write_result(options.json, "track", _content(found) | {"warnings": warnings})
+        write_result(options.estimate, "track", content)
+    write_result(options.json, "track", content | _content(found) | {"warnings": warnings})
     return 0 if found.converged else 1
+
+
+def _valid_until(found: "Track", goal: "Goal", *, asked: bool) -> tuple[float | None, list[str]]:
+    """Until when the estimate holds, in hours, or None and why it cannot be said."""
+    from fpcal_bayes.track.policy import valid_until
+
+    try:
+        warm_up_inverse(found.cell)
+        return valid_until(found, goal), []
+    except InputError as error:
+        # Not every cell can drive the default task; one that was asked for must be possible.
+        if asked:
+            raise
+        return None, [f"how long the estimate holds cannot be said: {error}"]
 
 
 def _fit(found: Any) -> dict[str, Any]:
@@ -97,10 +115,8 @@ def _fit(found: Any) -> dict[str, Any]:
 
 
 def _content(found: Any) -> dict[str, Any]:
-    """What ``track --json`` writes, without schema, command and warnings."""
+    """What ``track --json`` writes beside the estimate."""
     return {
-        **found.estimate().content(),
-        "fit": _fit(found),
         "sessions": [
             {
                 "session": outcome.session,

@@ -231,6 +231,33 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: fl
     return [*_full_findings(monitor, limits, drift, knock_gain), *_extrinsic_findings(monitor, limits, drift)]
 
 
+def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
+    """Probability that a session shows that a parameter of the robot jumped by its size in `Limits.jump` before it.
+
+    Parameters
+    ----------
+    innovation
+        Of the session, measured or planned: only its linearisation counts.
+    hours
+        Since the session before.
+
+    Returns
+    -------
+    ndarray
+        Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
+    """
+    n, intrinsic = drift.n_parameters, ~drift.extrinsic
+    start = np.zeros((drift.n_states, n))
+    start[range(n), range(n)] = limits.jump(drift)
+    onset = Onset("", hours, 0, start, np.zeros((n, n)), np.zeros(n), 0.0, 0)
+    onset = onset.with_session(innovation, np.zeros((drift.n_states, innovation.dof)), start)
+    information = _single_jumps(onset, drift.extrinsic).information
+    limit = _SINGLE_SHARE * _allowed(limits.full_per_week, hours) * _shares(limits, drift)[intrinsic]
+    result = np.zeros(n)
+    result[intrinsic] = np.where(information > 0, special.ndtr(np.sqrt(information) + special.ndtri(limit / 2.0)), 0.0)
+    return result
+
+
 def _full_findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: float) -> list[Finding]:
     found: list[Finding] = []
     extrinsic = drift.extrinsic

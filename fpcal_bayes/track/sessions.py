@@ -110,6 +110,14 @@ def hours_of(text: str, sweeps: Sweeps) -> float:
     return float(sweeps.time_h[row[0]]) + (wanted - clock(str(sweeps.utc[row[0]]))).total_seconds() / 3600.0
 
 
+def hours_now(sweeps: Sweeps, otherwise: float) -> float:
+    """The clock of this machine in hours since the campaign began, or `otherwise` if no row carries a clock time."""
+    if not (sweeps.utc != "").any():
+        return otherwise
+    # Within the slack of clocks the last session may seem to lie ahead.
+    return max(otherwise, hours_of(datetime.now(UTC).isoformat(), sweeps))
+
+
 def _refuse_duplicates(parts: list[Sweeps]) -> None:
     for part in parts:
         # Counted fringes repeat, labels of one moment do not.

@@ -1,0 +1,44 @@
+"""Planning on one core: a plan of ten sweeps over the prior, and a policy's choice of three at one estimate."""
+
+import time
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.infer.planning.candidates import candidate_sweeps
+from fpcal_bayes.infer.planning.choose import choose_sweeps
+from fpcal_bayes.infer.planning.ground import prior_ground
+from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
+from fpcal_bayes.infer.planning.rows import sweep_rows
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.model.cell import load_cell
+
+CELL = load_cell()
+#: Processor seconds that a plan of ten may take; it runs on one core.
+MOST_SECONDS = 30.0
+
+
+def test_ten_sweeps_of_2000_candidates_over_64_draws(benchmark: Any) -> None:
+    """From the prior to the plan: draws, tasks, candidates, search and refinement."""
+
+    def plan() -> float:
+        began = time.process_time()
+        ground = prior_ground(CELL, draws=64, seed=1)
+        reference = ground.expected_sd(paper_protocol(CELL), readings=1)
+        assert len(Planner(ground, PlanSettings(), reference).best(10)) == 10
+        return time.process_time() - began
+
+    assert benchmark.pedantic(plan, rounds=1, warmup_rounds=0) < MOST_SECONDS
+
+
+def test_three_of_300_candidates_at_one_estimate(benchmark: Any) -> None:
+    """What the policy pays for each choice: rows of the candidates, greedy search and exchange."""
+    ground = prior_ground(CELL, draws=4, seed=0).at_draws(np.array([0]))
+    candidates = candidate_sweeps(CELL, n=300, rng=np.random.default_rng(0))
+
+    def choose() -> int:
+        rows = sweep_rows(ground.model, ground.goals.values, candidates)
+        chosen = choose_sweeps(candidates, rows, ground.goals.jacobians, 3, covariance=ground.covariance)
+        return len(chosen)
+
+    assert benchmark(choose) == 3

@@ -1,0 +1,1 @@
+"""Which sweeps to measure: fewer of them for the same accuracy of the tasks (Bayesian experimental design)."""

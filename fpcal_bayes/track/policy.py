@@ -1,0 +1,232 @@
+"""The policy for one cell: what it must hold, what measuring costs, and which sweeps there are to choose from.
+
+Sweeps are chosen by `infer.planning`: those that leave the least expected error of the tasks, given all that is known.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.planning.candidates import candidate_sweeps, reverses
+from fpcal_bayes.infer.planning.choose import choose_sweeps
+from fpcal_bayes.infer.planning.rows import sweep_rows
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track.consistency import HOURS_PER_WEEK, Limits
+from fpcal_bayes.track.decision import Costs, Decision, decide, measure_instead
+from fpcal_bayes.track.diagnosis import last_diagnosis, most_power, session_power, watched
+from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.horizon import Forecast, Goal
+from fpcal_bayes.track.tracker import Track
+
+Floats = NDArray[np.float64]
+
+#: Random sweeps to choose from, beside those of the calibration.
+_CANDIDATES = 300
+#: Jumps of mirror and fibre that a look at the robot allows for, in units of `Limits.jump`.
+_NUISANCE = 3.0
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Decides when to measure what.
+
+    Attributes
+    ----------
+    drift, model
+        Of the same parameters.
+    goal, costs
+        What is to be held, and what measuring costs.
+    candidates
+        Sweeps to choose from, as a plan.
+    calibration
+        Sweeps of a full calibration, as a plan.
+    limits
+        Of the tests for changes; they say what a look at the robot can show.
+    """
+
+    drift: DriftModel
+    model: CavityModel
+    goal: Goal
+    costs: Costs
+    candidates: Sweeps
+    calibration: Sweeps
+    limits: Limits = field(default_factory=Limits)
+
+    @classmethod
+    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, costs: Costs, calibration: Sweeps) -> "Policy":
+        """A policy that chooses among the sweeps of a calibration and random ones.
+
+        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt.
+
+        Parameters
+        ----------
+        calibration
+            Sweeps of a full calibration; measurements in them are not looked at.
+
+        Raises
+        ------
+        InputError
+            If the joint limits leave no room for sweeps.
+        """
+        cell, values = model.cell, drift.parameters.nominal
+        single = calibration.take(calibration.kind == "sweep")
+        random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0))
+        pool = join([_plain(single), _plain(random)], file="candidates")
+        keeps = ~reverses(model, values, pool)[0]
+        return cls(drift, model, goal, costs, pool.take(keeps), calibration)
+
+    def choose(self, forecast: Forecast, state: State, n: int) -> Sweeps:
+        """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
+        m = self.drift.n_parameters
+        tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
+        return self._choose(forecast, state.covariance[:m, :m], tasks, n)
+
+    def choose_diagnosis(self, forecast: Forecast, state: State) -> Sweeps:
+        """The sweeps that leave least unknown of a jump of the intrinsic parameter that drifts most.
+
+        Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
+        """
+        m, at = self.drift.n_parameters, watched(self.drift, self.limits)
+        jump = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
+        jump[at] = self.limits.jump(self.drift)[at]
+        wide = state.covariance[:m, :m] + np.diag(jump**2)
+        # Together they see what no single one does: chosen by exchange.
+        return self._choose(forecast, wide, {"robot": np.eye(m)[at : at + 1]}, self.costs.diagnosis_sweeps, passes=5)
+
+    def _choose(
+        self, forecast: Forecast, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0
+    ) -> Sweeps:
+        values = self.drift.values(forecast.estimate)
+        rows = sweep_rows(self.model, values[None], self.candidates, readings=1, sigma=self.costs.sigma)
+        rows, goals = rows * self.drift.scale, {name: jacobian[None] for name, jacobian in tasks.items()}
+        count = min(n, len(self.candidates))
+        # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
+        # exchange each sweep is the best after those before it, as a session may end after any.
+        chosen = choose_sweeps(
+            self.candidates, rows, goals, count, covariance=covariance, criterion="I", passes=passes
+        )  # fmt: skip
+        return chosen.sweeps
+
+    def decide(
+        self,
+        forecast: Forecast,
+        state: State,
+        calibration_due: str | None = None,
+        diagnosed_h: float | None = None,
+    ) -> Decision:
+        """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
+
+        Parameters
+        ----------
+        calibration_due
+            Why a full calibration is due whatever the error, or None.
+        diagnosed_h
+            When a session could last show a change of the robot, in hours since the campaign began, or None.
+
+        Raises
+        ------
+        InputError
+            If the tolerance cannot be met.
+        """
+        decision = decide(forecast, self.model, state, self.costs, self.choose, self.calibration, calibration_due)
+        every = self.costs.diagnosis_h
+        if decision.action == "full" or every is None or diagnosed_h is None:
+            return decision
+        left = diagnosed_h + every - state.time_h
+        if left <= 0.0:
+            return self._diagnose(decision, forecast, state, diagnosed_h)
+        if decision.action == "hold" and left < decision.hold_hours:
+            after = forecast.outlook(forecast.ahead(state, left))
+            reason = f"the robot itself is to be looked at every {every:g} h"
+            return replace(decision, hold_hours=left, after=after, reason=reason)
+        return decision
+
+    def _diagnose(self, decision: Decision, forecast: Forecast, state: State, diagnosed_h: float) -> Decision:
+        """The sweeps of a decision, and those that look at the robot itself."""
+        sweeps = self.choose_diagnosis(forecast, state)
+        if decision.sweeps is not None:
+            sweeps = join([decision.sweeps, sweeps], file="candidates")
+        planned = sweeps.with_measurement(np.zeros(len(sweeps)), self.costs.sigma)
+        hours = state.time_h - diagnosed_h
+        at = watched(self.drift, self.limits)
+        found = session_power(self.drift, self.model, state, planned, hours, self.limits)[at]
+        most = most_power(self.drift, state, hours, self.limits)[at]
+        parameter = self.drift.parameters[at]
+        size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)
+        reason = (
+            f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show one of "
+            f"{parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
+            f"(any session: at most {most:.2f})"
+        )
+        return measure_instead(decision, forecast, self.model, state, self.costs, sweeps, reason)
+
+
+def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
+    """What to do now with a cell that was followed so far.
+
+    Parameters
+    ----------
+    track
+        Up to its last session.
+    sweeps
+        Of all its sessions; the first is the calibration that would be made again.
+    now_h
+        In hours since the campaign began.
+
+    Raises
+    ------
+    InputError
+        If `now_h` lies before the last session, a task cannot be driven, or the tolerance cannot be met.
+    """
+    last = track.last
+    if not now_h >= last.time_h:
+        raise InputError(
+            f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
+        )
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    forecast = Forecast.of(track.drift, model, goal, last.state.mean)
+    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
+    due = track.calibration_due
+    reason = None if due is None else f"the robot itself moved before session {due}"
+    diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
+    return policy.decide(forecast, forecast.ahead(last.state, now_h - last.time_h), reason, diagnosed)
+
+
+def valid_until(track: Track, goal: Goal, horizon_h: float = HOURS_PER_WEEK) -> float:
+    """Until when the estimate after the last session holds the tasks, in hours since the campaign began.
+
+    Parameters
+    ----------
+    horizon_h
+        The longest that is promised.
+
+    Raises
+    ------
+    InputError
+        If a task cannot be driven.
+    """
+    state = track.last.state
+    forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
+    return state.time_h + forecast.hold_hours(state, horizon_h)
+
+
+def _plain(sweeps: Sweeps) -> Sweeps:
+    """Sweeps as a plan of single end points."""
+    n = len(sweeps)
+    empty, nothing = np.full(n, ""), np.full(n, np.nan)
+    return replace(
+        sweeps,
+        session=np.full(n, "next"),
+        time_h=np.zeros(n),
+        dl=nothing,
+        sigma=nothing,
+        signed=np.ones(n, dtype=bool),
+        group=empty,
+        trace=empty,
+        utc=empty,
+        temperature_c=nothing,
+    )

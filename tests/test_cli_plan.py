@@ -1,0 +1,137 @@
+"""``fpcal plan``."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import DATA
+from test_cli import error_lines
+
+from fpcal_bayes.cli.main import main
+from fpcal_bayes.measure.sweep_files import read_sweeps
+from fpcal_bayes.model.cell import Cell
+
+CASE_A = DATA / "case_a.csv"
+QUICK = ("--draws", 4, "--candidates", 60)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: object, code: int = 0) -> None:
+    assert main(list(map(str, arguments))) == code
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    capsys.readouterr()
+    run("plan", *arguments, code=2)
+    lines = error_lines(capsys.readouterr().err)
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_plan_is_read_by_observe_and_simulate(femto: Cell, capsys: pytest.CaptureFixture[str]) -> None:
+    run("plan", "--n", 3, *QUICK, "-o", "p.csv", "--rows", "r.csv", "--json", "p.json", "--figure", "p.svg")
+    captured = capsys.readouterr()
+    assert "plan / paper" in captured.out
+    assert "undetermined" in captured.err
+    plan = read_sweeps("p.csv", femto, plan=True)
+    header = Path("p.csv").read_text().splitlines()[0]
+    assert "label,q1_start_um" in header
+    assert header.endswith("q6_end_deg")
+    content = json.loads(Path("p.json").read_text())
+    assert (content["schema"], content["command"], content["n_sweeps"]) == ("fpcal/1", "plan", 3)
+    assert content["order"] == plan.label.tolist()
+    assert sorted(content["most_useful_first"]) == sorted(content["order"])
+    assert set(content["expected_sd_nm"]) == {"before", "plan", "paper", "paper, midpoints"}
+    assert content["seconds"]["plan"] < content["seconds"]["paper"]
+    assert Path("p.svg").read_text().startswith("<?xml")
+    run("observe", "p.csv", "--quiet")
+    run("simulate", "--protocol", "p.csv", "-o", "s.csv")
+    run("simulate", "--protocol", "r.csv", "-o", "m.csv")
+    assert len(read_sweeps("s.csv", femto)) == 3
+    assert len(read_sweeps("m.csv", femto)) == 6
+    run("plan", "--n", 2, *QUICK, "--after", "m.csv", "-o", "next.csv")
+    run("plan", "--n", 2, *QUICK, "--after", "p.csv", "-o", "later.csv", "--absolute", "--no-midpoints")
+    assert len(read_sweeps("later.csv", femto, plan=True)) == 2
+
+
+def test_same_seed_same_plan() -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        run("plan", "--n", 2, *QUICK, "--seed", seed, "-o", f"{name}.csv", "--quiet")
+    first, again, other = (Path(f"{name}.csv").read_text() for name in "abc")
+    assert first == again
+    assert first != other
+
+
+def test_reach(capsys: pytest.CaptureFixture[str]) -> None:
+    run("plan", "--reach", "circle=60nm", *QUICK, "-o", "p.csv", "--json", "p.json")
+    content = json.loads(Path("p.json").read_text())
+    assert content["expected_sd_nm"]["plan"]["circle"] <= 60.0
+    assert set(content["expected_sd_nm"]["plan"]) == {"circle"}
+    line = refusal(capsys, "--reach", "circle=0.001nm", "--n", 3, *QUICK, "-o", "q.csv")
+    assert "no plan of up to 3 sweeps reaches the target; the best has circle" in line
+    assert not Path("q.csv").exists()
+
+
+def test_reidentification(capsys: pytest.CaptureFixture[str]) -> None:
+    run("identify", CASE_A, "--json", "e.json", "--quiet")
+    run("plan", "--for", "extrinsic", "--estimate", "e.json", "--n", 3, *QUICK, "-o", "x.csv", "--json", "x.json")
+    expected = json.loads(Path("x.json").read_text())["expected_sd_nm"]
+    assert all(expected["plan"][task] < 0.5 * expected["before"][task] for task in ("circle", "spin"))
+    run(
+        "plan",
+        "--for",
+        "extrinsic",
+        "--estimate",
+        "e.json",
+        "--hours",
+        1,
+        "--n",
+        1,
+        *QUICK,
+        "-o",
+        "y.csv",
+        "--json",
+        "y.json",
+    )
+    sooner = json.loads(Path("y.json").read_text())["expected_sd_nm"]["before"]
+    assert sooner["circle"] < expected["before"]["circle"]
+
+
+@pytest.mark.parametrize("criterion", ["I", "A", "D", "E", "O1"])
+def test_criteria(criterion: str, femto: Cell) -> None:
+    run("plan", "--n", 2, "--draws", 2, "--candidates", 20, "--criterion", criterion, "-o", "p.csv", "--quiet")
+    assert len(read_sweeps("p.csv", femto, plan=True)) == 2
+
+
+def test_chain_without_inverse_model(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "joints" in refusal(capsys, "--cell", DATA / "xy-theta.toml", "--n", 2, *QUICK, "-o", "p.csv")
+
+
+def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = ("-o", "p.csv", *QUICK)
+    assert "expected --n N or --reach" in refusal(capsys, *plain)
+    assert "--reach 'circle': expected TASK=NM" in refusal(capsys, *plain, "--reach", "circle")
+    assert "--reach 'circle=-1nm': expected a number above zero" in refusal(capsys, *plain, "--reach", "circle=-1nm")
+    assert "unknown task 'square'" in refusal(capsys, *plain, "--n", 2, "--tasks", "square")
+    assert "tolerance of an unknown task" in refusal(capsys, *plain, "--reach", "spin=5", "--tasks", "circle")
+    assert "expected --estimate" in refusal(capsys, *plain, "--n", 2, "--for", "extrinsic")
+    assert "beside --for extrinsic only" in refusal(capsys, *plain, "--n", 2, "--estimate", "e.json")
+    assert "61 sweeps out of 60 candidates" in refusal(capsys, *plain, "--n", 61)
+    assert "ends in .csv" in refusal(capsys, "-o", "p.txt", *QUICK, "--n", 2)
+    assert "ends in .svg" in refusal(capsys, *plain, "--n", 2, "--figure", "p.pdf")
+    Path("in.csv").write_bytes(CASE_A.read_bytes())
+    assert "is an input" in refusal(capsys, "-o", "in.csv", *QUICK, "--n", 2, "--after", "in.csv")
+    assert not Path("p.csv").exists()
+
+
+def test_limits_are_kept(femto: Cell) -> None:
+    run("plan", "--n", 3, *QUICK, "--max-tilt-deg", 2, "--single-joints", "-o", "p.csv", "--quiet")
+    plan = read_sweeps("p.csv", femto, plan=True)
+    tilts = np.degrees(np.hypot(*np.vstack([plan.q_start, plan.q_end])[:, 3:5].T))
+    assert tilts.max() <= 2.01
+    assert ((plan.q_start != plan.q_end).sum(axis=1) == 1).all()

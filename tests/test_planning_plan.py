@@ -1,0 +1,138 @@
+"""Planning: better than random and than the greedy start, the same by seed, honest about what it promises."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from task_fixtures import paper_estimate
+
+from fpcal_bayes.control.tasks import task_path
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.planning.candidates import candidate_sweeps
+from fpcal_bayes.infer.planning.choose import choose_sweeps
+from fpcal_bayes.infer.planning.goals import goals_of
+from fpcal_bayes.infer.planning.ground import Ground, estimate_ground, prior_ground
+from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
+from fpcal_bayes.infer.planning.rows import read_often, sweep_rows
+from fpcal_bayes.infer.planning.shortfall import shortfalls
+from fpcal_bayes.infer.task_error import linear_task_sd, task_errors, task_jacobian
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.estimate import Estimate
+
+SMALL = PlanSettings(n_candidates=150, variations=8, share=4)
+
+
+@pytest.fixture(scope="module")
+def cell() -> Cell:
+    return load_cell()
+
+
+@pytest.fixture(scope="module")
+def ground(cell: Cell) -> Ground:
+    return prior_ground(cell, draws=8, seed=1)
+
+
+@pytest.fixture(scope="module")
+def planner(cell: Cell, ground: Ground) -> Planner:
+    return Planner(ground, SMALL, ground.expected_sd(paper_protocol(cell), readings=1))
+
+
+def test_paper_protocol_as_the_tasks_know_it(cell: Cell) -> None:
+    """Expected standard deviations at one point are those of the Laplace covariance, worst point of the path."""
+    known = paper_estimate(cell)
+    prior = Estimate(cell, cell.free, known.values, np.diag(cell.free.prior_sd**2), known.status)
+    expected = estimate_ground(prior, points=61).expected_sd(paper_protocol(cell), readings=1)
+    model = CavityModel.of(cell)
+    for name, sd in expected.items():
+        task = task_path(cell, known.vector(), name)
+        task = task.take(task.ok)
+        assert sd == pytest.approx(
+            linear_task_sd(task_jacobian(model, known.values, task), known.covariance).max(), rel=1e-4
+        )
+
+
+def test_better_than_random_and_than_greedy(cell: Cell, ground: Ground, planner: Planner) -> None:
+    found = planner.best(8)
+    plain = Planner(
+        ground,
+        replace(SMALL, passes=0, variations=0),
+        dict(zip(ground.goals.jacobians, planner.reference, strict=True)),
+    )
+    excess = planner.excess({name: sd[-1] for name, sd in found.sd.items()})
+    random = candidate_sweeps(cell, n=8, rng=np.random.default_rng(3))
+    assert excess < planner.excess({name: sd[-1] for name, sd in plain.best(8).sd.items()})
+    assert excess < 0.5 * planner.excess(ground.expected_sd(random))
+    for sd in found.sd.values():
+        assert len(sd) == 9
+        assert (np.diff(sd) <= 1e-12).all()
+    again = Planner(ground, SMALL, dict(zip(ground.goals.jacobians, planner.reference, strict=True))).best(8)
+    np.testing.assert_array_equal(found.sweeps.q_start, again.sweeps.q_start)
+
+
+def test_fewest_is_enough_and_says_what_cannot_be(ground: Ground) -> None:
+    planner = Planner(ground, SMALL, {"circle": 0.05})
+    found = planner.fewest(most=20)
+    assert found.sd["circle"][-1] <= 0.05
+    with pytest.raises(InputError, match=r"no plan of up to 3 sweeps reaches the target; the best has circle .* nm"):
+        Planner(ground, SMALL, {"circle": 1e-6}).fewest(most=3)
+
+
+def test_expected_sd_is_what_simulated_calibrations_have(cell: Cell) -> None:
+    """Errors on the circle of simulated re-identifications, against the figure that the plan promises."""
+    model, known = CavityModel.of(cell), paper_estimate(cell, midpoints=True)
+    moved = np.array([p.kind == "extrinsic" for p in cell.free]) * 0.02 * cell.free.prior_sd
+    known = replace(known, covariance=known.covariance + np.diag(moved**2))
+    plan = Planner(estimate_ground(known, tasks=("circle",)), SMALL).best(4)
+    sweeps, random = read_often(plan.sweeps, 2), np.random.default_rng(0)
+    squares = []
+    for seed in range(30):
+        values = random.multivariate_normal(known.values, known.covariance)
+        measured = simulate(cell, Truth(cell.free, np.zeros(1), values[None]), sweeps, sigma=0.005, seed=seed)
+        estimate = identify(cell, measured, start=known, prior=known).estimate
+        task = task_path(cell, estimate.vector(), "circle", n_points=9)
+        squares.append(task_errors(model, values[None], estimate.values, task)[0] ** 2)
+    rms = np.sqrt(np.mean(squares, axis=0).max())
+    # 30 truths tell a standard deviation to 13 %; the worst of nine points is a little high.
+    assert rms == pytest.approx(plan.sd["circle"][-1], rel=0.35)
+    assert rms < 0.1 * plan.sd["circle"][0]
+
+
+def test_choice_with_a_covariance_in_other_units(cell: Cell, ground: Ground) -> None:
+    """The same choice whether derivatives are by um and rad or by prior units."""
+    sweeps = candidate_sweeps(cell, n=60, rng=np.random.default_rng(0))
+    rows, scale = sweep_rows(ground.model, ground.goals.values[:1], sweeps), cell.free.prior_sd
+    tasks = {name: jacobian[:1] for name, jacobian in ground.goals.jacobians.items()}
+    first = choose_sweeps(sweeps, rows, tasks, 3, covariance=np.diag(scale**2))
+    again = choose_sweeps(sweeps, rows * scale, {name: jacobian * scale for name, jacobian in tasks.items()}, 3)
+    assert first.indices == again.indices
+    np.testing.assert_allclose(first.sd["circle"], again.sd["circle"], rtol=1e-6)
+    np.testing.assert_array_equal(first.sweeps.q_end, sweeps.q_end[list(first.indices)])
+
+
+def test_what_few_sweeps_leave_undetermined(cell: Cell, ground: Ground) -> None:
+    few = candidate_sweeps(cell, n=1, rng=np.random.default_rng(0))
+    sentences = shortfalls(ground, few)
+    assert any("1 sweep leaves task tilt-x undetermined" in sentence for sentence in sentences)
+    assert shortfalls(ground, paper_protocol(cell)) == []
+
+
+def test_bad_arguments(cell: Cell, ground: Ground, planner: Planner) -> None:
+    sweeps = candidate_sweeps(cell, n=5, rng=np.random.default_rng(0))
+    rows, tasks = sweep_rows(ground.model, ground.goals.values, sweeps), ground.goals.jacobians
+    with pytest.raises(InputError, match="6 sweeps out of 5 candidates"):
+        choose_sweeps(sweeps, rows, tasks, 6)
+    with pytest.raises(InputError, match="no task to plan for"):
+        choose_sweeps(sweeps, rows, {}, 1)
+    with pytest.raises(InputError, match="tolerance of an unknown task 'square'"):
+        choose_sweeps(sweeps, rows, tasks, 1, tolerances={"square": 1.0})
+    with pytest.raises(InputError, match="expected numbers above zero"):
+        choose_sweeps(sweeps, rows, tasks, 1, tolerances={"circle": 0.0})
+    with pytest.raises(InputError, match="0 sweeps out of 150"):
+        planner.best(0)
+    with pytest.raises(InputError, match="unknown task 'square'"):
+        goals_of(ground.model, ground.goals.values, ["square"])

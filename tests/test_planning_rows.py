@@ -1,0 +1,41 @@
+"""Rows of candidates are those of the observability analysis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.observe import whitened_jacobian
+from fpcal_bayes.infer.planning.rows import read_often, sweep_rows
+from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol
+from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+
+
+@pytest.mark.parametrize("repeatability", [0.0, 1e-3])
+def test_midpoints_as_the_protocol_has_them(femto: Cell, repeatability: float) -> None:
+    joints = tuple(replace(joint, repeatability=repeatability) for joint in femto.joints)
+    cell = replace(femto, joints=joints)
+    model, plan = CavityModel.of(cell), paper_protocol(cell)
+    draws = cell.free.nominal + 0.3 * cell.free.prior_sd * np.array([[0.0], [1.0]])
+    halved = add_midpoints(plan)
+    halved = replace(halved, sigma=np.full(len(halved), 0.005))
+    found = sweep_rows(model, draws, plan, readings=2) * cell.free.prior_sd
+    for rows, values in zip(found, draws, strict=True):
+        expected = whitened_jacobian(model, halved, values)
+        np.testing.assert_allclose(rows.reshape(138, 21), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_readings_are_evenly_spaced(femto: Cell) -> None:
+    plan = paper_protocol(femto).take(np.arange(3))
+    often = read_often(plan, 4)
+    check_sweeps(often, femto)
+    assert len(often) == 12
+    assert len(set(often.group)) == 3
+    np.testing.assert_allclose(often.q_end[3::4], plan.q_end)
+    np.testing.assert_allclose(often.q_end[0::4], plan.q_start + (plan.q_end - plan.q_start) / 4)
+    assert (read_often(plan, 1).group == "").all()
+    with pytest.raises(InputError, match="0 readings a sweep"):
+        read_often(plan, 0)

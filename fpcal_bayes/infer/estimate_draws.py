@@ -45,7 +45,7 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     -------
     ndarray
         Free parameters in um and rad, shape (draws, n_free). Points that the charts propose too rarely stand in it more
-        than once.
+        than once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     # The sampler brings emcee, which takes half a second to import.
     from fpcal_bayes.infer.posterior.sample import make_target
@@ -58,9 +58,12 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
         points = np.vstack([points, solved.points[solved.inside]])
         fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
         log_weights = np.concatenate([log_weights, fresh])
-        weights = np.exp(log_weights - log_weights.max(initial=0.0))
-        if weights.sum() ** 2 >= _LEAST_WORTH * draws * (weights**2).sum():
+        weights = np.exp(log_weights - log_weights.max()) if len(log_weights) else np.zeros(1)
+        worth = float(weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300))
+        if worth >= _LEAST_WORTH * draws:
             break
+    else:
+        return np.zeros((0, found.problem.n_free))
     # Systematic resampling: each point as often as its weight says, up to rounding.
     places = (np.arange(draws) + random.random()) / draws
     chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
@@ -71,12 +74,16 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
     """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
 
-    That is so if the fit did not converge, or parameters are held: draws would let the data speak about these.
+    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
+    the data speak about these.
     """
     free = found.problem.model.free
     if not found.converged or free.names != found.estimate.parameters.names:
         return {}
-    shown = np.round(free.to_shown(independent_draws(found, draws)), _DIGITS)
+    values = independent_draws(found, draws)
+    if not len(values):
+        return {}
+    shown = np.round(free.to_shown(values), _DIGITS)
     return {"draws": {"names": list(free.names), "rows": shown.tolist()}}
 
 

@@ -22,7 +22,7 @@ DOF = 4.0
 #: The noise with which the search for a minimum begins, over that of the rows, and its steps down.
 _WIDEST, _STEPS = 100.0, 6
 #: Least curvature of a tangent, over that of the Gaussian row which pulls as hard.
-_LEAST_SHARE = 0.2
+_LEAST_SHARE = 0.6
 #: Proposals are made somewhat too wide, since the density falls off more slowly than its tangents.
 _WIDER = 0.7
 

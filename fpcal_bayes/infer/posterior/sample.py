@@ -142,7 +142,10 @@ def sample(
     """
     target, references = make_target(identification, likelihood, noise_scale)
     children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
-    atlas = Atlas(target, learn_charts(target, references, np.random.default_rng(children[-1])))
+    if target.dof is None:
+        references = learn_charts(target, references, np.random.default_rng(children[-1]))
+    # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
+    atlas = Atlas(target, references)
     runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
     limit = max(5000, 20 * least) if max_steps is None else max_steps

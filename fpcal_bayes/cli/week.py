@@ -18,8 +18,7 @@ from fpcal_bayes.cli.common import (
     warm_up,
     warn,
 )
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import write_json, write_text
+from fpcal_bayes.files import make_folder, write_json, write_text
 from fpcal_bayes.model.estimate import SCHEMA
 
 if TYPE_CHECKING:
@@ -56,10 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
     cell = cell_of(options)
     folder: Path = options.output
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: expected a folder that can be made ({error.strerror})") from error
+    make_folder(folder)
     warm_up(cell)
     began = time.perf_counter()
     truth, sweeps = measure_week(cell, sigma=options.sigma_nm * 1e-3, seed=options.seed)

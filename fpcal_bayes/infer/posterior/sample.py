@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import emcee
 import numpy as np
@@ -44,7 +44,6 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 _IN_HAND = 1.05
 
 Likelihood = Literal["gaussian", "student", "slip"]
-LIKELIHOODS: tuple[Likelihood, ...] = get_args(Likelihood)
 Progress = Callable[[float, float], None]
 
 

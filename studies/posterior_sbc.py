@@ -77,8 +77,12 @@ def quantities(cell: Cell) -> list[str]:
     return [*cell.free.names, "task", "log density"]
 
 
-def run_replicate(number: int, *, protocol: str, seed: int, draws: int) -> Replicate:
-    """One truth; its random numbers depend on `seed`, the protocol and `number` alone."""
+def run_replicate(number: int, *, protocol: str, seed: int, draws: int, steps: int | None = None) -> Replicate:
+    """One truth; its random numbers depend on `seed`, the protocol and `number` alone.
+
+    With `steps`, the walkers go so far and no further: the ranks are those of an exact sampler if the start is
+    forgotten by then, whether or not the diagnostics have seen enough to say so.
+    """
     cell = load_cell()
     sequence = np.random.SeedSequence([seed, PROTOCOLS.index(protocol), number])
     random = np.random.default_rng(sequence)
@@ -89,7 +93,7 @@ def run_replicate(number: int, *, protocol: str, seed: int, draws: int) -> Repli
     charts = 1 + len(found.other_minima)
     if not found.converged:
         return Replicate(None, ("not identified",), charts)
-    posterior = sample(found, draws=draws, seed=sampler_seed)
+    posterior = sample(found, draws=draws, seed=sampler_seed, max_steps=steps)
 
     problem = found.problem
     # Walkers do not interact; the middle and the end of each walk lie many autocorrelation times apart.
@@ -107,9 +111,11 @@ def run_replicate(number: int, *, protocol: str, seed: int, draws: int) -> Repli
     return Replicate(ranks.tolist(), posterior.failures, charts)
 
 
-def run_protocol(protocol: str, numbers: range, seed: int, draws: int, processes: int) -> list[Replicate]:
+def run_protocol(
+    protocol: str, numbers: range, seed: int, draws: int, processes: int, steps: int | None = None
+) -> list[Replicate]:
     """Replicates in the order of their numbers."""
-    one = partial(run_replicate, protocol=protocol, seed=seed, draws=draws)
+    one = partial(run_replicate, protocol=protocol, seed=seed, draws=draws, steps=steps)
     if processes == 1:
         return list(map(one, numbers))
     with get_context("spawn").Pool(processes) as pool:
@@ -153,6 +159,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first replicate")
     parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=["paper", "random"])
     parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--steps", type=int, help="stop each walker after so many steps, converged or not")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("-o", dest="output", type=Path, help="ranks as JSON; a figure stands beside it")
@@ -164,7 +171,7 @@ def main() -> int:
     verdicts: dict[str, list[Verdict]] = {}
     for protocol in options.protocols:
         began = time.perf_counter()
-        found = run_protocol(protocol, numbers, options.seed, options.draws, options.processes)
+        found = run_protocol(protocol, numbers, options.seed, options.draws, options.processes, options.steps)
         kept = np.array([r.ranks for r in found if r.ranks is not None])
         ranks[protocol] = kept
         unconverged = sum(bool(r.failures) for r in found)

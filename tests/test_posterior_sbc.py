@@ -59,9 +59,9 @@ def test_replicates_do_not_depend_on_the_number_of_processes(sbc):
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["paper", "random"])
 def test_calibrated(sbc, femto, protocol):
-    """25 truths a protocol; family-wise over all quantities and both protocols. The study runs more."""
+    """50 truths a protocol; family-wise over all quantities and both protocols. The study runs more, to convergence."""
     names = sbc.quantities(femto)
-    found = sbc.run_protocol(protocol, range(25), seed=1, draws=400, processes=1)
+    found = sbc.run_protocol(protocol, range(50), seed=1, draws=400, processes=1, steps=30)
     assert all(replicate.ranks is not None for replicate in found)
     ranks = np.array([replicate.ranks for replicate in found])
     random = np.random.default_rng(0)

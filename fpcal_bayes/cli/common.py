@@ -90,16 +90,19 @@ def write_result(output: Path | None, command: str, content: dict[str, Any]) -> 
 
 def warm_up(cell: Cell) -> None:
     """Load the kernels, so that times do not count it; say so if they have to be compiled first."""
+    from fpcal_bayes.infer.kernel_whitening import whiten_groups
     from fpcal_bayes.model.cavity import CavityModel
     from fpcal_bayes.model.compiled import needs_compilation
     from fpcal_bayes.model.kernel import batch_lengths
     from fpcal_bayes.model.kernel_jacobian import batch_jacobians
 
-    if needs_compilation(batch_lengths, batch_jacobians):
+    if needs_compilation(batch_lengths, batch_jacobians, whiten_groups):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     model, home = CavityModel.of(cell), np.zeros((1, len(cell.joints)))
     model.predict(model.free.nominal, model.pose_rows(home))
     model.predict_with_jacobian(model.free.nominal, model.pose_rows(home))
+    one = np.ones((1, 1, 1))
+    whiten_groups(one, np.zeros((1, 1), dtype=np.int64), one[0], one, one, one[0])
 
 
 def warn(warnings: Iterable[str]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from fpcal_bayes.infer.kernel_whitening import whiten_groups
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 
@@ -51,14 +52,9 @@ class _Batch:
         gain = np.linalg.solve(known, shared[..., None])[..., 0]
         return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
 
-    def apply(self, rows: Floats, result: Floats) -> None:
-        """Whiten the members among the rows of a matrix (n_rows, n) into `result`."""
-        scaled = rows[self.members] * self.own[..., None]
-        predicted = np.zeros_like(scaled)
-        for common in range(self.shared.shape[-1]):
-            told = _sum_before(self.shared[..., common, None] * scaled)
-            predicted += self.gain[..., common, None] * told
-        result[self.members] = (scaled - predicted) * self.scale[..., None]
+    def apply(self, rows: Floats) -> None:
+        """Whiten the members among the rows (n_points, n_rows, n) in place."""
+        whiten_groups(rows, self.members, self.own, self.shared, self.gain, self.scale)
 
     def weigh(self, rows: Floats, result: Floats) -> None:
         """Multiply the members among the entries of a vector (n_rows,) by the groups' inverse covariance."""
@@ -100,12 +96,21 @@ class Whitening:
     batches: tuple[_Batch, ...] = ()
 
     def apply(self, rows: Floats) -> Floats:
-        """Whiten a vector (n_rows,) or the columns of a matrix (n_rows, n)."""
-        result: Floats = rows * (self.scale if rows.ndim == 1 else self.scale[:, None])
-        columns, into = (rows[:, None], result[:, None]) if rows.ndim == 1 else (rows, result)
+        """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
+        if not self.batches:
+            return rows * (self.scale if rows.ndim == 1 else self.scale[:, None])
+        result = np.array(rows, dtype=float, order="C")
+        stacked = result.reshape((1,) * (3 - rows.ndim) + rows.shape) if rows.ndim > 1 else result.reshape(1, -1, 1)
+        stacked[:, self._alone] *= self.scale[self._alone, None]
         for batch in self.batches:
-            batch.apply(columns, into)
+            batch.apply(stacked)
         return result
+
+    @cached_property
+    def _alone(self) -> Ints:
+        """Positions of the rows that share nothing."""
+        grouped = [batch.members.ravel() for batch in self.batches]
+        return np.setdiff1d(np.arange(len(self.scale)), np.concatenate(grouped))
 
     def scaled(self, factor: float) -> "Whitening":
         """The whitening of rows whose errors are `factor` times as large."""
@@ -124,8 +129,7 @@ class Whitening:
         """The map as a matrix (n_rows, n_rows), or None if it only scales."""
         if not self.batches:
             return None
-        grouped = np.concatenate([batch.members.ravel() for batch in self.batches])
-        alone = np.setdiff1d(np.arange(len(self.scale)), grouped)
+        alone = self._alone
         parts = [batch.entries() for batch in self.batches] + [(self.scale[alone], alone, alone)]
         values, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
         return sparse.csr_array((values, (row, column)), shape=(len(self.scale), len(self.scale)))

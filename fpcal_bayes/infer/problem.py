@@ -194,9 +194,7 @@ class Problem:
         change, scaled = self._unwhitened_batch(points)
         if not self.whitening.batches:
             return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
-        columns = scaled.transpose(1, 0, 2).reshape(len(self.target), -1)
-        whitened = self.whitening.apply(columns).reshape(len(self.target), len(points), -1)
-        return self.whitening.apply(change.T).T, np.ascontiguousarray(whitened.transpose(1, 0, 2))
+        return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 
     def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
         predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)

@@ -67,9 +67,7 @@ def plan_rows(model: CavityModel, values: Floats, sweeps: Sweeps) -> Floats:
     _, jacobians = model.predict_with_jacobian(values, rows)
     whitening = whitening_of(model, sweeps, values[0])
     if not model.cell.repeatability.any():
-        n_draws, n_rows, n = jacobians.shape
-        columns = whitening.apply(jacobians.transpose(1, 0, 2).reshape(n_rows, -1))
-        return np.ascontiguousarray(columns.reshape(n_rows, n_draws, n).transpose(1, 0, 2))
+        return whitening.apply(jacobians)
     # What the joints' repeatability adds depends on where the rows are linearised.
     parts: Sequence[Floats] = [
         whitening_of(model, sweeps, point).apply(jacobian) for point, jacobian in zip(values, jacobians, strict=True)

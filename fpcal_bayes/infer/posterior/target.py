@@ -226,7 +226,8 @@ class PosteriorTarget:
         change = problem.model.predict(problem.values(own), problem.rows) - problem.target
         if problem.sensitivity is not None:
             change = change + own[:, problem.n_free :] @ problem.sensitivity.T
-        return problem.whitening.apply(change.T).T
+        whitened: Floats = problem.whitening.apply(change[:, :, None])[:, :, 0]
+        return whitened
 
     def _factors(self, points: Floats) -> Floats:
         n = self.problem.n_unknowns

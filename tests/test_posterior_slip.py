@@ -1,6 +1,7 @@
 """The slip likelihood: its density, and what sampling it says."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ from scipy import special, stats
 from test_slips import slipped_sweeps
 
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.covariance import group_blocks
 from fpcal_bayes.infer.identify import identify
 from fpcal_bayes.infer.posterior.output import slip_probabilities, summarise
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target_slip import LOGIT_MEAN, LOGIT_SD, SlipTarget
 from fpcal_bayes.infer.slips import MOST_HALF_WAVES, find_slips
-from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol
+from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cell import Cell
@@ -80,11 +82,68 @@ def test_slipped_sweeps_are_flagged_and_do_no_harm(femto: Cell, slipped) -> None
         assert abs(found[name]["sd"] / entry["sd"] - 1) < 0.15, name
 
 
-def test_rows_that_share_a_reading_are_refused(femto: Cell) -> None:
-    plan = add_midpoints(paper_protocol(femto).take(np.arange(30)))
-    result = identify(femto, simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=0))
-    with pytest.raises(InputError, match="slip likelihood"):
-        sample(result, draws=100, likelihood="slip")
+@pytest.fixture(scope="module")
+def grouped(femto: Cell):
+    """Sweeps with midpoints; one slips in its first half, which both of its rows show, one in its second."""
+    plan = paper_protocol(femto, midpoints=True)
+    clean = simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=0)
+    counts = np.zeros(len(clean), dtype=int)
+    counts[[10, 11, 33]] = (1, 1, -2)
+    result = identify(femto, replace(clean, dl=clean.dl + 0.5 * femto.wavelength * counts))
+    return clean, counts, result, SlipTarget(find_slips(result.problem, result.solution))
+
+
+def test_rows_that_share_a_reading_are_summed_over_together(femto: Cell, grouped) -> None:
+    """All 49 pairs of counts of each group, with the group's covariance written out; noise of a quarter wave too."""
+    *_, result, target = grouped
+    rng = np.random.default_rng(0)
+    counts = np.arange(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1)
+    for factor in (1.0, 80.0):
+        sweeps = result.problem.sweeps
+        problem = type(result.problem).of(
+            result.problem.model, sweeps.with_measurement(sweeps.dl, factor * sweeps.sigma), None
+        )
+        target = SlipTarget(find_slips(problem, result.solution))
+        point = np.append(result.solution.unknowns + 1e-5 * rng.standard_normal(21), 0.3)[None]
+        eps = special.expit(LOGIT_MEAN + LOGIT_SD * point[0, -1])
+        predicted = problem.model.predict(problem.values(point[0, :-1]), problem.rows)
+        total, per_row, slipped = stats.norm.logpdf(point).sum(), [], []
+        weight = np.where(counts, np.log(eps / (2 * MOST_HALF_WAVES)), np.log1p(-eps))
+        cov = (factor * 0.005) ** 2 * np.array([[1.0, 0.5], [0.5, 1.0]])
+        for members in group_blocks(sweeps):
+            off = (sweeps.dl - predicted)[members, None] - counts * 0.5 * femto.wavelength
+            pairs = np.stack(np.meshgrid(*off, indexing="ij"), axis=-1)
+            terms = stats.multivariate_normal([0.0, 0.0], cov).logpdf(pairs) + weight[:, None] + weight
+            first = special.logsumexp(stats.norm.logpdf(off[0], 0.0, factor * 0.005) + weight)
+            joint = special.logsumexp(terms)
+            per_row += [first, joint - first]
+            stayed = np.exp(terms - joint)
+            slipped += [1 - stayed[MOST_HALF_WAVES].sum(), 1 - stayed[:, MOST_HALF_WAVES].sum()]
+            total += joint
+        found = target.log_density(target.data_residuals(point), point) + target.log_scale.sum()
+        prior_constant = stats.norm.logpdf(point).sum() + 0.5 * (point**2).sum()
+        np.testing.assert_allclose(found + prior_constant, total, rtol=1e-8)
+        np.testing.assert_allclose(target.log_likelihoods(point)[0], per_row, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(target.slip_probabilities(point)[0], slipped, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_slips_within_a_sweep_are_flagged_in_its_rows(femto: Cell, grouped) -> None:
+    _, counts, result, _ = grouped
+    posterior = sample(result, draws=300, likelihood="slip", seed=1)
+    assert posterior.converged, posterior.failures
+    shares = dict(slip_probabilities(posterior))
+    probability = np.array([shares[label] for label in result.problem.sweeps.label.tolist()])
+    assert (probability[counts != 0] > 0.99).all()
+    assert (probability[counts == 0] < 0.5).all()
+
+
+def test_rows_of_unknown_sign_are_refused(slipped) -> None:
+    *_, result, _ = slipped
+    slips = find_slips(result.problem, result.solution)
+    sweeps = replace(slips.problem.sweeps, signed=np.arange(len(slips.problem.sweeps)) != 3)
+    with pytest.raises(InputError, match=r"row 5, column signed: .* known sign"):
+        SlipTarget(replace(slips, problem=replace(slips.problem, sweeps=sweeps)))
 
 
 def test_more_slips_make_them_likelier(femto: Cell) -> None:

@@ -16,7 +16,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class _Batch:
+class Batch:
     """Groups of equally many rows, each row whitened given those before it in its group.
 
     In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
@@ -43,7 +43,7 @@ class _Batch:
     scale: Floats
 
     @classmethod
-    def of(cls, members: Ints, own_sd: Floats, common: Floats) -> "_Batch":
+    def of(cls, members: Ints, own_sd: Floats, common: Floats) -> "Batch":
         """From own errors (n_rows,) and common ones (n_rows, n_common), both of all rows."""
         own = 1.0 / own_sd[members]
         shared = common[members] * own[..., None]
@@ -93,7 +93,7 @@ class Whitening:
     """
 
     scale: Floats
-    batches: tuple[_Batch, ...] = ()
+    batches: tuple[Batch, ...] = ()
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
@@ -107,10 +107,18 @@ class Whitening:
         return result
 
     @cached_property
+    def all_batches(self) -> tuple[Batch, ...]:
+        """The batches, rows that share nothing being groups of one."""
+        alone = self._alone[:, None]
+        nothing = np.zeros((*alone.shape, 1))
+        ones = np.ones(alone.shape)
+        return (*self.batches, *([Batch(alone, self.scale[alone], nothing, nothing, ones)] if len(alone) else []))
+
+    @cached_property
     def _alone(self) -> Ints:
         """Positions of the rows that share nothing."""
         grouped = [batch.members.ravel() for batch in self.batches]
-        return np.setdiff1d(np.arange(len(self.scale)), np.concatenate(grouped))
+        return np.setdiff1d(np.arange(len(self.scale)), np.concatenate([*grouped, np.zeros(0, dtype=np.int64)]))
 
     def scaled(self, factor: float) -> "Whitening":
         """The whitening of rows whose errors are `factor` times as large."""
@@ -161,7 +169,7 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
     by_size: dict[int, list[Ints]] = {}
     for members in group_blocks(sweeps):
         by_size.setdefault(len(members), []).append(members)
-    batches = tuple(_Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
+    batches = tuple(Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
     return Whitening(1.0 / np.sqrt(variance), batches)
 
 

@@ -1,7 +1,8 @@
 """Sweeps whose fringe count slipped: dL off by whole half wavelengths.
 
-Slips are looked for one at a time: of all single corrections of a row by k half wavelengths, the one that lowers the
-refitted sum of squares most is made, as long as it lowers it by more than chance and the rarity of slips allow.
+Slips are looked for one at a time: of all corrections by k half wavelengths, the one that lowers the refitted sum of
+squares most is made, as long as it lowers it by more than chance and the rarity of slips allow. A correction is that of
+one row, or of a row with those after it in its group: a count that slips on the way is off from there on.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from fpcal_bayes.infer.covariance import group_blocks
 from fpcal_bayes.infer.least_squares import Solution, minimise
 from fpcal_bayes.infer.problem import Problem
 
@@ -50,12 +52,14 @@ def find_slips(problem: Problem, solution: Solution) -> Slips:
     half_wave = 0.5 * problem.model.cell.wavelength
     original = problem.target
     counts = np.zeros(len(original), dtype=np.int64)
+    together = [np.array([i]) for i in range(len(original))]
+    together += [block[i:] for block in group_blocks(problem.sweeps) for i in range(len(block) - 1)]
     for _ in range(len(original)):
-        row, count, gain = _best_correction(problem, solution, counts, half_wave)
+        rows, step, gain = _best_correction(problem, solution, counts, half_wave, together)
         if gain < _LEAST_GAIN:
             break
         trial = counts.copy()
-        trial[row] = count
+        trial[rows] += step
         corrected = problem.with_target(original - half_wave * trial)
         # A fit that slips spoilt may have ended far off: the prior mean is tried as well.
         found = [minimise(corrected, start) for start in (solution.unknowns, np.zeros(problem.n_unknowns))]
@@ -66,23 +70,34 @@ def find_slips(problem: Problem, solution: Solution) -> Slips:
     return Slips(counts, problem, solution)
 
 
-def _best_correction(problem: Problem, solution: Solution, counts: Ints, half_wave: float) -> tuple[int, int, float]:
-    """Row, new count and gain in the sum of squares of the best change of one count, the fit following linearly."""
+def _best_correction(
+    problem: Problem, solution: Solution, counts: Ints, half_wave: float, together: list[Ints]
+) -> tuple[Ints, int, float]:
+    """Rows, change of their counts, and gain in the sum of squares of the best correction; the fit follows linearly."""
     unknowns = solution.unknowns
     residuals = problem.data_residuals(unknowns)
     orthonormal = linalg.qr(problem.jacobian(unknowns), mode="economic")[0][: len(residuals)]
     mix = problem.whitening.mix
-    unit = sparse.csc_array(sparse.diags_array(problem.whitening.scale) if mix is None else mix) * half_wave
+    whitening = sparse.diags_array(problem.whitening.scale) if mix is None else mix
+    rows, first = np.concatenate(together), np.cumsum([0, *map(len, together)])
+    chosen = sparse.csc_array((np.full(len(rows), half_wave), rows, first), shape=(len(counts), len(together)))
+    unit = sparse.csc_array(whitening @ chosen)
     along = unit.T @ residuals
     size = unit.multiply(unit).sum(axis=0) - ((unit.T @ orthonormal) ** 2).sum(axis=1)
-    best = (0, 0, -np.inf)
-    for count in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1):
+    low = np.minimum.reduceat(counts[rows], first[:-1])
+    high = np.maximum.reduceat(counts[rows], first[:-1])
+    best = (together[0], 0, -np.inf)
+    for step in range(-2 * MOST_HALF_WAVES, 2 * MOST_HALF_WAVES + 1):
+        if step == 0:
+            continue
         # Taking one more half wavelength from dL raises prediction minus measurement by it.
-        step = count - counts
-        gain = np.where(step == 0, -np.inf, -(2.0 * step * along + step**2 * size))
+        gain = -(2.0 * step * along + step**2 * size)
         # A slip more is a priori rarer than one less.
-        gain = gain + _LEAST_GAIN * ((counts != 0).astype(float) - (1.0 if count else 0.0)) * 0.5
-        row = int(np.argmax(gain))
-        if gain[row] > best[2]:
-            best = (row, count, float(gain[row]))
+        slipped_now = (low != 0) | (high != 0)
+        slipped_then = (low + step != 0) | (high + step != 0)
+        gain += 0.5 * _LEAST_GAIN * (slipped_now.astype(float) - slipped_then)
+        gain[(low + step < -MOST_HALF_WAVES) | (high + step > MOST_HALF_WAVES)] = -np.inf
+        column = int(np.argmax(gain))
+        if gain[column] > best[2]:
+            best = (together[column], step, float(gain[column]))
     return best

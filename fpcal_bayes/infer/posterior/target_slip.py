@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.errors import located
+from fpcal_bayes.infer.covariance import Batch
+from fpcal_bayes.infer.posterior.kernel_slip import slip_sums
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.slips import MOST_HALF_WAVES, Slips
@@ -36,18 +38,17 @@ class SlipTarget(PosteriorTarget):
     Raises
     ------
     InputError
-        If rows share a reading or have no sign: a slip of one would be a slip of others.
+        If rows have no sign: what slipped is then not known.
     """
 
     def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:
         super().__init__(slips.problem, noise=noise)
         sweeps = slips.problem.sweeps
-        if slips.problem.whitening.mix is not None or not (sweeps.signed | sweeps.absolute).all():
-            raise InputError(
-                f"{sweeps.file}: the slip likelihood needs signed rows without a group, found rows of unknown sign or "
-                "rows that share a reading"
-            )
-        self._half_wave = 0.5 * slips.problem.model.cell.wavelength * slips.problem.whitening.scale
+        unsigned = np.flatnonzero(~(sweeps.signed | sweeps.absolute))
+        if len(unsigned):
+            row = int(sweeps.rows[unsigned[0]])
+            raise located(sweeps.file, "the slip likelihood needs rows of known sign", row=row, column="signed")
+        self._half_wave = 0.5 * slips.problem.model.cell.wavelength
         # An absolute length comes from a wavelength scan, not from counting.
         self._can_slip = ~sweeps.absolute
         self._corrected = slips.counts
@@ -77,23 +78,32 @@ class SlipTarget(PosteriorTarget):
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
         corrected = residuals[:, : len(self.problem.target)]
-        mixture = self._log_terms(corrected, points)
-        total: Floats = special.logsumexp(mixture, axis=0).sum(axis=1) - 0.5 * (points**2).sum(axis=1)
+        total: Floats = self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1)
         if self.noise is not None:
             total -= corrected.shape[1] * LOG_SD * points[:, self.problem.n_unknowns]
         return total
 
     def log_likelihoods(self, points: Floats) -> Floats:
-        """Log likelihood of each row, summed over the ways in which it may have slipped."""
-        result: Floats = special.logsumexp(self._log_terms(self.standardised(points), points), axis=0) + self.log_scale
+        """Log likelihood of each row, summed over the ways in which it may have slipped.
+
+        Of rows that share a reading, that of a row given those before it in its group.
+        """
+        standardised = self.standardised(points)
+        result = np.empty_like(standardised)
+        for batch in self.problem.whitening.all_batches:
+            known = np.zeros((len(points), len(batch.members)))
+            for i in range(batch.members.shape[1]):
+                total, _ = self._batch_sums(batch, standardised, points, i + 1)
+                result[:, batch.members[:, i]] = total - known
+                known = total
+        result += self.log_scale
         if self.noise is not None:
             result -= LOG_SD * points[:, self.problem.n_unknowns, None]
         return result
 
     def slip_probabilities(self, points: Floats) -> Floats:
         """Probability that each row has slipped, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
-        mixture = self._log_terms(self.standardised(points), points)
-        stayed = np.exp(mixture[MOST_HALF_WAVES] - special.logsumexp(mixture, axis=0))
+        _, stayed = self._slip_sums(self.standardised(points), points)
         probability: Floats = 1.0 - stayed
         return probability
 
@@ -107,7 +117,8 @@ class SlipTarget(PosteriorTarget):
         errors = super().draw_noise(points, rng)
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
-        drawn: Floats = errors + np.where(slipped, counts, 0) * self._half_wave
+        offsets = np.where(slipped, counts, 0) * self._half_wave
+        drawn: Floats = errors + self.problem.whitening.apply(offsets[:, :, None])[:, :, 0]
         return drawn
 
     def _row_of_eps(self, points: Floats) -> Floats:
@@ -116,20 +127,38 @@ class SlipTarget(PosteriorTarget):
         row: Floats = self._curvature * (points[:, -1:] - self.reference) - offset
         return row
 
-    def _log_terms(self, corrected: Floats, points: Floats) -> Floats:
-        """Log density of each row for each count from -3 to 3, shape (7, n_points, n_rows)."""
-        log_eps = special.log_expit(LOGIT_MEAN + LOGIT_SD * points[:, -1])[:, None]
-        log_not = special.log_expit(-(LOGIT_MEAN + LOGIT_SD * points[:, -1]))[:, None]
-        half_wave = self._half_wave if self.noise is None else self._half_wave / self._factors(points)
-        terms = np.full((2 * MOST_HALF_WAVES + 1, *corrected.shape), -np.inf)
-        for i, count in enumerate(range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1)):
-            residual = corrected + (count - self._corrected) * half_wave
-            if count:
-                weight = np.where(self._can_slip, log_eps - np.log(2.0 * MOST_HALF_WAVES), -np.inf)
-            else:
-                weight = np.where(self._can_slip, log_not, 0.0)
-            terms[i] = weight - 0.5 * residual**2
-        return terms
+    def _slip_sums(self, corrected: Floats, points: Floats) -> tuple[Floats, Floats]:
+        """Log density of all rows (n_points,), and the probability that each has not slipped (n_points, n_rows)."""
+        total, stayed = np.zeros(len(points)), np.empty(corrected.shape)
+        for batch in self.problem.whitening.all_batches:
+            part, known = self._batch_sums(batch, corrected, points, batch.members.shape[1])
+            total += part.sum(axis=1)
+            stayed[:, batch.members] = known[:, batch.members]
+        return total, stayed
+
+    def _batch_sums(self, batch: Batch, corrected: Floats, points: Floats, prefix: int) -> tuple[Floats, Floats]:
+        """The sums of `slip_sums` for the first rows of each group of a batch."""
+        log_odds = LOGIT_MEAN + LOGIT_SD * points[:, -1]
+        total, stayed = np.empty((len(points), len(batch.members))), np.ones(corrected.shape)
+        slip_sums(
+            np.ascontiguousarray(corrected),
+            special.log_expit(log_odds) - np.log(2.0 * MOST_HALF_WAVES),
+            special.log_expit(-log_odds),
+            np.ones(len(points)) if self.noise is None else self._factors(points)[:, 0],
+            self._corrected,
+            self._can_slip,
+            self._half_wave,
+            MOST_HALF_WAVES,
+            batch.members,
+            batch.own,
+            batch.shared,
+            batch.gain,
+            batch.scale,
+            prefix,
+            total,
+            stayed,
+        )
+        return total, stayed
 
 
 def _mode(n_slipped: int, n_rows: int) -> tuple[float, float]:

@@ -1,11 +1,12 @@
 """Files written whole or not at all, and hashes that identify their content."""
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,42 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def exclusive(path: Path) -> Iterator[Callable[[], None]]:
+    """Be the only writer of an existing file; the lock ends with the process, however that ends.
+
+    Gives a function that raises `InputError` if another program has put another file in its place meanwhile.
+
+    Raises
+    ------
+    InputError
+        If another process holds the file, or it cannot be opened.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
+
+    def require_same() -> None:
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                return
+        raise InputError(f"{path}: another program replaced or removed this file meanwhile: run the command again")
+
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError(f"{path}: another fpcal is writing this file: wait until it has ended") from error
+        except OSError:
+            # Some shared drives have no locks; that the file is still the same is checked all the same.
+            pass
+        require_same()
+        yield require_same
+    finally:
+        os.close(handle)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write `text` as UTF-8 with Unix line ends, whole or not at all."""
     with replacing(path) as temporary:
@@ -110,6 +147,13 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: row {line}: expected UTF-8 text, found byte 0x{byte:02x}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
+
+
+def require_line_end(path: Path, text: str) -> None:
+    """Raise `InputError` unless the last line of a text has an end: without it, its last value may be cut short."""
+    if text and not text.endswith(("\n", "\r")):
+        row = len(text.splitlines())
+        raise InputError(f"{path}: row {row}: expected a line end after the last row, the file may be cut short")
 
 
 def file_sha256(path: Path) -> str:

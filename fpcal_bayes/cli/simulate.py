@@ -1,7 +1,9 @@
 """``fpcal simulate``: measure sweeps on a simulated cell."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fpcal_bayes.cli.common import (
     Commands,
@@ -13,12 +15,29 @@ from fpcal_bayes.cli.common import (
     seed,
     warm_up,
 )
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.model.cell import Cell
+
+if TYPE_CHECKING:
+    from fpcal_bayes.measure.recorder_settings import RecorderSettings
+    from fpcal_bayes.measure.sweeps import Sweeps
+    from fpcal_bayes.measure.truth import Truth
 
 _EPILOG = """\
 The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
 another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several
 [[epoch]] tables with `time_h` and [epoch.parameters].
+
+--traces records the irradiance in place of dL: FILE is an index for `fpcal ingest`, a CSV with its traces in a folder
+beside it or HDF5 with everything inside; the truth goes to FILE_truth.toml. Sweeps have wavelength scans before and
+after (--signs paper: X and Z translations only). 200 samples a second for 10 s a sweep, so at least 35 a fringe with
+the paper's protocol. --disturbances hard: 20 % change of gain; 10 % drift of the offset, 1 % second harmonic and 1 %
+noise relative to the fringes' amplitude. The velocity has a ripple of 10 % always.
+
+--path records the joint path of `fpcal control -o JOINTS.csv` in place of sweeps, for `fpcal check`.
 """
+_PROTOCOLS = ("paper", "paper-mid")
+DEFAULT_SIGMA_NM = 5.0
 
 
 def add_parser(commands: Commands) -> None:
@@ -30,35 +49,79 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
     parser.add_argument(
         "--protocol",
-        default="paper",
         metavar="paper|paper-mid|SWEEPS.csv",
         help="which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)",
     )
     parser.add_argument(
         "--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only"
     )
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    parser.add_argument(
+        "--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})"
+    )
     parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    parser.add_argument("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
+    parser.add_argument("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
+    parser.add_argument("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
+    parser.add_argument(
+        "--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest"
+    )
+    parser.add_argument("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.measure.campaign import Campaign, write_campaign
     from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
-    from fpcal_bayes.measure.rig import simulate
-    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES, read_sweeps, write_sweeps
+    from fpcal_bayes.measure.sweep_files import read_sweeps
     from fpcal_bayes.measure.truth import paper_truth, read_truth
 
     cell = cell_of(options)
-    planned = options.protocol not in ("paper", "paper-mid")
-    check_output(options.output, options.protocol if planned else None, options.truth)
-    plan = read_sweeps(options.protocol, cell, plan=True) if planned else protocol_by_name(options.protocol, cell)
-    if options.signs is not None:
-        plan = mark_signs(plan, options.signs)
+    _check_options(options)
+    protocol = options.protocol or "paper"
+    planned = protocol not in _PROTOCOLS
+    check_output(options.output, protocol if planned else None, options.truth, options.path)
+    plan = None
+    if options.path is None:
+        plan = read_sweeps(protocol, cell, plan=True) if planned else protocol_by_name(protocol, cell)
+        plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
+    if plan is None:
+        return _record_path(options, cell, truth)
+    if options.traces:
+        return _record(options, cell, truth, plan)
+    return _measure(options, cell, truth, plan, protocol)
+
+
+def _check_options(options: argparse.Namespace) -> None:
+    """Refuse options that would have no effect."""
+    for name in ("path", "samples_per_fringe", "disturbances"):
+        if getattr(options, name) is not None and not options.traces:
+            raise InputError(f"--{name.replace('_', '-')}: is taken with --traces only")
+    if options.traces and options.sigma_nm is not None:
+        raise InputError("--sigma-nm: is not taken with --traces, whose noise is that of the photodiode")
+    if options.time_h is not None and options.path is None:
+        raise InputError("--time-h: is taken with --path only; sweeps have their own times")
+    for name in ("protocol", "signs", "samples_per_fringe"):
+        if options.path is not None and getattr(options, name) is not None:
+            raise InputError(f"--{name.replace('_', '-')}: is not taken with --path")
+
+
+def _settings(options: argparse.Namespace) -> "RecorderSettings":
+    from fpcal_bayes.measure.recorder_settings import HARD, RecorderSettings
+
+    settings = HARD if options.disturbances == "hard" else RecorderSettings()
+    return replace(settings, samples_per_fringe=options.samples_per_fringe)
+
+
+def _measure(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps", protocol: str) -> int:
+    """Changes of length with Gaussian noise."""
+    from fpcal_bayes.measure.campaign import Campaign, write_campaign
+    from fpcal_bayes.measure.rig import simulate
+    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES, write_sweeps
+
     warm_up(cell)
-    sweeps = simulate(cell, truth, plan, sigma=options.sigma_nm * 1e-3, seed=options.seed)
-    command = f"fpcal simulate --protocol {options.protocol} --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
+    sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
+    sweeps = simulate(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
+    command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     if options.output.suffix.lower() in HDF5_SUFFIXES:
         campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record())
         write_campaign(options.output, campaign, cell)
@@ -66,9 +129,49 @@ def run(options: argparse.Namespace) -> int:
         write_sweeps(options.output, sweeps, cell)
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
-    console(options).print(
-        f"{len(sweeps)} rows simulated on cell {cell.name!r}, sd {options.sigma_nm:g} nm{signs} -> {options.output}",
-        soft_wrap=True,
-        markup=False,
+    _say(options, f"{len(sweeps)} rows simulated on cell {cell.name!r}, sd {sigma_nm:g} nm{signs} -> {options.output}")
+    return 0
+
+
+def _record(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps") -> int:
+    """Traces of sweeps, with an index."""
+    from fpcal_bayes.measure.recorder import check_recordable, record_sweeps
+    from fpcal_bayes.measure.trace_index import write_index
+    from fpcal_bayes.measure.truth_file import write_truth
+
+    check_recordable(plan)
+    warm_up(cell)
+    index = record_sweeps(cell, truth, plan, _settings(options), seed=options.seed, scans=plan.signed)
+    write_index(options.output, index, cell)
+    beside = options.output.with_name(f"{options.output.stem}_truth.toml")
+    write_truth(beside, truth)
+    samples = sum(map(len, index.traces))
+    _say(
+        options,
+        f"{len(plan)} sweeps recorded on cell {cell.name!r}, {samples} samples -> {options.output}, truth in {beside}",
     )
     return 0
+
+
+def _record_path(options: argparse.Namespace, cell: Cell, truth: "Truth") -> int:
+    """The trace of one path."""
+    from fpcal_bayes.measure.joint_path import read_joint_path
+    from fpcal_bayes.measure.path_trace import write_path_trace
+    from fpcal_bayes.measure.recorder import record_path
+
+    if options.output.suffix.lower() != ".csv":
+        raise InputError(f"{options.output}: expected a file name that ends in .csv")
+    path = read_joint_path(options.path, cell)
+    warm_up(cell)
+    trace = record_path(cell, truth, path, options.time_h or 0.0, _settings(options), options.seed)
+    write_path_trace(options.output, trace, cell)
+    _say(
+        options,
+        f"{len(trace)} samples recorded along {options.path}, true change of length {1e3 * trace.length_change:.1f} nm "
+        f"peak to peak -> {options.output}",
+    )
+    return 0
+
+
+def _say(options: argparse.Namespace, text: str) -> None:
+    console(options).print(text, soft_wrap=True, markup=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.errors import InputError, located
-from fpcal_bayes.files import read_text
+from fpcal_bayes.files import read_text, require_line_end
 
 COLUMNS = ("x_um", "y_um", "z_um", "rx_deg", "ry_deg", "rz_deg")
 
@@ -37,7 +37,8 @@ def read_path(path: str | Path) -> NDArray[np.float64]:
         If the file is anything else; the message names the line and the column.
     """
     path = Path(path)
-    reader = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    text = read_text(path)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[list[float]] = []
     header: list[str] | None = None
     try:
@@ -54,6 +55,7 @@ def read_path(path: str | Path) -> NDArray[np.float64]:
         raise located(path, f"not a line of CSV ({error})", row=max(reader.line_num, 1)) from error
     if header is None:
         raise InputError(f"{path}: the file holds no text, expected the header {','.join(COLUMNS)}")
+    require_line_end(path, text)
     if len(rows) < 2:
         raise InputError(f"{path}: {len(rows)} row{'' if len(rows) == 1 else 's'}, expected a path of two or more")
     offsets: NDArray[np.float64] = np.array(rows) * np.repeat([1.0, np.pi / 180.0], 3)

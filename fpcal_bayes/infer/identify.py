@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from typing import Any, Literal
 
 import numpy as np
@@ -95,6 +96,16 @@ class Identification:
     starts: int
     seconds: float
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return (
+            f"Identification({state}, {len(self.problem.sweeps)} rows, rank {self.spectrum.rank} of {len(self.free)}, "
+            f"p = {self.fit.p_value:.2g})"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p><code>{escape(repr(self))}</code></p>{self.estimate._repr_html_()}"
 
     @property
     def converged(self) -> bool:

@@ -57,6 +57,10 @@ class TaskPrediction:
     angles: AngularErrors
     linear: bool
 
+    def __repr__(self) -> str:
+        low, high = 1e3 * self.peak_to_peak_band()
+        return f"TaskPrediction({self.task.name}, {low:.2f} to {high:.2f} nm peak to peak, {len(self.errors)} errors)"
+
     @property
     def peak_to_peak(self) -> Floats:
         """Peak to peak of each draw along the path, shape (n_draws,), in um."""

@@ -12,9 +12,12 @@ import numpy as np
 from fpcal_bayes import __version__
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import replacing
+from fpcal_bayes.measure.doubtful_record import DoubtfulRecord, get_doubtful, put_doubtful
 from fpcal_bayes.measure.hdf5_access import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.measure.sweep_table import TEXTS, Column, check_names, from_columns, joint_columns, to_columns
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.trace_index import TraceIndex
+from fpcal_bayes.measure.trace_index_hdf5 import get_index, put_index
 from fpcal_bayes.measure.track_record import TrackRecord, get_track, put_track
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell import Cell, Opd
@@ -43,6 +46,10 @@ class Campaign:
         Estimates as written by ``fpcal identify --json``, by session.
     track
         States that ``fpcal track`` left, or None.
+    recordings
+        The traces that the sweeps were read from, or None.
+    doubtful
+        Sweeps of the recordings that gave no reliable number and are no rows of `sweeps`, or None.
     """
 
     sweeps: Sweeps
@@ -55,6 +62,8 @@ class Campaign:
     truth: TruthRecord | None = None
     estimates: dict[str, dict[str, Any]] = field(default_factory=dict)
     track: TrackRecord | None = None
+    recordings: TraceIndex | None = None
+    doubtful: DoubtfulRecord | None = None
 
     @classmethod
     def of(
@@ -110,6 +119,10 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
             put_text(group, "session", session)
         if campaign.track is not None:
             put_track(root.create_group("track"), campaign.track)
+        if campaign.recordings is not None:
+            put_index(root.create_group("recordings"), campaign.recordings, cell, path)
+        if campaign.doubtful is not None:
+            put_doubtful(root.create_group("doubtful"), campaign.doubtful)
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campaign:
@@ -150,6 +163,10 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         truth = _truth(reader) if reader.has(root, "truth") else None
         texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
         track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
+        recordings = (
+            get_index(reader, reader.group(root, "recordings"), cell) if reader.has(root, "recordings") else None
+        )
+        doubtful = get_doubtful(reader, reader.group(root, "doubtful")) if reader.has(root, "doubtful") else None
     if truth is not None:
         truth.check(cell, f"{path}: /truth")
     rows = np.arange(1, len(table[joint_columns(cell)[0]]) + 1)
@@ -164,6 +181,8 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         truth=truth,
         estimates={session: _estimate(path, session, text) for session, text in texts.items()},
         track=track,
+        recordings=recordings,
+        doubtful=doubtful,
     )
 
 

@@ -136,12 +136,18 @@ def reading(path: Path) -> Iterator[Reader]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file to write from scratch; equal content gives equal bytes."""
+    """Open an HDF5 file to write from scratch; equal content gives equal bytes.
+
+    It is made in memory and written as plain bytes: on a full disk HDF5 fails while it closes, where nothing catches it.
+    """
     try:
-        with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        with h5py.File(path, "w", libver=("v110", "v110"), driver="core", backing_store=False) as file:
             yield file
+            file.flush()
+            image = file.id.get_file_image()
     except RuntimeError as error:
         raise OSError(str(error)) from error
+    path.write_bytes(image)
 
 
 def put_array(group: Any, name: str, values: Any, unit: str = "") -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.errors import InputError, located
-from fpcal_bayes.files import read_text, write_text
+from fpcal_bayes.files import read_text, require_line_end, write_text
 from fpcal_bayes.measure.sweep_table import (
     TEXTS,
     Column,
@@ -55,7 +55,7 @@ def read_csv(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
         If anything in the file is not as documented; the message names the line and the column.
     """
     path = Path(path)
-    records, lines = _records(path)
+    records, lines = read_records(path)
     if not records:
         raise InputError(f"{path}: the file holds no text, expected a header and sweeps")
     header = records.pop(0)
@@ -79,9 +79,9 @@ def read_csv(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
             table[name] = np.array([text[:1001] for text in cells], dtype=np.str_)
         elif name == "temperature_c":
             known = np.array([text != "" for text in cells])
-            table[name] = np.where(known, _numbers([text or "0" for text in cells], rows, path, name), np.nan)
+            table[name] = np.where(known, column_numbers([text or "0" for text in cells], rows, path, name), np.nan)
         else:
-            table[name] = _numbers(cells, rows, path, name)
+            table[name] = column_numbers(cells, rows, path, name)
     return from_columns(table, cell, str(path), rows, plan=plan)
 
 
@@ -102,7 +102,7 @@ def write_csv(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
     """
     path = Path(path)
     table = to_columns(sweeps, cell, path)
-    columns = [_formatted(values) if values.dtype.kind == "f" else values.tolist() for values in table.values()]
+    columns = [formatted(values) if values.dtype.kind == "f" else values.tolist() for values in table.values()]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
@@ -110,9 +110,10 @@ def write_csv(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
     write_text(path, text.getvalue())
 
 
-def _records(path: Path) -> tuple[list[list[str]], list[int]]:
-    """The fields of every line that is not blank, and its number."""
-    reader = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+def read_records(path: Path) -> tuple[list[list[str]], list[int]]:
+    """The fields of every line of a CSV file that is not blank, and its number."""
+    text = read_text(path)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records, lines = [], []
     try:
         for record in reader:
@@ -121,10 +122,14 @@ def _records(path: Path) -> tuple[list[list[str]], list[int]]:
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise located(path, f"not a line of CSV ({error})", row=max(reader.line_num, 1)) from error
+    # Of 0 and 1 nothing can be cut off; any other last field may be a part of what was written.
+    if len(records) > 1 and records[0][-1] != "signed":
+        require_line_end(path, text)
     return records, lines
 
 
-def _numbers(cells: Sequence[str], rows: NDArray[np.int64], path: Path, name: str) -> NDArray[np.float64]:
+def column_numbers(cells: Sequence[str], rows: NDArray[np.int64], path: Path, name: str) -> NDArray[np.float64]:
+    """The numbers of a column; `InputError` that names line and column if one is none."""
     if not _NUMBER_CHARACTERS.issuperset("".join(cells)) or "" in cells:
         _refuse(cells, rows, path, name)
     try:
@@ -142,6 +147,7 @@ def _refuse(cells: Sequence[str], rows: NDArray[np.int64], path: Path, name: str
             raise located(path, f"expected a number, {found}", row=row, column=name)
 
 
-def _formatted(values: NDArray[np.float64]) -> list[str]:
+def formatted(values: NDArray[np.float64]) -> list[str]:
+    """Numbers as they stand in a file, NaN as nothing."""
     # Adding zero turns -0 into 0.
     return ["" if value != value else f"{value:.{_DIGITS}g}" for value in (values + 0.0).tolist()]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.errors import InputError, located
 from fpcal_bayes.model.cell import Cell, check_joints
+from fpcal_bayes.notebook import html_table
 
 Floats = NDArray[np.float64]
 Texts = NDArray[np.str_]
@@ -117,6 +118,14 @@ class Sweeps:
 
     def __repr__(self) -> str:
         return f"Sweeps({len(self)} rows, sessions {', '.join(self.sessions)})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name in self.sessions:
+            part = self.of_session(name)
+            sigma = f"{1e3 * np.median(part.sigma):.3g}" if part.measured else "not measured"
+            rows.append((name, f"{part.time_h.max():g}", len(part), int((~part.signed).sum()), sigma))
+        return html_table(self.file, ["session", "time [h]", "rows", "without sign", "sigma, median [nm]"], rows)
 
     @property
     def measured(self) -> bool:

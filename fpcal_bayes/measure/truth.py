@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import read_text
+from fpcal_bayes.files import read_text, require_line_end
 from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.resources import data_file
@@ -139,7 +139,8 @@ def read_truth(path: str | Path, cell: Cell) -> Truth:
     """
     path = Path(path)
     try:
-        table = tomllib.loads(read_text(path))
+        text = read_text(path)
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not a TOML file: {error}") from error
     except (RecursionError, ValueError) as error:
@@ -149,7 +150,16 @@ def read_truth(path: str | Path, cell: Cell) -> Truth:
     if ("parameters" in table) == ("epoch" in table):
         raise InputError(f"{path}: key parameters: expected either a table [parameters] or several [[epoch]]")
     if "parameters" in table:
-        return _truth(cell, [(0.0, _values(path, table["parameters"], "parameters", cell))], str(path))
+        epochs = [(0.0, _values(path, table["parameters"], "parameters", cell))]
+    else:
+        epochs = _epochs(path, table, cell)
+    if text[-1:].isdigit():
+        require_line_end(path, text)
+    return _truth(cell, epochs, str(path))
+
+
+def _epochs(path: Path, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
+    """Time in hours and values of each epoch."""
     epochs: list[tuple[float, dict[str, float]]] = []
     if not isinstance(table["epoch"], list) or not table["epoch"]:
         raise InputError(f"{path}: key epoch: expected one or more tables [[epoch]]")
@@ -162,7 +172,7 @@ def read_truth(path: str | Path, cell: Cell) -> Truth:
         if epochs and time <= epochs[-1][0]:
             raise InputError(f"{path}: key {place}.time_h: expected more than {epochs[-1][0]:g} h, found {time:g}")
         epochs.append((time, _values(path, entry.get("parameters"), f"{place}.parameters", cell)))
-    return _truth(cell, epochs, str(path))
+    return epochs
 
 
 def _truth(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fpcal_bayes.errors import InputError, located
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.model.drift_sizes import DriftSize
+from fpcal_bayes.model.optics import Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
 from fpcal_bayes.model.priors import Marginal
 
@@ -85,6 +86,8 @@ class Cell:
         Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
     drift
         How the parameters drift; those not named stay.
+    optics
+        Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
     """
 
     name: str
@@ -94,6 +97,13 @@ class Cell:
     opd: Opd
     optical_axis: OpticalAxis
     drift: tuple[DriftSize, ...] = ()
+    optics: Interferometer | None = None
+
+    @cached_property
+    def interferometer(self) -> Interferometer:
+        """The interferometer; its defaults where the cell does not state one."""
+        known = Interferometer(self.wavelength) if self.optics is None else self.optics
+        return replace(known, wavelength=self.wavelength)
 
     @cached_property
     def revolute(self) -> NDArray[np.bool_]:

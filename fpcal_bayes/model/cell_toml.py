@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import read_text
+from fpcal_bayes.files import read_text, require_line_end
 from fpcal_bayes.model.cell import (
     JOINT_UNITS,
     Cell,
@@ -18,6 +18,7 @@ from fpcal_bayes.model.cell import (
     make_parameters,
 )
 from fpcal_bayes.model.drift_sizes import SIZES_IN_UNIT, DriftSize
+from fpcal_bayes.model.optics import Beams, Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
 from fpcal_bayes.model.priors import LogNormal, Marginal, TruncatedNormal, Uniform
 from fpcal_bayes.resources import built_in_cells, data_file
@@ -58,7 +59,10 @@ def read_cell(source: str | Path) -> Cell:
         raise InputError(f"{source}: not a TOML file: {error}") from error
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
-    return _Reader(str(source)).cell(table)
+    cell = _Reader(str(source)).cell(table)
+    if text[-1:].isdigit():
+        require_line_end(path, text)
+    return cell
 
 
 #: Keys of a parameter's table by its kind of prior, beside `prior`, `nominal` and `optional`.
@@ -68,6 +72,18 @@ _PRIOR_KEYS = {
     "half-normal": ("prior_sd_{unit}",),
     "uniform": ("low_{unit}", "high_{unit}"),
     "log-normal": ("prior_factor",),
+}
+
+
+#: Keys of [optics] that are numbers: field of `Interferometer`, lowest and highest value.
+_OPTICS_KEYS = {
+    "mode_field_radius_um": ("mode_field_radius", 0.1, 1e5),
+    "fibre_reflectivity": ("fibre_reflectivity", 1e-6, 1.0),
+    "mirror_reflectivity": ("mirror_reflectivity", 1e-6, 1.0),
+    "gain_v": ("gain", 1e-9, 1e9),
+    "dark_v": ("dark", -1e9, 1e9),
+    "noise_v": ("noise", 0.0, 1e9),
+    "full_scale_v": ("full_scale", 1e-9, 1e9),
 }
 
 
@@ -83,7 +99,7 @@ class _Reader:
             raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
-        self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis"})
+        self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
         wavelength = self.number(optics, "optics", "wavelength_nm", low=1.0, high=100_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
@@ -118,10 +134,22 @@ class _Reader:
             opd=opd,
             optical_axis=optical_axis,
             drift=self.drifts(joint_tables, extrinsic, parameters),
+            optics=self.interferometer(optics, wavelength),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
         return cell
+
+    def interferometer(self, optics: dict[str, Any], wavelength: float) -> Interferometer:
+        bits = optics.get("bits", Interferometer.bits)
+        if isinstance(bits, bool) or not isinstance(bits, int) or not 1 <= bits <= 32:
+            raise self.error("optics.bits", f"expected a whole number from 1 to 32, found {_shown(bits)}")
+        numbers = {
+            field: self.number(optics, "optics", key, low=low, high=high, default=getattr(Interferometer, field))
+            for key, (field, low, high) in _OPTICS_KEYS.items()
+        }
+        beams = self.choice(optics, "optics", "beams", get_args(Beams), Interferometer.beams)
+        return Interferometer(wavelength, beams, bits=bits, **numbers)
 
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)

@@ -13,6 +13,7 @@ from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import read_text
 from fpcal_bayes.model.cell import Cell, describe
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.notebook import html_table
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +65,16 @@ class Estimate:
 
     def __repr__(self) -> str:
         return f"Estimate({len(self.parameters)} parameters of {self.cell.name!r} at {self.time_h:g} h)"
+
+    def _repr_html_(self) -> str:
+        shown = self.shown()
+        rows = [
+            (p.name, p.unit, f"{shown[p.name]['value']:.6g}", f"{shown[p.name]['sd']:.2g}", status)
+            for p, status in zip(self.parameters, self.status, strict=True)
+        ]
+        return html_table(
+            f"{self.cell.name} at {self.time_h:g} h", ["parameter", "unit", "value", "sd", "status"], rows
+        )
 
     def vector(self) -> Floats:
         """Model vector (model size,) with these values, the rest nominal."""

@@ -151,8 +151,10 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
 
 def write_netcdf(tree: Any, path: Path) -> None:
     """Write a DataTree as netCDF, whole or not at all."""
+    # Made in memory: on a full disk the library fails while it closes the file, where nothing catches it.
+    content = bytes(tree.to_netcdf(engine="h5netcdf"))
     with replacing(path) as temporary:
-        tree.to_netcdf(temporary, engine="h5netcdf")
+        temporary.write_bytes(content)
 
 
 def _attributes(posterior: Posterior, seed: int, command: str) -> dict[str, Any]:

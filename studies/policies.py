@@ -1,13 +1,16 @@
 """When to measure again: simulated weeks under several policies, share of time in tolerance against sweeps spent.
 
-Each week starts with a full calibration and drifts as the cell's sizes say. The controller drives each task with the
-latest estimate; the error is looked at every six minutes. All policies see the same weeks and the same filter.
+Each week starts with a full calibration. It drifts as the cell's sizes say, or is harder (`--harder`): a day and night
+cycle of temperature that moves mirror and fibre, two knocks, a steady rate of one parameter, and one quiet day.
+`--terms` lets the filter know that temperature (which is logged) and steady rates may matter, not by how much. The
+controller drives each task with the latest estimate; the error is looked at every six minutes. All policies see the
+same weeks and the same filter.
 """
 
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,8 +24,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.decision import Costs
+from fpcal_bayes.track.diagnosis import is_diagnosis
 from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import State
 from fpcal_bayes.track.horizon import Forecast, Goal
 from fpcal_bayes.track.policy import Policy
 from fpcal_bayes.track.step import SessionOutcome, take_in
@@ -35,59 +38,75 @@ SIGMA = 0.005
 
 CELL = load_cell()
 MODEL = CavityModel.of(CELL)
-DRIFT = DriftModel.of(CELL)
+STATED = DriftModel.of(CELL)
+#: The same with what temperature and steady rates may do to the angles of mirror and fibre.
+ANGLES = STATED.extrinsic & np.array([p.unit == "deg" for p in CELL.free])
+TERMS = replace(
+    STATED,
+    sizes=tuple(
+        replace(size, rate_sd=np.radians(0.01), temperature_sd=np.radians(0.005)) if angle else size
+        for size, angle in zip(STATED.sizes, ANGLES, strict=True)
+    ),
+)
 PAPER = paper_protocol(CELL)
 LIMITS = Limits()
 
 
 @dataclass(frozen=True)
 class Week:
-    """Truth at every step, and the calibration at its beginning."""
+    """Truth and temperature at every step, and the calibration at its beginning."""
 
     seed: int
+    drift: DriftModel
     times: np.ndarray
     values: np.ndarray
-    calibration: SessionOutcome
+    temperature: np.ndarray
+    calibration: SessionOutcome = field(init=False)
 
-    def at(self, time_h: float) -> np.ndarray:
-        """The truth at a time."""
-        here: np.ndarray = self.values[min(round(time_h / STEP), len(self.times) - 1)]
-        return here
+    def __post_init__(self) -> None:
+        sweeps = self.measured(PAPER, 0.0, 0)
+        object.__setattr__(self, "calibration", calibrate(CELL, self.drift, sweeps)[0])
+
+    def measured(self, plan: Sweeps, time_h: float, number: int) -> Sweeps:
+        """The sweeps of a plan, measured at a time."""
+        at, count = min(round(time_h / STEP), len(self.times) - 1), len(plan)
+        seed = int(np.random.default_rng([11, self.seed, number]).integers(2**31))
+        timed = replace(
+            plan,
+            session=np.full(count, f"h{time_h:08.2f}"),
+            time_h=np.full(count, time_h),
+            temperature_c=np.full(count, self.temperature[at]),
+        )
+        truth = Truth(CELL.free, np.array([time_h]), self.values[at][None])
+        return simulate(CELL, truth, timed, sigma=SIGMA, seed=seed)
+
+    def peaks(self, state: np.ndarray, task_name: str, here: np.ndarray | int) -> np.ndarray:
+        """Peak to peak of the error of a task in nm while the controller holds a state, at steps `here`."""
+        values = STATED.values(state)
+        task = task_path(CELL, MODEL.vector(values), task_name)
+        found: np.ndarray = 1e3 * peak_to_peak(task_errors(MODEL, self.values[here], values, task))
+        return found
 
 
-def simulate_week(seed: int, *, harder: bool) -> Week:
-    """A week that drifts as modelled, or a harder one that the policies know nothing of.
-
-    The harder week adds a day and night cycle of the mirror's and fibre's angles, two knocks, a steady rate of one
-    parameter, and one day on which nothing drifts.
-    """
+def simulate_week(seed: int, *, harder: bool = False, terms: bool = False) -> Week:
+    """A week that drifts as modelled, or a harder one."""
     random = np.random.default_rng([7, seed])
     times = np.arange(round(HOURS / STEP) + 1) * STEP
-    steps = DRIFT.walk * DRIFT.scale * np.sqrt(STEP / 24.0) * random.standard_normal((len(times), len(CELL.free)))
+    steps = STATED.walk * STATED.scale * np.sqrt(STEP / 24.0) * random.standard_normal((len(times), len(CELL.free)))
     steps[0] = 0.0
+    temperature = np.full(len(times), 20.0)
     if harder:
         quiet = 24.0 * random.integers(1, 8)
         steps[(times > quiet) & (times <= quiet + 24.0)] = 0.0
-        extrinsic_angle = DRIFT.extrinsic & np.array([p.unit == "deg" for p in CELL.free])
         for knock in random.uniform(12.0, HOURS - 12.0, 2):
             size = np.array([np.radians(0.1) if p.unit == "deg" else 20.0 for p in CELL.free])
-            steps[int(knock / STEP)] += np.where(DRIFT.extrinsic, size * random.choice([-1.0, 1.0], len(size)), 0.0)
+            steps[int(knock / STEP)] += np.where(STATED.extrinsic, size * random.choice([-1.0, 1.0], len(size)), 0.0)
         steady = np.array([p.name == "theta_et" for p in CELL.free])
         steps += np.where(steady, np.radians(0.03) * STEP / 24.0, 0.0)
-        cycle = np.sin(2.0 * np.pi * times / 24.0)[:, None] * np.where(extrinsic_angle, np.radians(0.01), 0.0)
-        steps += np.diff(cycle, axis=0, prepend=0.0)
+        temperature = 20.0 + 2.0 * np.sin(2.0 * np.pi * times / 24.0)
+        steps += np.diff(temperature, prepend=20.0)[:, None] * np.where(ANGLES, np.radians(0.005), 0.0)
     values = paper_truth(CELL).at(0.0) + np.cumsum(steps, axis=0)
-    calibration, _, _ = calibrate(CELL, DRIFT, measured(PAPER, 0.0, values[0], seed, 0))
-    return Week(seed, times, values, calibration)
-
-
-def measured(plan: Sweeps, time_h: float, values: np.ndarray, *seed: int) -> Sweeps:
-    """The sweeps of a plan, measured at a time."""
-    number = int(np.random.default_rng([11, *seed]).integers(2**31))
-    count = len(plan)
-    timed = replace(plan, session=np.full(count, f"h{time_h:08.2f}"), time_h=np.full(count, time_h))
-    truth = Truth(CELL.free, np.array([time_h]), values[None])
-    return simulate(CELL, truth, timed, sigma=SIGMA, seed=number)
+    return Week(seed, TERMS if terms else STATED, times, values, temperature)
 
 
 @dataclass
@@ -100,108 +119,135 @@ class Run:
     decision_s: float = 0.0
 
 
-#: What is measured next: after how many hours, and which sweeps (none: only look).
-Rule = Callable[[SessionOutcome, float, Week], tuple[float, Sweeps | None]]
+#: Which sweeps are measured at a time (none: only look).
+Chosen = Callable[[float], Sweeps | None]
+#: What comes next: after how many hours something is measured, and what then.
+Rule = Callable[[SessionOutcome, float, Week], tuple[float, Chosen]]
+#: Told of each session that was measured.
+Told = Callable[[SessionOutcome, SessionOutcome, Sweeps], None]
 
 
 def follow(week: Week, rule: Rule, tasks: tuple[str, ...]) -> Run:
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
-    outcome, now, spent = week.calibration, 0.0, 0.0
+    outcome, now, told = week.calibration, 0.0, getattr(rule, "told", None)
     run = Run([], [], np.zeros((len(tasks), len(week.times))))
     while True:
-        began = time.perf_counter()
-        wait, plan = rule(outcome, now, week)
-        spent += time.perf_counter() - began
+        began = time.process_time()
+        wait, chosen = rule(outcome, now, week)
+        run.decision_s += time.process_time() - began
         # Sessions begin on a step, and at most one on each.
         until = (np.floor(now / STEP + 1e-6) + max(1, np.floor(wait / STEP + 1e-6))) * STEP
         last = until > HOURS - STEP / 2.0
         here = (week.times > now - STEP / 2) & (week.times < (HOURS + 1 if last else until - STEP / 2))
-        values = DRIFT.values(outcome.state.mean)
         for row, name in enumerate(tasks):
-            task = task_path(CELL, MODEL.vector(values), name)
-            run.errors[row, here] = 1e3 * peak_to_peak(task_errors(MODEL, week.values[here], values, task))
+            run.errors[row, here] = week.peaks(outcome.state.mean, name, here)
         if last:
-            break
+            return run
         now = until
+        began = time.process_time()
+        plan = chosen(now)
+        run.decision_s += time.process_time() - began
         if plan is not None:
-            sweeps = measured(plan, now, week.at(now), week.seed, len(run.times) + 1)
-            outcome = take_in(DRIFT, MODEL, LIMITS, outcome.state, outcome.monitor, sweeps)
+            sweeps = week.measured(plan, now, len(run.times) + 1)
+            before = outcome
+            outcome = take_in(week.drift, MODEL, LIMITS, before.state, before.monitor, sweeps)
+            if told is not None:
+                told(before, outcome, sweeps)
             run.times.append(now)
             run.sweeps.append(len(plan))
-    run.decision_s = spent
-    return run
 
 
-def translations(*joints: int) -> Sweeps:
-    """Translations of some joints over their range, the others at zero."""
-    start = np.zeros((len(joints), 6))
-    start[range(len(joints)), [j - 1 for j in joints]] = -150.0
-    return Sweeps.make(start, -start, label=[f"q{j}" for j in joints])
+def translations(*joints: int, at: np.ndarray | None = None) -> Sweeps:
+    """Translations of some joints over their range, the others at zero or at a joint vector `at`."""
+    start = np.zeros((len(joints), 6)) if at is None else np.tile(at, (len(joints), 1))
+    end, rows, moved = start.copy(), range(len(joints)), [j - 1 for j in joints]
+    start[rows, moved], end[rows, moved] = -150.0, 150.0
+    return Sweeps.make(start, end, label=[f"q{j}" for j in joints])
 
 
 def fixed(hours: float, plan: Sweeps) -> Rule:
     """The same sweeps at a fixed interval."""
-    return lambda outcome, now, week: (hours, plan)
+    return lambda outcome, now, week: (hours, lambda at: plan)
 
 
-def never(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Sweeps | None]:
+def fixed_at_task(hours: float) -> Rule:
+    """Both translations at a fixed interval, made at the aligned pose of the estimate."""
+
+    def rule(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Chosen]:
+        vector = MODEL.vector(STATED.values(outcome.state.mean))
+        pose = task_path(CELL, vector, "circle", n_points=5).start
+        return hours, lambda at: translations(3, 1, at=pose)
+
+    return rule
+
+
+def never(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Chosen]:
     """No measurement after the calibration."""
-    return HOURS * 2, None
+    return HOURS * 2, lambda at: None
 
 
 def check_circle(hours: float, tolerance: float, plan: Sweeps) -> Rule:
     """Drive a circle at a fixed interval, and measure when it fails; the circle counts as no sweep."""
 
-    def rule(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Sweeps | None]:
-        values = DRIFT.values(outcome.state.mean)
-        task = task_path(CELL, MODEL.vector(values), "circle")
-        ahead = min(now + hours, HOURS)
-        error = float(peak_to_peak(task_errors(MODEL, week.at(ahead), values, task))[0])
-        return hours, plan if error > tolerance else None
+    def rule(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Chosen]:
+        def chosen(at: float) -> Sweeps | None:
+            error = week.peaks(outcome.state.mean, "circle", [min(round(at / STEP), len(week.times) - 1)])[0]
+            return plan if error > tolerance else None
+
+        return hours, chosen
 
     return rule
 
 
-def ours(goal: Goal, costs: Costs, fixed_hours: float | None = None) -> Rule:
+class Ours:
     """The policy; with `fixed_hours` only its choice of sweeps, at a fixed interval."""
-    policy = Policy.of(DRIFT, MODEL, goal, costs, PAPER)
-    diagnosed = 0.0
 
-    def rule(outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Sweeps | None]:
-        nonlocal diagnosed
-        if now == 0.0 or outcome.dof >= costs.diagnosis_sweeps:
-            diagnosed = now
-        forecast = Forecast.of(DRIFT, MODEL, goal, outcome.state.mean)
-        state: State = forecast.ahead(outcome.state, now - outcome.state.time_h)
-        if fixed_hours is not None:
-            return fixed_hours, policy.choose(forecast, forecast.ahead(state, fixed_hours), costs.most_sweeps)
+    def __init__(self, drift: DriftModel, goal: Goal, costs: Costs, fixed_hours: float | None = None) -> None:
+        self.policy = Policy.of(drift, MODEL, goal, costs, PAPER)
+        self.fixed_hours = fixed_hours
+        self.diagnosed = 0.0
+
+    def told(self, before: SessionOutcome, outcome: SessionOutcome, sweeps: Sweeps) -> None:
+        """Note when the robot itself was last looked at."""
+        policy = self.policy
+        if policy.costs.diagnosis_h and is_diagnosis(policy.drift, MODEL, before, outcome, sweeps, policy.limits):
+            self.diagnosed = outcome.time_h
+
+    def __call__(self, outcome: SessionOutcome, now: float, week: Week) -> tuple[float, Chosen]:
+        policy = self.policy
+        if now == 0.0:
+            self.diagnosed = 0.0
+        forecast = Forecast.of(policy.drift, MODEL, policy.goal, outcome.state.mean)
         due = "the robot moved" if outcome.verdict == "intrinsics-moved" else None
-        # The session is planned for the last step that ends in tolerance.
-        wait = STEP if due else max(STEP, forecast.hold_hours(state, costs.horizon_h))
-        at_session = forecast.ahead(state, wait + 2.0 / 60.0)
-        return wait, policy.decide(forecast, at_session, due, diagnosed).sweeps
 
-    return rule
+        def chosen(at: float) -> Sweeps | None:
+            state = forecast.ahead(outcome.state, at - outcome.time_h)
+            if self.fixed_hours is not None:
+                return policy.choose(forecast, state, policy.costs.most_sweeps)
+            return policy.measure_now(forecast, state, due, self.diagnosed).sweeps
+
+        if self.fixed_hours is not None:
+            return self.fixed_hours, chosen
+        return 0.0 if due else policy.hold_hours(forecast, outcome.state, self.diagnosed), chosen
 
 
 def rules(options: argparse.Namespace) -> dict[str, Rule]:
     """All policies by name."""
-    tasks = tuple(options.tasks)
+    tasks, drift = tuple(options.tasks), TERMS if options.terms else STATED
     two = translations(3, 1)
     found: dict[str, Rule] = {"never": never, "69 sweeps every 8 h": fixed(8.0, PAPER)}
-    for hours in (0.5, 0.7, 1.0, 1.3, 2.0, 4.0):
-        found[f"q3 and q1 every {hours:g} h"] = fixed(hours, two)
-    found["q3 and q1 when a circle every 0.5 h fails"] = check_circle(0.5, options.tolerance * 1e-3, two)
+    for hours in (0.7, 1.0, 1.5, 2.0, 4.0):
+        found[f"q3 and q1 at joint zero every {hours:g} h"] = fixed(hours, two)
+    for hours in (0.7, 1.0, 1.3, 1.6, 2.0, 4.0):
+        found[f"q3 and q1 at the task every {hours:g} h"] = fixed_at_task(hours)
+    found["q3 and q1 when a circle every 0.5 h fails"] = check_circle(0.5, options.tolerance, two)
     goal = Goal(options.tolerance * 1e-3, tasks)
-    for count, intervals in ((1, (0.5, 0.7, 1.0, 1.3)), (2, (1.0, 1.3, 2.0, 4.0))):
-        for hours in intervals:
-            costs = Costs(most_sweeps=count)
-            found[f"{count} chosen every {hours:g} h"] = ours(goal, costs, hours)
+    for hours in options.chosen:
+        found[f"{options.most} chosen every {hours:g} h"] = Ours(drift, goal, Costs(most_sweeps=options.most), hours)
+    costs = Costs(least_sweeps=options.least, most_sweeps=options.most, diagnosis_h=options.diagnose)
     for level in options.levels:
-        found[f"ours, level {level:g}"] = ours(
-            replace(goal, level=level), Costs(most_sweeps=options.most, diagnosis_h=options.diagnose)
-        )
-    return {name: rule for name, rule in found.items() if options.only in name}
+        found[f"ours, level {level:g}"] = Ours(drift, replace(goal, level=level), costs)
+    return {name: rule for name, rule in found.items() if any(text in name for text in options.only)}
 
 
 def report(name: str, runs: list[Run], tolerance: float) -> str:
@@ -226,11 +272,14 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--first", type=int, default=0, help="number of the first week")
     made.add_argument("--tolerance", type=float, default=50.0, help="peak to peak, in nm")
     made.add_argument("--tasks", nargs="+", default=["circle"])
-    made.add_argument("--levels", type=float, nargs="+", default=[0.05, 0.1, 0.15, 0.2])
+    made.add_argument("--levels", type=float, nargs="+", default=[0.15])
+    made.add_argument("--least", type=int, default=1, help="sweeps of a session of ours, at least")
     made.add_argument("--most", type=int, default=2, help="sweeps of a session of ours, at most")
+    made.add_argument("--chosen", type=float, nargs="*", default=[], help="intervals at which ours only chooses")
     made.add_argument("--diagnose", type=float, help="hours between looks at the robot itself (default: none)")
     made.add_argument("--harder", action="store_true", help="weeks that do not drift as modelled")
-    made.add_argument("--only", default="", help="policies whose name holds this text")
+    made.add_argument("--terms", action="store_true", help="the filter allows for temperature and steady rates")
+    made.add_argument("--only", nargs="+", default=[""], help="policies whose name holds one of these texts")
     return made
 
 
@@ -238,13 +287,14 @@ def main() -> None:
     """Print the figures."""
     options = parser().parse_args()
     began = time.perf_counter()
-    weeks = [simulate_week(seed, harder=options.harder) for seed in range(options.first, options.first + options.weeks)]
+    numbers = range(options.first, options.first + options.weeks)
+    weeks = [simulate_week(seed, harder=options.harder, terms=options.terms) for seed in numbers]
     print(f"{len(weeks)} weeks; tasks {', '.join(options.tasks)}; tolerance {options.tolerance:g} nm peak to peak")
-    print(f"{'policy':44s}  sweeps             sessions  {options.tasks[0]} %   all tasks %   ms a decision")
+    print(f"{'policy':44s}  sweeps             sessions  {options.tasks[0]} %   all tasks %   ms a session")
     for name, rule in rules(options).items():
         runs = [follow(week, rule, tuple(options.tasks)) for week in weeks]
         print(report(name, runs, options.tolerance), flush=True)
-    print(f"{time.perf_counter() - began:.0f} s")
+    print(f"{time.perf_counter() - began:.0f} s, {time.process_time():.0f} s of processor time")
 
 
 if __name__ == "__main__":

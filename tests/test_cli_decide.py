@@ -118,3 +118,21 @@ def test_the_estimate_says_how_long_it_holds(week, capsys):
     assert "not valid: P(circle, tilt-x > 50 nm) is above 0.05 already" in out
     assert main(["track", week, "--task", "cirle"]) == 2
     assert "unknown task 'cirle'" in capsys.readouterr().err
+
+
+def test_a_stale_estimate_is_told(week):
+    decided(week, "--tolerance-nm", "50")
+    assert main(["track", week, "--json", "track.json", "--quiet"]) == 0
+    until = json.loads(Path("track.json").read_text())["valid_until_h"]
+    told = [
+        any("was valid until" in text for text in decided(week, "--now", str(now), "--quiet")["warnings"])
+        for now in (until - 0.05, until + 0.5)
+    ]
+    assert told == [False, True]
+
+
+def test_a_session_may_be_asked_to_look_in_every_direction(week):
+    one = decided(week, "--now", "11", "--quiet")["decision"]
+    two = decided(week, "--now", "11", "--least-sweeps", "2", "--quiet")["decision"]
+    assert (len(one["sweeps"]), len(two["sweeps"])) == (1, 2)
+    assert two["then_hold_hours"] > one["then_hold_hours"]

@@ -127,3 +127,45 @@ def test_a_reader_never_sees_half_an_estimate():
 
 
 CELL_FILE = Path(__file__).parents[1] / "data" / "femto-st.toml"
+
+
+def test_watching_takes_in_each_new_session(monkeypatch, capsys):
+    arrivals, held = iter(["s1", "half", "s2", None]), []
+    written("week.csv", "s1")
+
+    def sleep(seconds):
+        assert seconds == 5.0
+        arrived = next(arrivals)
+        held.append(read_estimate("estimate.json", CELL).time_h)
+        if arrived is None:
+            raise KeyboardInterrupt
+        if arrived == "half":
+            Path("week.csv").write_text("session,time_h\nday0")
+        if arrived == "s2":
+            written("week.csv", "s1", "s2")
+
+    monkeypatch.setattr("fpcal_bayes.cli.track.time.sleep", sleep)
+    assert main(["track", "week.csv", "--estimate", "estimate.json", "--watch", "5"]) == 0
+    assert held == [8.0, 8.0, 8.0, 16.0]
+    out, err = capsys.readouterr()
+    assert "looking again in 5 s" in err
+    assert out.count("week.csv: ") == 2
+
+
+def test_posterior_draws_to_start_from(capsys):
+    from fpcal_bayes.infer.identify import identify
+    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
+    from fpcal_bayes.infer.posterior.sample import sample
+
+    file = written("week.csv", "s1")
+    posterior = sample(identify(CELL, SWEEPS.of_session("day0")), draws=100, seed=0)
+    write_netcdf(data_tree(posterior, seed=0, command=""), Path("posterior.nc"))
+    assert main(["track", file, "--json", "own.json", "--quiet"]) == 0
+    assert main(["track", file, "--posterior", "posterior.nc", "--json", "given.json", "--quiet"]) == 0
+    own, given = (json.loads(Path(name).read_text())["parameters"] for name in ("own.json", "given.json"))
+    assert own != given
+    for name, entry in own.items():
+        assert given[name]["value"] == pytest.approx(entry["value"], abs=0.5 * entry["sd"])
+        assert given[name]["sd"] == pytest.approx(entry["sd"], rel=0.25)
+    capsys.readouterr()
+    assert "week.csv: not a netCDF file" in refused(capsys, file, "--posterior", file)

@@ -9,7 +9,7 @@ from track_fixtures import CELL, DRIFT, campaign, knock
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
 from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.record import record_of, resume
+from fpcal_bayes.track.record import decisions_of, record_of, resume
 from fpcal_bayes.track.sessions import check_sessions
 from fpcal_bayes.track.smoother import smooth
 from fpcal_bayes.track.tracker import track
@@ -101,3 +101,14 @@ def test_the_smoother_knows_more_than_the_filter(whole):
 def test_a_calibration_may_be_given(whole):
     given = track(CELL, SWEEPS, calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
     np.testing.assert_allclose(given.last.state.mean, whole.last.state.mean, atol=1e-6)
+
+
+def test_decisions_are_saved_with_the_track():
+    _, sweeps = campaign(1, sessions=1)
+    found = track(CELL, sweeps)
+    log = [{"now_h": 8.0, "action": "extrinsic", "n_sweeps": 6}]
+    assert decisions_of(record_of(found, sweeps, LIMITS, log)) == log
+    plain = record_of(found, sweeps, LIMITS)
+    assert decisions_of(plain) == []
+    for damaged in ("[]", "not JSON", '{"decisions": 3}', '{"decisions": [3]}'):
+        assert decisions_of(replace(plain, summary=damaged)) == []

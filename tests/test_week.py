@@ -1,5 +1,7 @@
+import io
 import json
 import xml.etree.ElementTree as ElementTree
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +9,14 @@ import pytest
 
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.measure.campaign import read_campaign
+from fpcal_bayes.measure.path_trace import read_path_trace
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.model.estimate import read_estimate
-from fpcal_bayes.week import SESSIONS, identify_session, measure_week
+from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.record import decisions_of
+from fpcal_bayes.week import SESSIONS, identify_session, measure_week, week_truth
+from fpcal_bayes.week_circle import CHECK_HOURS
 
 pytestmark = pytest.mark.slow
 
@@ -19,12 +25,26 @@ NAMES = [session.name for session in SESSIONS]
 
 
 @pytest.fixture(scope="module")
-def weeks(tmp_path_factory) -> list[Path]:
-    """The week, run twice."""
+def runs(tmp_path_factory) -> tuple[list[Path], str, str]:
+    """The week, run twice: silently into a new folder, then into one that holds a file; what the second run prints."""
     folders = [tmp_path_factory.mktemp("week") / name for name in ("first", "second")]
-    for folder in folders:
-        assert main(["week", "-o", str(folder), "--quiet", "--seed", "3"]) == 0
-    return folders
+    folders[1].mkdir()
+    (folders[1] / "mine.txt").write_text("kept")
+    silent = printed(["week", "-o", str(folders[0]), "--quiet", "--seed", "3"])
+    assert silent[0] == ""
+    out, err = printed(["week", "-o", str(folders[1]), "--seed", "3", "--no-page"])
+    return folders, out, err
+
+
+def printed(arguments: list[str]) -> tuple[str, str]:
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        assert main(arguments) == 0
+    return out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def weeks(runs) -> list[Path]:
+    return runs[0]
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +58,9 @@ def estimates(week) -> dict[str, dict]:
 
 
 def test_files(week):
-    expected = {"campaign.h5", "report.txt", "posterior.nc", "extrinsics.svg", *(f"{name}.json" for name in NAMES)}
-    assert {path.name for path in week.iterdir()} == expected
+    figures = {f"{name}.svg" for name in ("extrinsics", "circles", "courses")}
+    data = {"report.html", "campaign.h5", "policy.h5", "posterior.nc", "report.txt", "estimate.json", "circles"}
+    assert {path.name for path in week.iterdir()} == figures | data | {f"{name}.json" for name in NAMES}
 
 
 def test_sessions_are_the_papers():
@@ -77,9 +98,8 @@ def test_stale_intrinsics_on_day_7(estimates):
     assert not any(w.startswith("poor fit") for w in day2["warnings"])
 
 
-def test_warnings_name_their_session(tmp_path, capsys):
-    assert main(["week", "-o", str(tmp_path / "week"), "--seed", "3"]) == 0
-    out, err = capsys.readouterr()
+def test_warnings_name_their_session(runs):
+    _, out, err = runs
     lines = [line for line in err.splitlines() if not line.startswith("fpcal: compiling")]
     assert all(line.startswith("fpcal: warning: ") for line in lines)
     assert any(line.startswith("fpcal: warning: extrinsic-day7: poor fit") for line in lines)
@@ -111,7 +131,7 @@ def test_report(week):
 
 def test_campaign_holds_everything(week, estimates):
     campaign = read_campaign(week / "campaign.h5", CELL)
-    assert campaign.command == "fpcal week --sigma-nm 5 --seed 3"
+    assert campaign.command == "fpcal week --sigma-nm 5 --seed 3 --between steady"
     assert campaign.seed == 3
     assert list(campaign.sweeps.sessions) == NAMES
     assert len(campaign.sweeps) == 5 * 69
@@ -148,9 +168,9 @@ def test_extrinsic_identification_on_the_campaign_gives_the_same(week, estimates
 
 
 def test_a_second_run_gives_the_same_bytes(weeks):
-    for path in sorted(weeks[0].iterdir()):
-        contents = [path.read_bytes(), (weeks[1] / path.name).read_bytes()]
-        if path.suffix == ".json":
+    for path in sorted(path for path in weeks[0].rglob("*") if path.is_file() and path.name != "report.html"):
+        contents = [path.read_bytes(), (weeks[1] / path.relative_to(weeks[0])).read_bytes()]
+        if path.name.removesuffix(".json") in NAMES:
             found = [json.loads(content) for content in contents]
             for content in found:
                 assert content["fit"].pop("seconds") > 0
@@ -180,12 +200,64 @@ def test_without_a_full_identification_the_prior_is_considered():
     assert result.fit.p_value > 1e-3
 
 
-def test_a_folder_that_exists_is_used_again(week, tmp_path, capsys):
-    folder = tmp_path / "week"
-    folder.mkdir()
-    (folder / "mine.txt").write_text("kept")
-    assert main(["week", "-o", str(folder), "--quiet", "--sigma-nm", "2"]) == 0
-    assert (folder / "mine.txt").read_text() == "kept"
-    assert capsys.readouterr().out == ""
-    sigma = read_campaign(folder / "campaign.h5", CELL).sweeps.sigma
-    np.testing.assert_allclose(sigma, 0.002, rtol=1e-12)
+def test_a_folder_that_exists_is_used_again(weeks):
+    assert (weeks[1] / "mine.txt").read_text() == "kept"
+
+
+def test_the_circle_leaves_the_tolerance_when_the_papers_does(week):
+    """The paper's circle is flat for 8 hours and departs after 10."""
+    lines = [line.split() for line in (week / "report.txt").read_text().splitlines() if line.startswith(" check-")]
+    peaks = {float(hours): float(peak) for _, _, hours, peak, _ in lines}
+    assert tuple(peaks) == CHECK_HOURS
+    assert peaks[0.0] < 10.0
+    assert peaks[8.0] < 50.0 < peaks[14.0]
+    for hours in (0, 14):
+        trace = read_path_trace(week / "circles" / f"check-{hours:02d}h.csv", CELL)
+        # Half a fringe is a full swing of the photodiode.
+        swing = np.ptp(trace.irradiance[trace.path]) / np.ptp(trace.irradiance[trace.before])
+        assert swing == pytest.approx(np.sin(4 * np.pi * 1e-3 * peaks[hours] / 1.56 / 2.0), abs=0.12)
+
+
+def test_the_policy_holds_the_circle_where_the_papers_protocol_does_not(week):
+    text = (week / "report.txt").read_text()
+    shares = {}
+    for name in ("the paper's protocol", "filter, the same sweeps", "policy"):
+        line = next(line for line in text.splitlines() if line.startswith(f" {name}  "))
+        shares[name] = float(line.removeprefix(f" {name}").split()[0])
+    assert shares["policy"] > 95.0 > shares["filter, the same sweeps"] > shares["the paper's protocol"]
+
+
+def test_the_policys_campaign_holds_its_track_and_decisions(week):
+    campaign = read_campaign(week / "policy.h5", CELL)
+    assert campaign.track is not None
+    decisions = decisions_of(campaign.track)
+    sessions = list(campaign.sweeps.sessions)
+    assert [entry["session"] for entry in decisions] == sessions[1:]
+    assert sum(entry["n_sweeps"] for entry in decisions) == len(campaign.sweeps) - 69
+    assert len(campaign.sweeps) - 69 <= 310
+    assert all(entry["task_error_nm"]["after"] < entry["task_error_nm"]["now"] for entry in decisions)
+    estimate = read_estimate(week / "estimate.json", CELL)
+    assert estimate.time_h == campaign.sweeps.time_h.max()
+    assert estimate.valid_until_h > estimate.time_h
+
+
+@pytest.mark.parametrize("name", ["campaign.h5", "policy.h5"])
+def test_track_finds_nothing_new_in_its_campaigns(week, tmp_path, name):
+    copy = tmp_path / name
+    copy.write_bytes((week / name).read_bytes())
+    out = tmp_path / "out.json"
+    printed(["track", str(copy), "--json", str(out)])
+    assert copy.read_bytes() == (week / name).read_bytes()
+    assert json.loads(out.read_text())["calibration_due"] is False
+
+
+def test_a_walk_goes_through_the_tables_with_the_drift_of_the_cell():
+    steady = paper_truth(CELL)
+    walks = [week_truth(CELL, "walk", seed) for seed in range(40)]
+    for walk in walks[:3]:
+        np.testing.assert_allclose(walk.at(steady.times_h), steady.values, rtol=0, atol=1e-9)
+    position = steady.parameters.position("theta_et")
+    steps = np.array([np.diff((walk.values - steady.at(walk.times_h))[:, position]) for walk in walks])
+    size = DriftModel.of(CELL).sizes[CELL.free.position("theta_et")].walk
+    # A bridge over six days wants for one degree of freedom in 288.
+    assert steps.std() * np.sqrt(48.0) == pytest.approx(size, rel=0.02)

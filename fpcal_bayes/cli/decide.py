@@ -47,6 +47,10 @@ def add_parser(commands: Commands) -> None:
     )
     parser.add_argument("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
     parser.add_argument(
+        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
+        "be trusted (default: 1)"
+    )  # fmt: skip
+    parser.add_argument(
         "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
         "can show a change of the robot itself (default: 24)"
     )  # fmt: skip
@@ -61,9 +65,9 @@ def run(options: argparse.Namespace) -> int:
 
     from fpcal_bayes.measure.sweep_csv import write_csv
     from fpcal_bayes.report.decide_text import decision_content, decision_sentence, outlook_table, sweep_table
-    from fpcal_bayes.report.track_text import verdict_lines
+    from fpcal_bayes.report.track_text import time_text, verdict_lines
     from fpcal_bayes.track.decision import Costs
-    from fpcal_bayes.track.policy import decide_track
+    from fpcal_bayes.track.policy import decide_track, valid_until
     from fpcal_bayes.track.sessions import hours_now
 
     cell = cell_of(options)
@@ -80,7 +84,8 @@ def run(options: argparse.Namespace) -> int:
         minutes_per_sweep=options.minutes_per_sweep,
         minutes_per_session=options.minutes_per_session or 0.0,
         out_of_tolerance=options.cost_out,
-        most_sweeps=options.most_sweeps,
+        least_sweeps=options.least_sweeps,
+        most_sweeps=max(options.most_sweeps, options.least_sweeps),
         sigma=sigma,
         horizon_h=options.horizon_h,
         diagnosis_h=options.diagnose_every_h,
@@ -96,6 +101,12 @@ def run(options: argparse.Namespace) -> int:
         out.print(sweep_table(decision.sweeps, cell))
     out.print(decision_sentence(decision, found), markup=False, soft_wrap=True)
     warnings = verdict_lines(found) + followed.notes
+    until_h = valid_until(found, goal)
+    if now_h > until_h:
+        until = time_text(until_h, found.outcomes)
+        warnings.append(
+            f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
+        )
     warn(warnings)
     if options.output is not None and decision.sweeps is not None:
         write_csv(options.output, decision.sweeps, cell)

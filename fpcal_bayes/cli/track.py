@@ -1,6 +1,9 @@
 """``fpcal track``: follow the parameters of a cell from session to session."""
 
 import argparse
+import contextlib
+import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +15,7 @@ from fpcal_bayes.cli.common import (
     cell_of,
     check_output,
     console,
+    positive,
     warn,
     write_result,
 )
@@ -32,8 +36,9 @@ the next run takes in what is new; a CSV is never changed.
 Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
 widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
 
-ESTIMATE is replaced as a whole, so a controller may read it at any time. It holds until the probability that a task's
-error passes the tolerance reaches the level (valid_until_h); fpcal decide says what to do then.
+ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
+session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
+fpcal decide says what to do then.
 """
 
 
@@ -43,36 +48,86 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     parser.add_argument("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
     parser.add_argument("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
+    parser.add_argument(
+        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
+        "sample) in place of a few that are made here; takes in all sessions again"
+    )  # fmt: skip
     add_goal(parser)
     parser.add_argument("--anew", action="store_true", help="take in all sessions again, whatever was saved")
+    parser.add_argument(
+        "--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted"
+    )
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.files import file_sha256
+    if options.watch is None:
+        return _take_in(options)
+    status = 0
+    try:
+        before = _stamp(options.campaign)
+        status = _take_in(options)
+        options.anew, options.posterior = False, None
+        while True:
+            time.sleep(options.watch)
+            now = _stamp(options.campaign)
+            if now == before:
+                continue
+            before = now
+            try:
+                status = _take_in(options, again=True)
+            except InputError as error:
+                # Whoever writes the campaign may be in the midst of it.
+                warn([f"{error}; looking again in {options.watch:g} s"])
+    except KeyboardInterrupt:
+        return status
+
+
+def _stamp(file: str) -> tuple[int, int] | None:
+    """Tells one state of a file from another; None if it is not there."""
+    try:
+        found = os.stat(file)
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
+    """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
+    from fpcal_bayes.files import exclusive, file_sha256
     from fpcal_bayes.measure.campaign import write_campaign
+    from fpcal_bayes.measure.sweep_files import is_campaign_file
     from fpcal_bayes.report.tables import parameter_table
     from fpcal_bayes.report.track_text import session_table, time_text, verdict_lines
     from fpcal_bayes.track.consistency import Limits
-    from fpcal_bayes.track.record import record_of
+    from fpcal_bayes.track.record import decisions_of, record_of
 
     cell = cell_of(options)
     for output in (options.estimate, options.json):
-        check_output(output, options.campaign, *(options.task or ()))
+        check_output(output, options.campaign, options.posterior, *(options.task or ()))
     if options.estimate is not None and options.json is not None and options.estimate == options.json:
         raise InputError(f"{options.json}: expected two names for --estimate and --json")
     goal = goal_of(options)
-    followed = follow(options, cell, anew=options.anew)
-    found, sweeps, notes = followed.track, followed.sweeps, followed.notes
-    if followed.campaign is not None and found.resumed < len(found.outcomes):
-        try:
-            saved = replace(followed.campaign, track=record_of(found, sweeps, Limits()))
-            write_campaign(options.campaign, saved, cell)
-        except InputError as error:
-            notes.append(f"the states are not saved: {error}")
-        found = replace(found, data=found.data | {"sha256": file_sha256(Path(options.campaign))})
+    with contextlib.ExitStack() as alone:
+        # Two that save their states in one campaign would each lose what the other found.
+        campaign_file = is_campaign_file(options.campaign)
+        require_same = alone.enter_context(exclusive(Path(options.campaign))) if campaign_file else None
+        followed = follow(options, cell, anew=options.anew, posterior=options.posterior)
+        found, sweeps, notes = followed.track, followed.sweeps, followed.notes
+        if followed.campaign is not None and require_same is not None and found.resumed < len(found.outcomes):
+            try:
+                before = followed.campaign.track
+                log = [] if before is None else decisions_of(before)
+                saved = replace(followed.campaign, track=record_of(found, sweeps, Limits(), log))
+                require_same()
+                write_campaign(options.campaign, saved, cell)
+            except InputError as error:
+                notes.append(f"the states are not saved: {error}")
+            found = replace(found, data=found.data | {"sha256": file_sha256(Path(options.campaign))})
 
+    if again and found.resumed == len(found.outcomes):
+        return 0 if found.converged else 1
     out = console(options)
     out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
     title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"

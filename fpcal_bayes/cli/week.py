@@ -18,17 +18,30 @@ from fpcal_bayes.cli.common import (
     warm_up,
     warn,
 )
+from fpcal_bayes.cli.control import warm_up_inverse
 from fpcal_bayes.files import make_folder, write_json, write_text
 from fpcal_bayes.model.estimate import SCHEMA
 
 if TYPE_CHECKING:
     from fpcal_bayes.infer.identify import Identification
     from fpcal_bayes.infer.posterior.sample import Posterior
+    from fpcal_bayes.measure.sweeps import Sweeps
+    from fpcal_bayes.model.cell import Cell
+    from fpcal_bayes.track.tracker import Track
     from fpcal_bayes.week import Week
+    from fpcal_bayes.week_circle import Circle
+    from fpcal_bayes.week_courses import Followed
 
 _EPILOG = """\
-Writes into DIR: campaign.h5 (sweeps, truth and estimates), an estimate JSON a session, report.txt (the paper's
-Tables II to VII anew, beside the truth, and the posterior of day 0), posterior.nc (its draws), extrinsics.svg.
+The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
+protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
+same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm.
+
+Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
+policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
+(the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
+truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
+irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, courses.svg.
 """
 
 #: Effective draws of the posterior of day 0.
@@ -43,22 +56,27 @@ def add_parser(commands: Commands) -> None:
     )
     parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    parser.add_argument(
+        "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
+        "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
+    )  # fmt: skip
+    parser.add_argument("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
     from fpcal_bayes.infer.posterior.sample import sample
-    from fpcal_bayes.measure.campaign import Campaign, write_campaign
-    from fpcal_bayes.report.week_figure import draw_week, save_figure
     from fpcal_bayes.week import SESSIONS, Week, identify_session, measure_week
+    from fpcal_bayes.week_circle import check_circles, renewed_circles
+    from fpcal_bayes.week_courses import follow_week
 
     cell = cell_of(options)
-    folder: Path = options.output
-    make_folder(folder)
+    make_folder(options.output)
     warm_up(cell)
+    warm_up_inverse(cell)
     began = time.perf_counter()
-    truth, sweeps = measure_week(cell, sigma=options.sigma_nm * 1e-3, seed=options.seed)
+    sigma = options.sigma_nm * 1e-3
+    truth, sweeps = measure_week(cell, sigma=sigma, seed=options.seed, between=options.between)
 
     out = console(options)
     results: dict[str, Identification] = {}
@@ -70,33 +88,31 @@ def run(options: argparse.Namespace) -> int:
             if session.free == "all":
                 full = results[session.name]
         posterior = None
-        if results[SESSIONS[0].name].converged:
-            status.update(f"sampling the posterior of {SESSIONS[0].name}")
-            posterior = sample(results[SESSIONS[0].name], draws=_DRAWS, seed=options.seed)
+        first = SESSIONS[0].name
+        if results[first].converged:
+            status.update(f"sampling the posterior of {first}")
+            posterior = sample(results[first], draws=_DRAWS, seed=options.seed)
+        followed = follow_week(cell, truth, sweeps, results, sigma=sigma, seed=options.seed, progress=status.update)
+        status.update("driving circles")
+        checks = check_circles(cell, truth, first, results[first].estimate, options.seed)
+        renewed = renewed_circles(cell, truth, {n: r.estimate for n, r in results.items()}, options.seed + len(checks))
     week = Week(cell, truth, sweeps, results)
-
-    contents = {name: {"schema": SCHEMA, "command": "identify", **r.content()} for name, r in results.items()}
-    # A second run gives the same campaign: how long an identification took is in its own file.
-    timeless = {name: content | {"fit": without_seconds(content["fit"])} for name, content in contents.items()}
-    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
-    campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record(), estimates=timeless)
-    write_campaign(folder / "campaign.h5", campaign, cell)
-    for name, content in contents.items():
-        write_json(folder / f"{name}.json", content)
-    save_figure(draw_week(week), folder / "extrinsics.svg")
-    if posterior is not None:
-        write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
+    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed} --between {options.between}"
+    _write_data(options, cell, week, followed, command)
+    _write_circles(options.output, cell, checks, renewed)
+    _write_figures(options.output, week, followed, checks, renewed)
+    _write_posterior(options, posterior, command)
+    _write_page(options, cell, posterior is not None, command)
     text = io.StringIO()
     report = Console(file=text, width=120, highlight=False)
-    print_week(week, report, timed=False)
-    print_posterior(posterior, report)
-    write_text(folder / "report.txt", text.getvalue())
-
-    print_week(week, out)
-    print_posterior(posterior, out)
+    for target, timed in ((report, False), (out, True)):
+        print_week(week, target, timed=timed)
+        print_courses(followed, checks, renewed, target)
+        print_posterior(posterior, target)
+    write_text(options.output / "report.txt", text.getvalue())
     warn(f"{name}: {warning}" for name, result in results.items() for warning in result.warnings)
     out.print(
-        f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {folder}/",
+        f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/",
         markup=False,
         soft_wrap=True,
     )
@@ -107,6 +123,83 @@ def run(options: argparse.Namespace) -> int:
 def without_seconds(fit: dict[str, Any]) -> dict[str, Any]:
     """What an estimate says about its fit, without the time it took."""
     return {key: value for key, value in fit.items() if key != "seconds"}
+
+
+def _write_data(options: argparse.Namespace, cell: "Cell", week: "Week", followed: "Followed", command: str) -> None:
+    """Both campaigns, and an estimate JSON a session."""
+    from dataclasses import replace
+
+    from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
+    from fpcal_bayes.track.consistency import Limits
+    from fpcal_bayes.track.policy import valid_until
+    from fpcal_bayes.track.record import record_of
+    from fpcal_bayes.week_courses import decision_log
+
+    folder: Path = options.output
+    contents = {
+        name: {"schema": SCHEMA, "command": "identify", **found.content()}
+        for name, found in week.identifications.items()
+    }
+    # A second run gives the same campaign: how long an identification took is in its own file.
+    timeless = {name: content | {"fit": without_seconds(content["fit"])} for name, content in contents.items()}
+    truth = week.truth.record()
+
+    def save(file: str, sweeps: "Sweeps", lived: "Track", estimates: dict[str, Any], log: list[dict[str, Any]]) -> None:
+        made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth, estimates=estimates)
+        write_campaign(folder / file, made, cell)
+        # The track is of the rows as the file holds them, in degrees.
+        stored = read_campaign(folder / file, cell).sweeps
+        write_campaign(folder / file, replace(made, track=record_of(lived, stored, Limits(), log)), cell)
+
+    save("campaign.h5", week.sweeps, followed.track, timeless, [])
+    lived = replace(followed.policy_track, data={"file": "policy.h5", "session": followed.policy_track.last.session})
+    estimate = lived.estimate(valid_until(lived, followed.goal)).content() | {"fit": {"converged": lived.converged}}
+    last = {"schema": SCHEMA, "command": "track", **estimate}
+    first = lived.outcomes[0].session
+    log = decision_log(followed.loop.decisions, lived.outcomes[1:], followed.goal.tolerance)
+    save("policy.h5", followed.policy_sweeps, lived, {first: timeless[first], lived.last.session: last}, log)
+    write_json(folder / "estimate.json", last)
+    for name, content in contents.items():
+        write_json(folder / f"{name}.json", content)
+
+
+def _write_page(options: argparse.Namespace, cell: "Cell", sampled: bool, command: str) -> None:
+    """The report of the paper's protocol, as `fpcal report` writes it."""
+    if not options.page:
+        return
+    from fpcal_bayes.report.campaign_page import write_campaign_report
+
+    folder: Path = options.output
+    posterior = folder / "posterior.nc" if sampled else None
+    write_campaign_report(folder / "campaign.h5", cell, folder / "report.html", posterior=posterior, command=command)
+
+
+def _write_circles(folder: Path, cell: "Cell", checks: "list[Circle]", renewed: "list[Circle]") -> None:
+    from fpcal_bayes.measure.path_trace import write_path_trace
+
+    make_folder(folder / "circles")
+    for circle in [*checks, *renewed]:
+        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, cell)
+
+
+def _write_figures(
+    folder: Path, week: "Week", followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]"
+) -> None:
+    from fpcal_bayes.report.week_circle_figure import draw_circles
+    from fpcal_bayes.report.week_course_figure import draw_courses
+    from fpcal_bayes.report.week_figure import draw_week, save_figure
+
+    save_figure(draw_week(week, followed), folder / "extrinsics.svg")
+    save_figure(draw_circles(checks, renewed), folder / "circles.svg")
+    save_figure(draw_courses(followed.courses), folder / "courses.svg")
+
+
+def _write_posterior(options: argparse.Namespace, posterior: "Posterior | None", command: str) -> None:
+    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
+
+    if posterior is not None:
+        tree = data_tree(posterior, seed=options.seed, command=command)
+        write_netcdf(tree, options.output / "posterior.nc")
 
 
 def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
@@ -125,6 +218,21 @@ def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
         for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result, timed=timed):
             out.print(line, markup=False, soft_wrap=True)
         out.print()
+
+
+def print_courses(followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]", out: Console) -> None:
+    """Print the circles, and what each way through the week held and cost."""
+    from fpcal_bayes.report.track_text import verdict_lines
+    from fpcal_bayes.report.week_text import circle_table, course_table
+
+    tolerance = followed.goal.tolerance
+    out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
+    out.print(circle_table("Circle at each identification (Fig 14)", renewed, tolerance))
+    out.print(course_table(followed.courses))
+    for name, lived in (("filter", followed.track), ("policy", followed.policy_track)):
+        for line in verdict_lines(lived):
+            out.print(f"{name}: {line}", markup=False, soft_wrap=True)
+    out.print()
 
 
 def print_posterior(posterior: "Posterior | None", out: Console) -> None:

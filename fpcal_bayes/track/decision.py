@@ -33,8 +33,9 @@ class Costs:
         Time that a session takes: for each sweep, and once.
     out_of_tolerance
         Minutes of measuring that an hour out of tolerance is worth, or None: then the goal's level holds.
-    most_sweeps
-        Of a session with few sweeps.
+    least_sweeps, most_sweeps
+        Of a session with few sweeps. One sweep looks at one direction of the tasks and trusts the drift sizes for the
+        others; as many as the tasks have directions (two for a circle) trust them less and cost more.
     sigma
         Standard deviation of each change of cavity length, in um.
     horizon_h
@@ -53,6 +54,7 @@ class Costs:
     minutes_per_sweep: float = 2.0
     minutes_per_session: float = 0.0
     out_of_tolerance: float | None = None
+    least_sweeps: int = 1
     most_sweeps: int = 6
     sigma: float = 0.005
     horizon_h: float = 24.0
@@ -61,10 +63,12 @@ class Costs:
 
     def __post_init__(self) -> None:
         choices = [value for value in (self.out_of_tolerance, self.diagnosis_h) if value is not None]
-        counts = (self.most_sweeps, self.diagnosis_sweeps)
+        counts = (self.least_sweeps, self.most_sweeps, self.diagnosis_sweeps)
         positive = (self.minutes_per_sweep, self.sigma, self.horizon_h, *choices, *counts)
         if not (np.isfinite(positive).all() and min(positive) > 0 and 0 <= self.minutes_per_session < np.inf):
             raise InputError("costs: expected times, sigma, horizon and number of sweeps above zero")
+        if self.least_sweeps > self.most_sweeps:
+            raise InputError(f"costs: at least {self.least_sweeps} sweeps, expected no more than {self.most_sweeps}")
 
     def minutes(self, n_sweeps: int) -> float:
         """How long a session of so many sweeps takes."""
@@ -154,12 +158,14 @@ def decide(
     choose: Chooser,
     calibration: Sweeps,
     calibration_due: str | None = None,
+    *,
+    measure: bool = False,
 ) -> Decision:
     """What to do now.
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
-    few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held; if
-    none does, a full calibration.
+    few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
+    sessions that follow it included; if none does, a full calibration.
 
     Parameters
     ----------
@@ -173,6 +179,8 @@ def decide(
         Sweeps of a full calibration, as a plan.
     calibration_due
         Why a full calibration is due whatever the error, or None.
+    measure
+        Whether something is measured in any case, so that the question is only what.
 
     Raises
     ------
@@ -195,7 +203,7 @@ def decide(
 
     passes = f"P(error > {1e3 * goal.tolerance:g} nm)"
     if calibration_due is None:
-        hold = forecast.hold_hours(state, costs.horizon_h)
+        hold = 0.0 if measure else forecast.hold_hours(state, costs.horizon_h)
         if hold > 0.0:
             after = forecast.outlook(forecast.ahead(state, hold))
             beyond = "stays below" if hold >= costs.horizon_h else "reaches"
@@ -205,7 +213,8 @@ def decide(
         if able:
             # A session that holds for less than a minute is no better than one that holds for a minute.
             best = min(able, key=lambda s: s.minutes / max(s.hours, 1.0 / 60.0))
-            reason = f"{passes} is {now.exceeds(goal.tolerance):.0%} now, above {goal.level:.0%}"
+            best = _if_it_lasts(forecast, model, costs, choose, best, max(able, key=lambda s: s.hours))
+            reason = f"{passes} is {now.exceeds(goal.tolerance):.0%} now, {goal.level:.0%} is accepted"
             return made("extrinsic", 0.0, best, best.outlook, reason)
     full = _session(forecast, model, state, costs, calibration)
     if full.outlook.exceeds(goal.tolerance) > goal.level:
@@ -245,10 +254,31 @@ def _session(forecast: Forecast, model: CavityModel, state: State, costs: Costs,
 
 
 def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
-    """Sessions of one sweep, of two, and so on."""
+    """Sessions of the fewest sweeps, of one more, and so on."""
     chosen = choose(forecast, state, costs.most_sweeps)
-    counts = range(1, len(chosen) + 1)
+    counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
     return [_session(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
+
+
+def _if_it_lasts(
+    forecast: Forecast, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
+) -> _Session:
+    """The longer of two sessions where its further sweeps pay in the sessions that follow.
+
+    What a short session leaves out grows, and each short session holds for less time than the one before, by `loss`
+    hours. One long session in k, the first of which holds for T hours, holds for k T - loss k (k - 1) / 2 hours at the
+    price of k + share short ones; that is best for the k below (marginal value theorem, Charnov 1976).
+    """
+    if long.hours <= short.hours or short.hours <= 0.0 or short.hours >= costs.horizon_h:
+        return short
+    later = forecast.ahead(short.state, short.hours)
+    again = _session(forecast, model, later, costs, choose(forecast, later, len(short.sweeps)))
+    loss = short.hours - again.hours
+    if loss <= 0.0:
+        return short
+    share = (long.minutes - short.minutes) / short.minutes
+    between = np.sqrt(share**2 + share + 2.0 * share * long.hours / loss) - share
+    return long if long.hours - short.hours >= loss * between else short
 
 
 def _with_level_of_cost(forecast: Forecast, sessions: Sequence[_Session], costs: Costs) -> Forecast:

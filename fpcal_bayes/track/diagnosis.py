@@ -13,6 +13,7 @@ from fpcal_bayes.track.consistency import Limits, power
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import Innovation, State
 from fpcal_bayes.track.measurement import SweepMeasurement
+from fpcal_bayes.track.step import SessionOutcome
 from fpcal_bayes.track.tracker import Track
 
 Floats = NDArray[np.float64]
@@ -63,14 +64,33 @@ def last_diagnosis(track: Track, sweeps: Sweeps, limits: Limits) -> float:
         Of all sessions of the track.
     """
     drift, model = track.drift, CavityModel.of(track.cell, track.drift.parameters)
-    at = watched(drift, limits)
     for number in range(len(track.outcomes) - 1, 0, -1):
         outcome, before = track.outcomes[number], track.outcomes[number - 1]
-        rows = sweeps.take((sweeps.session == outcome.session) & (sweeps.kind != "path"))
-        hours = outcome.time_h - before.time_h
-        if not len(rows):
-            continue
-        most = most_power(drift, outcome.predicted, hours, limits)[at]
-        if session_power(drift, model, outcome.predicted, rows, hours, limits)[at] >= ENOUGH * most:
+        if is_diagnosis(drift, model, before, outcome, sweeps.of_session(outcome.session), limits):
             return outcome.time_h
     return track.outcomes[0].time_h
+
+
+def is_diagnosis(
+    drift: DriftModel,
+    model: CavityModel,
+    before: SessionOutcome,
+    outcome: SessionOutcome,
+    sweeps: Sweeps,
+    limits: Limits,
+) -> bool:
+    """Whether a session could show a change of the robot.
+
+    Parameters
+    ----------
+    before, outcome
+        Of the session before it and of itself.
+    sweeps
+        Of the session.
+    """
+    rows = sweeps.take(sweeps.kind != "path")
+    if not len(rows):
+        return False
+    at, hours = watched(drift, limits), outcome.time_h - before.time_h
+    most = most_power(drift, outcome.predicted, hours, limits)[at]
+    return bool(session_power(drift, model, outcome.predicted, rows, hours, limits)[at] >= ENOUGH * most)

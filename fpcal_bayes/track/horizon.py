@@ -127,6 +127,8 @@ class Forecast:
         Of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um.
     tasks
         The points of each task.
+    poses
+        Joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints).
     basis, factor
         Of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters).
     draws
@@ -138,6 +140,7 @@ class Forecast:
     estimate: Floats
     jacobian: Floats
     tasks: tuple[slice, ...]
+    poses: Floats
     basis: Floats
     factor: Floats
     draws: Floats
@@ -165,7 +168,10 @@ class Forecast:
         factor = singular[kept, None] * right[kept]
         draws = np.random.default_rng(0).standard_normal((len(factor), _DRAWS))
         slices = tuple(slice(a, b) for a, b in pairwise(ends))
-        return cls(drift, goal, np.array(mean), jacobian, slices, left[:, kept], factor, draws)
+        poses = np.vstack(
+            [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
+        )
+        return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws)
 
     def following(self, mean: Floats) -> "Forecast":
         """The same for a controller that takes over another estimate; its tasks move by too little to matter."""

@@ -20,6 +20,7 @@ from fpcal_bayes.track.diagnosis import last_diagnosis, most_power, session_powe
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
 from fpcal_bayes.track.horizon import Forecast, Goal
+from fpcal_bayes.track.task_sweeps import task_sweeps
 from fpcal_bayes.track.tracker import Track
 
 Floats = NDArray[np.float64]
@@ -76,8 +77,7 @@ class Policy:
         single = calibration.take(calibration.kind == "sweep")
         random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0))
         pool = join([_plain(single), _plain(random)], file="candidates")
-        keeps = ~reverses(model, values, pool)[0]
-        return cls(drift, model, goal, costs, pool.take(keeps), calibration)
+        return cls(drift, model, goal, costs, _steady(model, values, pool), calibration)
 
     def choose(self, forecast: Forecast, state: State, n: int) -> Sweeps:
         """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
@@ -101,13 +101,15 @@ class Policy:
         self, forecast: Forecast, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0
     ) -> Sweeps:
         values = self.drift.values(forecast.estimate)
-        rows = sweep_rows(self.model, values[None], self.candidates, readings=1, sigma=self.costs.sigma)
+        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
+        candidates = join([near, self.candidates], file="candidates")
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma)
         rows, goals = rows * self.drift.scale, {name: jacobian[None] for name, jacobian in tasks.items()}
-        count = min(n, len(self.candidates))
+        count = min(n, len(candidates))
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
         chosen = choose_sweeps(
-            self.candidates, rows, goals, count, covariance=covariance, criterion="I", passes=passes
+            candidates, rows, goals, count, covariance=covariance, criterion="I", passes=passes
         )  # fmt: skip
         return chosen.sweeps
 
@@ -132,7 +134,7 @@ class Policy:
         InputError
             If the tolerance cannot be met.
         """
-        decision = decide(forecast, self.model, state, self.costs, self.choose, self.calibration, calibration_due)
+        decision = self._decide(forecast, state, calibration_due)
         every = self.costs.diagnosis_h
         if decision.action == "full" or every is None or diagnosed_h is None:
             return decision
@@ -144,6 +146,36 @@ class Policy:
             reason = f"the robot itself is to be looked at every {every:g} h"
             return replace(decision, hold_hours=left, after=after, reason=reason)
         return decision
+
+    def measure_now(
+        self,
+        forecast: Forecast,
+        state: State,
+        calibration_due: str | None = None,
+        diagnosed_h: float | None = None,
+    ) -> Decision:
+        """What to measure at the time of `state`, when a session was planned for it; arguments as in `decide`."""
+        decision = self._decide(forecast, state, calibration_due, measure=True)
+        every = self.costs.diagnosis_h
+        if decision.action == "full" or every is None or diagnosed_h is None:
+            return decision
+        # Rounding must not put a look off by a session.
+        due = state.time_h - diagnosed_h > every - 1e-6
+        return self._diagnose(decision, forecast, state, diagnosed_h) if due else decision
+
+    def hold_hours(self, forecast: Forecast, state: State, diagnosed_h: float) -> float:
+        """Hours from `state` until something is to be measured, at most the horizon; see `decide`."""
+        hold = forecast.hold_hours(state, self.costs.horizon_h)
+        if self.costs.diagnosis_h is not None:
+            hold = min(hold, max(0.0, diagnosed_h + self.costs.diagnosis_h - state.time_h))
+        return hold
+
+    def _decide(
+        self, forecast: Forecast, state: State, calibration_due: str | None, *, measure: bool = False
+    ) -> Decision:
+        return decide(
+            forecast, self.model, state, self.costs, self.choose, self.calibration, calibration_due, measure=measure
+        )
 
     def _diagnose(self, decision: Decision, forecast: Forecast, state: State, diagnosed_h: float) -> Decision:
         """The sweeps of a decision, and those that look at the robot itself."""
@@ -212,6 +244,11 @@ def valid_until(track: Track, goal: Goal, horizon_h: float = HOURS_PER_WEEK) -> 
     state = track.last.state
     forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
     return state.time_h + forecast.hold_hours(state, horizon_h)
+
+
+def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:
+    """The sweeps whose cavity length does not turn round on the way."""
+    return sweeps.take(~reverses(model, values, sweeps)[0])
 
 
 def _plain(sweeps: Sweeps) -> Sweeps:

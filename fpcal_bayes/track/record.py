@@ -1,6 +1,7 @@
 """Save a track in a campaign file, and take it up again."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -27,13 +28,15 @@ def settings_sha256(drift: DriftModel, limits: Limits) -> str:
     return content_sha256([[size.content() for size in drift.sizes], asdict(limits)])
 
 
-def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
+def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
     """A track as a campaign file holds it.
 
     Parameters
     ----------
     sweeps
         Of all its sessions; hashes of them tell later which sessions the states hold.
+    decisions
+        What was decided meanwhile, one JSON object each, in order of time.
     """
     onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
     n, states = track.drift.n_parameters, track.drift.n_states
@@ -41,6 +44,7 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
         "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
         "status": track.status,
         "warnings": track.warnings,
+        "decisions": list(decisions),
     }
     return TrackRecord(
         cell_sha256=track.cell.sha256,
@@ -54,6 +58,15 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
         onset_information=np.array([onset.information for onset in onsets]).reshape(-1, n, n),
         onset_score=np.array([onset.score for onset in onsets]).reshape(-1, n),
     )
+
+
+def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
+    """Decisions that were saved with a track; none where the record cannot be understood."""
+    try:
+        found = json.loads(record.summary).get("decisions", [])
+    except (ValueError, AttributeError, RecursionError):
+        return []
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
 
 def resume(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.estimate_draws import independent_draws
 from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.observability import GAUGE_SHARE, WEAK_SHARE
 from fpcal_bayes.infer.slips import find_slips
@@ -15,14 +16,18 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.notebook import html_table
 from fpcal_bayes.track.consistency import Limits, Monitor
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.linear_start import linear_start
 from fpcal_bayes.track.sessions import check_sessions, mean_temperature
 from fpcal_bayes.track.step import SessionOutcome, take_in
 
 Floats = NDArray[np.float64]
 
+#: Posterior draws whose moments the filter starts from.
+_DRAWS = 500
 #: A first session that determines a smaller share of the free parameters is no calibration.
 _CALIBRATED = 0.6
 
@@ -52,6 +57,19 @@ class Track:
     resumed: int = 0
     warnings: tuple[str, ...] = ()
     data: dict[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return (
+            f"Track({len(self.outcomes)} sessions of {self.cell.name!r}, last {self.last.session} {self.last.verdict})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (o.session, f"{o.time_h:.2f}", o.n_sweeps, f"{o.nis:.1f}" if o.dof else "", o.dof, o.verdict)
+            for o in self.outcomes
+        ]
+        heads = ["session", "time [h]", "sweeps", "innovation", "expected", "verdict"]
+        return html_table(f"track of {self.cell.name}", heads, rows)
 
     @property
     def last(self) -> SessionOutcome:
@@ -120,6 +138,7 @@ def track(
     limits: Limits | None = None,
     known: Track | None = None,
     calibration: Estimate | None = None,
+    draws: Floats | None = None,
     now_h: float | None = None,
 ) -> Track:
     """Follow the free parameters of a cell through the sessions of a campaign.
@@ -137,7 +156,10 @@ def track(
     known
         An earlier track of the first sessions, which are not taken in again.
     calibration
-        What the first session told, in place of its identification: mean and covariance of posterior draws, say.
+        What the first session told, in place of its identification.
+    draws
+        Of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they are
+        made (see `linear_start`).
     now_h
         Sessions after this time are refused.
 
@@ -155,7 +177,7 @@ def track(
         status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
         known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
     elif known is None:
-        first, status, warnings = calibrate(cell, drift, parts[0])
+        first, status, warnings = calibrate(cell, drift, parts[0], draws)
         known = Track(cell, drift, (first,), status, 0, warnings)
     else:
         known = replace(known, resumed=len(known.outcomes))
@@ -166,8 +188,15 @@ def track(
     return replace(known, outcomes=tuple(outcomes))
 
 
-def calibrate(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[SessionOutcome, tuple[str, ...], tuple[str, ...]]:
+def calibrate(
+    cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
+) -> tuple[SessionOutcome, tuple[str, ...], tuple[str, ...]]:
     """Identify all parameters from the first session.
+
+    Parameters
+    ----------
+    draws
+        As in `track`.
 
     Returns
     -------
@@ -190,7 +219,7 @@ def calibrate(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[SessionOut
             f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
             "to be a full calibration"
         )
-    outcome = start(drift, found.estimate, sweeps, found.converged)
+    outcome = start(drift, _linear(found, draws), sweeps, found.converged)
     rows = len(found.problem.sweeps)
     # The calibration's own innovation is its sum of squares against the prior.
     squared = found.solution.sum_of_squares
@@ -221,6 +250,14 @@ def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool
         state=state,
         monitor=Monitor(),
     )
+
+
+def _linear(found: Identification, draws: Floats | None) -> Estimate:
+    """The estimate that the filter starts from; the maximum with its Laplace covariance where there are no draws."""
+    if not found.converged:
+        return found.estimate
+    draws = independent_draws(found, _DRAWS) if draws is None else draws
+    return linear_start(found.estimate, draws, found.problem.sweeps) if len(draws) else found.estimate
 
 
 def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:

@@ -16,7 +16,6 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import json
 import time
-from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,90 +24,23 @@ import numpy as np
 from rich.console import Console
 from scipy import stats
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.posterior.target import PosteriorTarget
-from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.report.tables import plain_table
+from fpcal_bayes.study.posterior_ranks import PROTOCOLS, Replicate, quantities, ranks_of
+from fpcal_bayes.study.posterior_ranks import sbc_plan as plan
+from fpcal_bayes.study.rank_tests import COVERAGES, FAMILY_WISE, RANKED, Verdict, judge, least_p
 
 SIGMA = 0.005
-PROTOCOLS = ("paper", "paper-mid", "random")
-#: Draws among which a truth is ranked; 200 ranks can be split into 20 bins and into the intervals below.
-RANKED = 199
-BINS = 20
-COVERAGES = (0.5, 0.8, 0.95)
-FAMILY_WISE = 0.01
-#: Ends of a move of all six joints; no sweep moves more than one.
-TASK = np.array([[60.0, 10.0, -60.0, 1.0, -1.0, 20.0], [-80.0, -12.0, 90.0, -2.0, 1.5, 60.0]])
-
-
-@dataclass(frozen=True)
-class Replicate:
-    """Ranks of one truth, from 0 to `RANKED`, or None if the fit failed; and what the sampler says of itself."""
-
-    ranks: list[int] | None
-    failures: tuple[str, ...]
-    charts: int
-
-
-def plan(protocol: str, cell: Cell) -> Sweeps:
-    """The sweeps of a protocol."""
-    if protocol == "random":
-        random = np.random.default_rng(20)
-        parts = [_random_sweep(cell, random) for _ in range(69)]
-        return join(parts)
-    return paper_protocol(cell, midpoints=protocol == "paper-mid")
-
-
-def _random_sweep(cell: Cell, random: np.random.Generator) -> Sweeps:
-    """One joint moves, all stand anywhere within the paper's ranges."""
-    reach = np.array([150.0, 20.0, 150.0, 3.0, 3.0, 90.0]) * cell.joint_scales
-    joint = int(random.integers(6))
-    start, end = reach[joint] * random.uniform(-1.0, 1.0, 2)
-    return single_sweep(cell, joint + 1, start, end, pose=reach * random.uniform(-1.0, 1.0, 6))
-
-
-def quantities(cell: Cell) -> list[str]:
-    """Names of what is ranked."""
-    return [*cell.free.names, "task", "log density"]
 
 
 def run_replicate(number: int, *, protocol: str, seed: int, draws: int, steps: int | None = None) -> Replicate:
     """One truth; its random numbers depend on `seed`, the protocol and `number` alone.
 
-    With `steps`, the walkers go so far and no further: the ranks are those of an exact sampler if the start is
-    forgotten by then, whether or not the diagnostics have seen enough to say so.
+    With `steps`, the walkers go so far and no further: the ranks are those of an exact sampler if the start is.
     """
     cell = load_cell()
-    sequence = np.random.SeedSequence([seed, PROTOCOLS.index(protocol), number])
-    random = np.random.default_rng(sequence)
-    values = cell.free.nominal + cell.free.prior_sd * random.standard_normal(len(cell.free))
-    noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    truth = Truth(cell.free, np.zeros(1), values[None])
-    found = identify(cell, simulate(cell, truth, plan(protocol, cell), sigma=SIGMA, seed=noise_seed))
-    charts = 1 + len(found.other_minima)
-    if not found.converged:
-        return Replicate(None, ("not identified",), charts)
-    posterior = sample(found, draws=draws, seed=sampler_seed, max_steps=steps)
-
-    problem = found.problem
-    # Walkers do not interact; the middle and the end of each walk lie many autocorrelation times apart.
-    steps = [posterior.points.shape[1] // 2, -1]
-    chosen = posterior.points[:, steps].reshape(-1, problem.n_unknowns)[:RANKED]
-    task = problem.model.rows(*(TASK[:, None] * cell.joint_scales))
-    target = PosteriorTarget(problem)
-
-    def ranked(unknowns: np.ndarray) -> np.ndarray:
-        lengths = problem.model.predict(problem.values(unknowns), task)
-        log_density = target.log_density(target.data_residuals(unknowns), unknowns)
-        return np.column_stack([unknowns, lengths, log_density])
-
-    ranks = (ranked(chosen) < ranked(problem.unknowns(values)[None])).sum(axis=0)
-    return Replicate(ranks.tolist(), posterior.failures, charts)
+    random = np.random.default_rng(np.random.SeedSequence([seed, PROTOCOLS.index(protocol), number]))
+    return ranks_of(cell, plan(protocol, cell), random, sigma=SIGMA, draws=draws, steps=steps)
 
 
 def run_protocol(
@@ -120,37 +52,6 @@ def run_protocol(
         return list(map(one, numbers))
     with get_context("spawn").Pool(processes) as pool:
         return list(pool.imap(one, numbers))
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Tests of one quantity: p-values of the ranks' uniformity, and of each interval's coverage."""
-
-    name: str
-    chi_square: float
-    kolmogorov: float
-    covered: list[float]
-    coverage: list[float]
-
-
-def judge(name: str, ranks: np.ndarray, random: np.random.Generator) -> Verdict:
-    """Test the ranks (n_replicates,) of one quantity."""
-    counts = np.bincount(ranks * BINS // (RANKED + 1), minlength=BINS)
-    spread = (ranks + random.random(len(ranks))) / (RANKED + 1)
-    covered, p_values = [], []
-    for share in COVERAGES:
-        tail = (RANKED + 1) * (1 - share) / 2
-        inside = int(((ranks >= tail - 1e-9) & (ranks < RANKED + 1 - tail - 1e-9)).sum())
-        covered.append(inside / len(ranks))
-        p_values.append(float(stats.binomtest(inside, len(ranks), share).pvalue))
-    return Verdict(
-        name, float(stats.chisquare(counts).pvalue), float(stats.kstest(spread, "uniform").pvalue), covered, p_values
-    )
-
-
-def least_p(verdict: Verdict) -> float:
-    """The smallest p-value of the five tests, corrected for their number."""
-    return min(1.0, 5.0 * min(verdict.chi_square, verdict.kolmogorov, *verdict.coverage))
 
 
 def main() -> int:

@@ -5,6 +5,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from fpcal_bayes.study.posterior_ranks import TASK
+
 
 @pytest.fixture(scope="module")
 def sbc() -> ModuleType:
@@ -45,7 +47,7 @@ class TestPlans:
         for protocol in sbc.PROTOCOLS:
             plan = sbc.plan(protocol, femto)
             assert ((plan.q_start != plan.q_end).sum(axis=1) == 1).all()
-        assert (sbc.TASK[0] != sbc.TASK[1]).all()
+        assert (TASK[0] != TASK[1]).all()
 
 
 @pytest.mark.slow

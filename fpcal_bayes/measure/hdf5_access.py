@@ -138,7 +138,7 @@ def reading(path: Path) -> Iterator[Reader]:
 def writing(path: Path) -> Iterator[Any]:
     """Open an HDF5 file to write from scratch; equal content gives equal bytes.
 
-    It is made in memory and written as plain bytes: on a full disk HDF5 fails while it closes, where nothing catches it.
+    It is made in memory and written as plain bytes: on a full disk HDF5 fails as it closes, where nothing catches it.
     """
     try:
         with h5py.File(path, "w", libver=("v110", "v110"), driver="core", backing_store=False) as file:

@@ -1,0 +1,95 @@
+"""What a study is: replicates that depend on their number alone, and what they say together."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.files import content_sha256
+from fpcal_bayes.infer.prior import Prior
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cell import Cell
+
+Floats = NDArray[np.float64]
+
+#: Replicates, one a row, by the name of what they give: shape (n_replicates, *shape of the value).
+Results = Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What the replicates of a study say together.
+
+    Attributes
+    ----------
+    title
+        Of the table of `rows`.
+    rows
+        One mapping of column to value each, all with the same columns; the first holds names.
+    sentences
+        Results in words.
+    warnings
+        What is not to be trusted.
+    """
+
+    title: str
+    rows: list[dict[str, str | int | float]]
+    sentences: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(ABC):
+    """One question and all its settings.
+
+    Attributes
+    ----------
+    cell
+        The cell that is simulated.
+    seed
+        Of all random numbers; each replicate mixes its own number in.
+    """
+
+    name: ClassVar[str]
+
+    cell: Cell
+    seed: int = 0
+
+    @abstractmethod
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the numbers that one replicate gives."""
+
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """All that a replicate depends on beside cell, seed and number, as JSON."""
+
+    @abstractmethod
+    def replicate(self, number: int) -> dict[str, Floats]:
+        """Replicate `number`, the first being 0; the same whenever, wherever and beside whatever it runs.
+
+        NaN stands where it gives nothing.
+        """
+
+    @abstractmethod
+    def summary(self, results: Results) -> Summary:
+        """What the replicates say."""
+
+    def random(self, number: int) -> np.random.Generator:
+        """Random numbers of replicate `number`."""
+        return np.random.default_rng([self.seed, number])
+
+
+def drawn_truth(cell: Cell, random: np.random.Generator) -> Truth:
+    """A cell drawn from the prior, which does not drift."""
+    values = Prior.of(cell.free).values(random.standard_normal(len(cell.free)))
+    return Truth(cell.free, np.zeros(1), values[None])
+
+
+def sweeps_sha256(sweeps: Sweeps) -> str:
+    """Hash of where sweeps lead and how their rows belong together."""
+    columns = (sweeps.q_start, sweeps.q_end, sweeps.signed, sweeps.group, sweeps.kind)
+    return content_sha256([column.tolist() for column in columns])

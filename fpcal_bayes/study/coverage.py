@@ -1,0 +1,142 @@
+"""Coverage: how often the truth lies where an estimate says.
+
+Each replicate draws a cell from the prior, measures sweeps on it, identifies, and lets the controller make each task's
+joint path with the estimate. The true peak to peak of the task error is compared with the predicted 50, 80 and 95 %
+bands: of draws of the posterior, as an estimate file holds them, and to first order from its covariance. Every task is
+taken over its whole path, beyond joint limits too, so that all calibrations are judged on the same task.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import stats
+
+from fpcal_bayes.control.tasks import TASKS, Task, task_path
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.estimate_draws import independent_draws
+from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.infer.task_error import peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.study.base import Floats, Results, Study, Summary, drawn_truth, sweeps_sha256
+
+METHODS = ("draws", "covariance")
+SHARES = (0.5, 0.8, 0.95)
+#: Draws of the linear prediction, and points of each path.
+_LINEAR_DRAWS, _POINTS = 2000, 31
+#: Coverage is called wrong below this probability of one as far off, over all tests of the study.
+FAMILY_WISE = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage(Study):
+    """The study of coverage.
+
+    Attributes
+    ----------
+    plan
+        Sweeps of each calibration.
+    sigma
+        Standard deviation of each change of cavity length, in um.
+    """
+
+    name: ClassVar[str] = "coverage"
+
+    plan: Sweeps
+    sigma: float = 0.005
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the numbers that one replicate gives; lengths in um."""
+        n, edges = len(TASKS), (len(TASKS), len(SHARES), 2)
+        fit = dict.fromkeys(("converged", "chi2_data", "p_value", "sum_of_squares"), ())
+        return fit | {"true": (n,), "rank": (n,)} | dict.fromkeys(METHODS, edges)
+
+    def settings(self) -> dict[str, Any]:
+        """The sweeps and their noise."""
+        return {"sweeps_sha256": sweeps_sha256(self.plan), "sigma_um": self.sigma}
+
+    def replicate(self, number: int) -> dict[str, Floats]:
+        """Fit, true peak to peak of each task, its rank among the draws (0 to 1), and the edges of the bands."""
+        random = self.random(number)
+        truth = drawn_truth(self.cell, random)
+        measured = simulate(self.cell, truth, self.plan, sigma=self.sigma, seed=int(random.integers(2**31)))
+        result = {name: np.full(shape, np.nan) for name, shape in self.shapes().items()}
+        found = identify(self.cell, measured)
+        result["converged"] = np.array(float(found.converged))
+        if not found.converged:
+            return result
+        result["chi2_data"] = np.array(found.fit.chi2_data)
+        result["p_value"] = np.array(found.fit.p_value)
+        result["sum_of_squares"] = np.array(found.solution.sum_of_squares)
+        self._judge_tasks(result, found, truth.values[0])
+        return result
+
+    def _judge_tasks(self, result: dict[str, Floats], found: Identification, truth: Floats) -> None:
+        estimate, model = found.estimate, CavityModel.of(self.cell)
+        draws = independent_draws(found)
+        edges = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in SHARES])
+        # Draws of the linear error: the factor of a covariance that may be singular along gauges.
+        scale = estimate.parameters.prior_sd
+        sizes, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
+        deviates = np.random.default_rng(1).standard_normal((_LINEAR_DRAWS, len(scale)))
+        changes = deviates @ (scale[:, None] * vectors * np.sqrt(np.clip(sizes, 0.0, None))).T
+        for i, name in enumerate(TASKS):
+            task = self._path(estimate.vector(), name)
+            if task is None:
+                continue
+            true = float(peak_to_peak(task_errors(model, truth, estimate.values, task))[0])
+            result["true"][i] = true
+            linear = peak_to_peak(changes @ task_jacobian(model, estimate.values, task).T)
+            result["covariance"][i] = np.quantile(linear, edges)
+            if len(draws):
+                predicted = peak_to_peak(task_errors(model, draws, estimate.values, task))
+                result["draws"][i] = np.quantile(predicted, edges)
+                result["rank"][i] = (predicted < true).mean()
+
+    def _path(self, vector: Floats, name: str) -> Task | None:
+        """The path of a task, or None if by its estimate this robot cannot take the aligned pose."""
+        try:
+            task = task_path(self.cell, vector, name, n_points=_POINTS)
+        except InputError:
+            return None
+        return task if task.finite.all() else None
+
+    def summary(self, results: Results) -> Summary:
+        """Share of the truths in each band, with a test against what is stated."""
+        return summarise(results)
+
+
+def summarise(results: Results) -> Summary:
+    """Share of the truths in each band, with a test against what is stated."""
+    kept = results["converged"] > 0
+    rows: list[dict[str, str | int | float]] = []
+    least = 1.0
+    for i, task in enumerate(TASKS):
+        for method in METHODS:
+            edges, true = results[method][kept, i], results["true"][kept, i]
+            seen = np.isfinite(edges).all(axis=(1, 2)) & np.isfinite(true)
+            row: dict[str, str | int | float] = {"task": task, "method": method, "n": int(seen.sum())}
+            for share, (low, high) in zip(SHARES, edges[seen].transpose(1, 2, 0), strict=True):
+                inside = int(((low <= true[seen]) & (true[seen] <= high)).sum())
+                row[f"in_{100 * share:g}_percent"] = 100.0 * inside / seen.sum() if seen.any() else 0.0
+                p = float(stats.binomtest(inside, int(seen.sum()), share).pvalue) if seen.any() else 1.0
+                row[f"p_{100 * share:g}"] = p
+                if method == "draws":
+                    least = min(least, p)
+            rows.append(row)
+    tests = len(TASKS) * len(SHARES)
+    corrected = min(1.0, tests * least)
+    n = int(kept.sum())
+    sentences = [f"{n} of {len(kept)} calibrations converged"]
+    warnings = []
+    if n:
+        uniform = float(stats.kstest(results["p_value"][kept], "uniform").pvalue)
+        sentences.append(f"p-values of the data's chi-square are uniform with p = {uniform:.3g} (Kolmogorov)")
+        sentences.append(f"bands of draws: p = {corrected:.3g} over {tests} tests")
+    if corrected < FAMILY_WISE:
+        warnings.append(f"the bands of draws do not hold what they state (p = {corrected:.2g} over {tests} tests)")
+    if n < len(kept):
+        warnings.append(f"{len(kept) - n} calibrations did not converge and are left out")
+    return Summary("truths in the predicted bands of the peak to peak, in %", rows, sentences, warnings)

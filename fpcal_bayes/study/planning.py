@@ -1,0 +1,115 @@
+"""Does a plan keep its promise? Each truth is calibrated twice: with the plan, and with the paper's sweeps.
+
+Compared is the largest error along each task that the controller makes with either calibration.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fpcal_bayes.control.tasks import find_task
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
+from fpcal_bayes.infer.task_error import task_errors
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.study.base import Floats, Results, Study, Summary, drawn_truth, sweeps_sha256
+
+#: Points of each path.
+_POINTS = 31
+
+
+def largest_errors(cell: Cell, values: Floats, plan: Sweeps, *, sigma: float, seed: int) -> dict[str, float]:
+    """Largest error along each task after identifying a simulated cell from simulated measurements.
+
+    Parameters
+    ----------
+    values
+        Free parameters of the truth in um and rad, shape (n_free,).
+    sigma, seed
+        Standard deviation of each change of cavity length in um, and the seed of the noise.
+
+    Returns
+    -------
+    dict
+        In um; NaN where the estimate leaves no point to drive to.
+    """
+    model = CavityModel.of(cell)
+    truth = Truth(cell.free, np.zeros(1), values[None])
+    found = identify(cell, simulate(cell, truth, plan, sigma=sigma, seed=seed)).estimate
+    result = dict.fromkeys(DEFAULT_TASKS, np.nan)
+    for name in DEFAULT_TASKS:
+        try:
+            task = find_task(cell, found.vector(), name, n_points=_POINTS)
+        except InputError:
+            # By its estimate, this robot's joint limits do not let it take the aligned pose.
+            continue
+        if task.ok.any():
+            result[name] = float(np.abs(task_errors(model, values, found.values, task.take(task.ok))).max())
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planning(Study):
+    """The study of a plan.
+
+    Attributes
+    ----------
+    plan
+        Rows of the plan, as they are read.
+    sigma
+        Standard deviation of each change of cavity length, in um.
+    """
+
+    name: ClassVar[str] = "plan"
+
+    plan: Sweeps
+    sigma: float = 0.005
+    paper: Sweeps = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "paper", paper_protocol(self.cell))
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the numbers that one replicate gives; lengths in um."""
+        return dict.fromkeys(("plan", "paper"), (len(DEFAULT_TASKS),))
+
+    def settings(self) -> dict[str, Any]:
+        """The plan and the noise."""
+        return {"sweeps_sha256": sweeps_sha256(self.plan), "sigma_um": self.sigma}
+
+    def replicate(self, number: int) -> dict[str, Floats]:
+        """Largest error along each task with the plan and with the paper's sweeps."""
+        random = self.random(number)
+        values, seed = drawn_truth(self.cell, random).values[0], int(random.integers(2**31))
+        plans = {"plan": self.plan, "paper": self.paper}
+        errors = {
+            name: largest_errors(self.cell, values, plan, sigma=self.sigma, seed=seed) for name, plan in plans.items()
+        }
+        return {name: np.array([found[task] for task in DEFAULT_TASKS]) for name, found in errors.items()}
+
+    def summary(self, results: Results) -> Summary:
+        """Errors with the plan over those with the paper's sweeps."""
+        rows: list[dict[str, str | int | float]] = []
+        for i, task in enumerate(DEFAULT_TASKS):
+            ours, theirs = results["plan"][:, i], results["paper"][:, i]
+            both = np.isfinite(ours + theirs)
+            ours, theirs = ours[both], theirs[both]
+            row: dict[str, str | int | float] = {"task": task, "n": int(both.sum())}
+            if both.any():
+                row |= {
+                    "plan_median_nm": 1e3 * float(np.median(ours)),
+                    "paper_median_nm": 1e3 * float(np.median(theirs)),
+                    "ratio_of_medians": float(np.median(ours) / np.median(theirs)),
+                    "ratio_of_rms": float(np.sqrt((ours**2).mean() / (theirs**2).mean())),
+                    "better_percent": 100.0 * float((ours < theirs).mean()),
+                }
+            rows.append(row)
+        title = f"largest error along each task, {len(self.plan)} rows of the plan, {len(self.paper)} of the paper"
+        return Summary(title, [row for row in rows if row["n"]], [f"{len(results['plan'])} truths calibrated twice"])

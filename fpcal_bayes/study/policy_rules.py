@@ -1,0 +1,115 @@
+"""Rules that say when to measure what: fixed intervals, a circle that fails, and the policy of `fpcal decide`."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fpcal_bayes.control.tasks import task_path
+from fpcal_bayes.infer.task_error import peak_to_peak, task_errors
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.study.policy_week import STEP, DriftingWeek, Rule, Setting
+from fpcal_bayes.track.decision import Costs
+from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.horizon import Forecast, Goal
+from fpcal_bayes.track.policy import Policy
+from fpcal_bayes.track.step import SessionOutcome
+
+#: Makes a rule anew for each week: some remember what they saw.
+MakeRule = Callable[[], Rule]
+
+
+def translations(cell_joints: int, *joints: int) -> Sweeps:
+    """Translations of some joints (1 for ``q1``) over 300 um, the others at zero."""
+    start = np.zeros((len(joints), cell_joints))
+    start[range(len(joints)), [j - 1 for j in joints]] = -150.0
+    return Sweeps.make(start, -start, label=[f"q{j}" for j in joints])
+
+
+def fixed(hours: float, plan: Sweeps) -> Rule:
+    """The same sweeps at a fixed interval."""
+    return lambda outcome, now, week: (hours, plan)
+
+
+def never(setting: Setting) -> Rule:
+    """No measurement after the calibration."""
+    return lambda outcome, now, week: (setting.hours * 2, None)
+
+
+def check_circle(setting: Setting, hours: float, tolerance: float, plan: Sweeps) -> Rule:
+    """Drive a circle at a fixed interval, and measure when its peak to peak exceeds `tolerance` (um).
+
+    The circle counts as no sweep.
+    """
+
+    def rule(outcome: SessionOutcome, now: float, week: DriftingWeek) -> tuple[float, Sweeps | None]:
+        values = setting.drift.values(outcome.state.mean)
+        task = task_path(setting.cell, setting.model.vector(values), "circle")
+        ahead = min(now + hours, setting.hours)
+        error = float(peak_to_peak(task_errors(setting.model, week.at(ahead), values, task))[0])
+        return hours, plan if error > tolerance else None
+
+    return rule
+
+
+def ours(setting: Setting, goal: Goal, costs: Costs, fixed_hours: float | None = None) -> Rule:
+    """The policy; with `fixed_hours` only its choice of sweeps, at a fixed interval."""
+    drift, model = setting.drift, setting.model
+    policy = Policy.of(drift, model, goal, costs, setting.paper)
+    diagnosed = 0.0
+
+    def rule(outcome: SessionOutcome, now: float, week: DriftingWeek) -> tuple[float, Sweeps | None]:
+        nonlocal diagnosed
+        if now == 0.0 or outcome.dof >= costs.diagnosis_sweeps:
+            diagnosed = now
+        forecast = Forecast.of(drift, model, goal, outcome.state.mean)
+        state: State = forecast.ahead(outcome.state, now - outcome.state.time_h)
+        if fixed_hours is not None:
+            return fixed_hours, policy.choose(forecast, forecast.ahead(state, fixed_hours), costs.most_sweeps)
+        due = "the robot moved" if outcome.verdict == "intrinsics-moved" else None
+        # The session is planned for the last step that ends in tolerance.
+        wait = STEP if due else max(STEP, forecast.hold_hours(state, costs.horizon_h))
+        at_session = forecast.ahead(state, wait + 2.0 / 60.0)
+        return wait, policy.decide(forecast, at_session, due, diagnosed).sweeps
+
+    return rule
+
+
+def rules(
+    setting: Setting,
+    goal: Goal,
+    *,
+    levels: Sequence[float] = (0.05, 0.1, 0.15, 0.2),
+    most_sweeps: int = 2,
+    diagnosis_h: float | None = None,
+) -> dict[str, MakeRule]:
+    """All rules by name.
+
+    Parameters
+    ----------
+    goal
+        What is to be held.
+    levels
+        Accepted probabilities of being out of tolerance, a policy each.
+    most_sweeps, diagnosis_h
+        Sweeps of a session of the policy at most, and hours between its looks at the robot itself (None: none).
+    """
+    two = translations(len(setting.cell.joints), 3, 1)
+    found: dict[str, MakeRule] = {
+        "never": lambda: never(setting),
+        "69 sweeps every 8 h": lambda: fixed(8.0, setting.paper),
+    }
+    for hours in (0.5, 0.7, 1.0, 1.3, 2.0, 4.0):
+        found[f"q3 and q1 every {hours:g} h"] = lambda hours=hours: fixed(hours, two)  # type: ignore[misc]
+    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance, two)
+    for count, intervals in ((1, (0.5, 0.7, 1.0, 1.3)), (2, (1.0, 1.3, 2.0, 4.0))):
+        for hours in intervals:
+            found[f"{count} chosen every {hours:g} h"] = lambda count=count, hours=hours: ours(  # type: ignore[misc]
+                setting, goal, Costs(most_sweeps=count), hours
+            )
+    for level in levels:
+        costs = Costs(most_sweeps=most_sweeps, diagnosis_h=diagnosis_h)
+        found[f"ours, level {level:g}"] = lambda level=level, costs=costs: ours(  # type: ignore[misc]
+            setting, replace(goal, level=level), costs
+        )
+    return found

@@ -1,0 +1,42 @@
+"""A study whose replicates cost next to nothing, importable by workers."""
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fpcal_bayes.study.base import Results, Study, Summary
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyStudy(Study):
+    """Random numbers, a NaN now and then; `deadly` kills its worker unless the file beside it exists."""
+
+    name: ClassVar[str] = "toy"
+
+    seconds: float = 0.0
+    failing: int = -1
+    deadly: tuple[int, Path] | None = None
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        return {"normal": (3,), "number": ()}
+
+    def settings(self) -> dict[str, Any]:
+        return {"toy": True}
+
+    def replicate(self, number: int) -> dict[str, np.ndarray]:
+        if number == self.failing:
+            raise ZeroDivisionError("one over nothing")
+        if self.deadly is not None and number == self.deadly[0] and not self.deadly[1].exists():
+            self.deadly[1].touch()
+            os._exit(1)
+        time.sleep(self.seconds)
+        normal = self.random(number).standard_normal(3)
+        normal[number % 3] = np.nan if number % 5 == 0 else normal[number % 3]
+        return {"normal": normal, "number": np.array(float(number))}
+
+    def summary(self, results: Results) -> Summary:
+        return Summary("toy", [{"n": len(results["number"])}])

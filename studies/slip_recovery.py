@@ -1,0 +1,99 @@
+"""Are slipped fringe counts found, and do they leave the estimates alone?
+
+A share of the sweeps of a random truth is off by one or two half wavelengths. The slip likelihood is to flag those
+sweeps and no other, its estimates are to be those of the clean data, and the Gaussian fit is to call itself poor.
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.console import Console
+
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.posterior.output import slip_probabilities, summarise
+from fpcal_bayes.infer.posterior.sample import sample
+from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.report.tables import plain_table
+
+SIGMA = 0.005
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What became of one truth; shifts and widths are against the posterior of the clean data."""
+
+    least_of_slipped: float
+    most_of_others: float
+    largest_shift: float
+    widest: float
+    gaussian_is_called_poor: bool
+    converged: bool
+
+
+def recover(cell: Cell, number: int, *, protocol: str, share: float, draws: int) -> Recovery:
+    """One truth from the prior; its random numbers depend on `number` alone."""
+    rng = np.random.default_rng(number)
+    values = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
+    truth = Truth(cell.free, np.zeros(1), values[None])
+    clean = simulate(cell, truth, protocol_by_name(protocol, cell), sigma=SIGMA, seed=number)
+    counts = np.zeros(len(clean), dtype=int)
+    n_slipped = max(1, round(share * len(clean)))
+    counts[rng.choice(len(clean), n_slipped, replace=False)] = rng.choice([-2, -1, 1, 2], n_slipped)
+    spoilt = identify(cell, replace(clean, dl=clean.dl + 0.5 * cell.wavelength * counts))
+    posterior = sample(spoilt, draws=draws, likelihood="slip", seed=number)
+    reference = sample(identify(cell, clean), draws=draws, seed=number)
+    of_label = dict(slip_probabilities(posterior) or [])
+    shares = np.array([of_label[label] for label in clean.label.tolist()])
+    found, expected = summarise(posterior), summarise(reference)
+    return Recovery(
+        least_of_slipped=float(shares[counts != 0].min()),
+        most_of_others=float(shares[counts == 0].max()),
+        largest_shift=max(abs(found[name]["mean"] - e["mean"]) / e["sd"] for name, e in expected.items()),
+        widest=max(abs(found[name]["sd"] / e["sd"] - 1.0) for name, e in expected.items()),
+        gaussian_is_called_poor=any("poor fit" in warning for warning in spoilt.warnings),
+        converged=posterior.converged and reference.converged,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--truths", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--protocol", choices=("paper", "paper-mid"), default="paper")
+    parser.add_argument("--share", type=float, default=0.06, help="of the rows that slip (default: 0.06)")
+    parser.add_argument("--draws", type=int, default=2000)
+    options = parser.parse_args()
+    cell, out = load_cell(), Console(width=120, highlight=False)
+    table = plain_table(
+        f"{options.protocol}: {100 * options.share:g} % of the rows slipped",
+        ["truth", "least of slipped", "most of others", "largest shift / sd", "widest", "Gaussian called poor"],
+    )
+    good = []
+    for number in range(options.first, options.first + options.truths):
+        result = recover(cell, number, protocol=options.protocol, share=options.share, draws=options.draws)
+        good.append(
+            result.converged
+            and result.least_of_slipped > 0.99
+            and result.most_of_others < 0.5
+            and result.largest_shift < 0.2
+            and result.gaussian_is_called_poor
+        )
+        table.add_row(
+            str(number),
+            f"{result.least_of_slipped:.4f}",
+            f"{result.most_of_others:.2g}",
+            f"{result.largest_shift:.3f}",
+            f"{100 * result.widest:.0f} %",
+            ("yes" if result.gaussian_is_called_poor else "NO") + ("" if result.converged else ", NOT converged"),
+        )
+    out.print(table)
+    out.print(f"In {sum(good)} of {len(good)} truths every slipped row is flagged, no other, and nothing else moves.")
+    return 0 if all(good) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,6 +1,6 @@
 # Every target makes its own environment in .venv when it is missing or older than what it is made from.
 .DELETE_ON_ERROR:
-.PHONY: help week test lint bench clean
+.PHONY: help week test lint bench docs studies clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -13,11 +13,13 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 help:
-	@echo "make week   the whole protocol on the simulated cell, with report, into week/"
-	@echo "make test   ruff, mypy and every test"
-	@echo "make lint   ruff and mypy only"
-	@echo "make bench  time the kernels on one core, beside NumPy and Pinocchio"
-	@echo "make clean  remove .venv, caches, build products and week/"
+	@echo "make week     the whole protocol on the simulated cell, with report, into week/"
+	@echo "make test     ruff, mypy and every test"
+	@echo "make lint     ruff and mypy only"
+	@echo "make bench    time the kernels on one core, beside NumPy and Pinocchio"
+	@echo "make docs     the documentation, into docs/_build/html/"
+	@echo "make studies  the figures and tables of the paper and the other studies, into studies/output/"
+	@echo "make clean    remove .venv, caches, build products and week/"
 
 week: $(VENV)/.test
 	$(BIN)/fpcal week -o week
@@ -33,8 +35,15 @@ lint: $(VENV)/.test
 bench: $(VENV)/.bench
 	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name
 
+docs: $(VENV)/.test
+	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+studies: $(VENV)/.test
+	$(BIN)/python studies/run_all.py
+
 clean:
-	rm -rf $(VENV) week build dist .benchmarks .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) week build dist docs/_build docs/reference/api docs/reference/api.md docs/reference/cli.md studies/output .benchmarks .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.test: pyproject.toml .python-version

@@ -1,6 +1,7 @@
 """What the studies of the paper's figures share: the true robot, its calibration, irradiance, and where plots go."""
 
 import argparse
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,4 +73,6 @@ def save(figure: Figure, options: argparse.Namespace, name: str, paper: str, her
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f"{name}-{options.opd}.png"
     figure.savefig(path, dpi=130)
+    found = {"name": name, "opd": options.opd, "paper": paper, "here": here, "figure": path.name}
+    path.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n")
     print(f"{name} ({options.opd})\n  paper: {paper}\n  here:  {here}\n  {path}")

@@ -16,6 +16,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.report import observe_figures as figures
+from fpcal_bayes.report import svg
 from fpcal_bayes.report.observe_html import observe_html, write_observe_html
 
 CELL = load_cell()
@@ -148,8 +149,8 @@ def test_bins_keep_the_largest():
 
 
 def test_labels_that_no_font_draws_are_replaced():
-    assert figures.drawable("a\u4e2d\nb") == "a??b"
-    assert figures.drawable("x" * 30) == "x" * 21 + "..."
+    assert svg.drawable("a\u4e2d\nb") == "a??b"
+    assert svg.drawable("x" * 30) == "x" * 21 + "..."
 
 
 def test_the_template_is_part_of_the_package():

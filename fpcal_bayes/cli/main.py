@@ -4,25 +4,82 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from fpcal_bayes import __version__
-from fpcal_bayes.cli import compare, control, decide, identify, observe, plan, sample, simulate, task_error, track, week
+from fpcal_bayes.cli import (
+    check,
+    compare,
+    control,
+    decide,
+    doctor,
+    identify,
+    ingest,
+    observe,
+    plan,
+    report,
+    sample,
+    simulate,
+    study,
+    task_error,
+    track,
+    week,
+)
 from fpcal_bayes.errors import InputError
+
+#: In the order of the work.
+_COMMANDS = (
+    simulate,
+    ingest,
+    doctor,
+    observe,
+    identify,
+    sample,
+    compare,
+    task_error,
+    control,
+    check,
+    plan,
+    track,
+    decide,
+    report,
+    week,
+    study,
+)
 
 _DESCRIPTION = """\
 Calibrate a micro- or nano-positioning robot from one-dimensional Fabry-Perot measurements.
 
-A first tour, on a simulated cell:
-  fpcal simulate -o sweeps.csv            measure the paper's 69 sweeps
-  fpcal observe sweeps.csv                what these sweeps can tell
-  fpcal identify sweeps.csv               find the geometry, and how far to trust it
-  fpcal sample sweeps.csv -o posterior.nc the whole posterior, by emcee
-  fpcal week -o week                      the paper's whole week, with a report
-
-Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5).
-Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used.
+The way through, here on a simulated cell:
+  measure    fpcal simulate -o sweeps.csv                  the paper's 69 sweeps; your traces: fpcal ingest
+  look       fpcal doctor sweeps.csv                       what is wrong, and what to do about it
+             fpcal observe sweeps.csv                      what these sweeps can tell
+  identify   fpcal identify sweeps.csv --json day0.json    the geometry, and how far to trust it
+             fpcal sample sweeps.csv -o posterior.nc       the whole posterior, by emcee
+  use        fpcal task-error day0.json --tolerance-nm 50  how many nanometres each task will be off
+             fpcal control --estimate day0.json --task circle -o joints.csv
+  keep       fpcal track campaign.h5                       the drift from session to session
+             fpcal decide campaign.h5 --tolerance-nm 50    hold, re-identify or recalibrate
+             fpcal report campaign.h5 -o report.html       all of it on one page
+  or         fpcal week -o week                            the paper's whole week at once
 """
+
+_EPILOG = """\
+Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5). More: fpcal COMMAND --help.
+Tables are coloured on a terminal only; NO_COLOR=1 turns that off. Warnings and errors go to stderr.
+Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used; 130 interrupted.
+"""
+
+
+class _Completion(argparse.Action):
+    """Print a script that completes commands and options in a shell."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *parts: Any) -> NoReturn:
+        # Takes as long to import as all the rest.
+        import shtab
+
+        print(shtab.complete(parser, shell=parts[1]))
+        parser.exit(0)
 
 
 class Parser(argparse.ArgumentParser):
@@ -36,11 +93,21 @@ class Parser(argparse.ArgumentParser):
 def make_parser() -> Parser:
     """Build the parser of all commands."""
     parser = Parser(
-        prog="fpcal", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog="fpcal",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
+    parser.add_argument(
+        "--print-completion",
+        action=_Completion,
+        choices=("bash", "zsh", "tcsh"),
+        help="print a script that completes commands and options in this shell",
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for module in (simulate, observe, identify, sample, compare, control, task_error, plan, track, decide, week):
+    for module in _COMMANDS:
         module.add_parser(commands)
     return parser
 

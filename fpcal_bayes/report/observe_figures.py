@@ -1,40 +1,30 @@
 """Figures of an observability analysis, as SVG text to stand in a page."""
 
-import io
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import special
 
 from fpcal_bayes.infer.observability import Status
 from fpcal_bayes.infer.observe import Observability
+from fpcal_bayes.report.svg import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
 Floats = NDArray[np.float64]
 
-# Okabe and Ito's colours; hatches and markers tell the same in grey print.
-_BLUE, _ORANGE, _VERMILION, _GREY = "#0072B2", "#E69F00", "#D55E00", "#666666"
+# Hatches and markers tell the same as colours in grey print.
 _STATUS: dict[Status, tuple[str, str]] = {
-    "identified": (_BLUE, ""),
-    "weak": (_ORANGE, "///"),
-    "gauge": (_VERMILION, "xxx"),
-    "fixed": (_GREY, "..."),
+    "identified": (BLUE, ""),
+    "weak": (ORANGE, "///"),
+    "gauge": (VERMILION, "xxx"),
+    "fixed": (GREY, "..."),
 }
-_SETTINGS: dict[Any, Any] = {"svg.hashsalt": "fpcal", "font.size": 9, "hatch.linewidth": 0.6, "axes.axisbelow": True}
 _MOST_LABELS = 80
 _MOST_BARS = 200
-_MOST_CHARACTERS = 24
 
 
 def spectrum_figure(result: Observability) -> str:
     """Singular values on a logarithmic scale, with rank and tolerance."""
-    with _svg(7.2, 3.6) as (figure, svg):
+    with svg_figure(7.2, 3.6) as (figure, svg):
         axis = figure.subplots()
         spectrum, n = result.spectrum, len(result.parameters)
         number = np.arange(1, n + 1)
@@ -42,18 +32,18 @@ def spectrum_figure(result: Observability) -> str:
         foot = 1e-18 * max(float(spectrum.singular_values[0]), 1e-300)
         values = np.maximum(spectrum.singular_values, foot)
         seen = number <= spectrum.rank
-        axis.semilogy(number[seen], values[seen], "o", color=_BLUE, label=f"seen ({spectrum.rank})")
+        axis.semilogy(number[seen], values[seen], "o", color=BLUE, label=f"seen ({spectrum.rank})")
         if not seen.all():
             axis.semilogy(
                 number[~seen],
                 values[~seen],
                 "v",
-                color=_VERMILION,
+                color=VERMILION,
                 fillstyle="none",
                 label=f"not seen ({n - spectrum.rank})",
             )
-            axis.axvline(spectrum.rank + 0.5, color=_GREY, linewidth=0.8)
-        axis.axhline(1.0, color=_GREY, linestyle=":", label="data tell as much as the prior")
+            axis.axvline(spectrum.rank + 0.5, color=GREY, linewidth=0.8)
+        axis.axhline(1.0, color=GREY, linestyle=":", label="data tell as much as the prior")
         if spectrum.tolerance > 0:
             axis.axhline(spectrum.tolerance, color="black", linestyle="--", linewidth=1, label="tolerance of the rank")
         axis.set_xlabel("direction, best seen first")
@@ -67,7 +57,7 @@ def spectrum_figure(result: Observability) -> str:
 def contraction_figure(result: Observability) -> str:
     """How much of each parameter's prior variance the data take away."""
     n = len(result.parameters)
-    with _svg(7.2, 1.2 + 0.21 * n) as (figure, svg):
+    with svg_figure(7.2, 1.2 + 0.21 * n) as (figure, svg):
         axis = figure.subplots()
         place = np.arange(n)
         for status, (colour, hatch) in _STATUS.items():
@@ -93,7 +83,7 @@ def correlation_figure(result: Observability) -> str:
     """Correlations of the posterior."""
     n = len(result.parameters)
     side = 2.2 + 0.24 * n
-    with _svg(side + 0.8, side) as (figure, svg):
+    with svg_figure(side + 0.8, side) as (figure, svg):
         axis = figure.subplots()
         edges = np.arange(n + 1) - 0.5
         mesh = axis.pcolormesh(edges, edges, result.correlation, cmap="PuOr", vmin=-1.0, vmax=1.0)
@@ -114,10 +104,10 @@ def information_figure(result: Observability) -> str:
     """Information lost without each sweep, in the order of measurement, and its growth."""
     information = result.information
     n = len(information.labels)
-    with _svg(9.6, 6.0) as (figure, svg):
+    with svg_figure(9.6, 6.0) as (figure, svg):
         single, grown = figure.subplots(2, 1)
         highest, first = largest_in_bins(information.bits, _MOST_BARS)
-        single.bar(first, highest, width=0.8 * max(1.0, n / _MOST_BARS), color=_BLUE)
+        single.bar(first, highest, width=0.8 * max(1.0, n / _MOST_BARS), color=BLUE)
         single.set_ylabel("information lost\nwithout the sweep [bits]")
         single.set_xlim(-0.6, n - 0.4)
         if n <= _MOST_LABELS:
@@ -126,7 +116,7 @@ def information_figure(result: Observability) -> str:
         else:
             binned = f"; each bar is the largest of {-(-n // _MOST_BARS)}" if n > _MOST_BARS else ""
             single.set_xlabel(f"sweep, in order of measurement{binned}")
-        grown.plot(information.cumulative_rows, information.cumulative_bits, color=_VERMILION)
+        grown.plot(information.cumulative_rows, information.cumulative_bits, color=VERMILION)
         grown.set_xlim(0, int(information.cumulative_rows[-1]))
         grown.set_ylim(bottom=0)
         grown.set_xlabel("first so many rows [1]")
@@ -140,18 +130,18 @@ def profile_figure(result: Observability) -> str:
     """Profiles with the threshold of their interval."""
     n = len(result.profiles)
     n_rows = -(-n // 2)
-    with _svg(8.4, 0.5 + 2.6 * n_rows) as (figure, svg):
+    with svg_figure(8.4, 0.5 + 2.6 * n_rows) as (figure, svg):
         axes = figure.subplots(n_rows, 2, squeeze=False).ravel()
         for axis in axes[n:]:
             axis.remove()
         for axis, found in zip(axes, result.profiles, strict=False):
             parameter = result.parameters[found.name]
             threshold = 2.0 * float(special.gammaincinv(0.5, found.level))
-            axis.plot(found.values / parameter.scale, found.excess, ".-", color=_BLUE)
+            axis.plot(found.values / parameter.scale, found.excess, ".-", color=BLUE)
             axis.axhline(threshold, color="black", linestyle="--", linewidth=1, label=f"{100 * found.level:g} %")
             for end in (found.low, found.high):
                 if np.isfinite(end):
-                    axis.axvline(parameter.shown(end), color=_VERMILION, linewidth=1)
+                    axis.axvline(parameter.shown(end), color=VERMILION, linewidth=1)
             axis.set_ylim(-0.05 * threshold, 2.5 * threshold)
             axis.set_xlabel(f"{found.name} [{parameter.unit}] ({found.shape})")
             axis.set_ylabel("growth of the data's\nsum of squares [1]")
@@ -166,28 +156,3 @@ def largest_in_bins(values: Floats, most: int) -> tuple[Floats, Floats]:
     starts = np.arange(0, len(values), length)
     middles = (starts + np.minimum(starts + length, len(values)) - 1) / 2.0
     return np.maximum.reduceat(values, starts), middles
-
-
-def drawable(text: str) -> str:
-    """A text that the font can draw, not too long for an axis."""
-    known = "".join(c if c.isprintable() and ord(c) < 0x250 else "?" for c in text)
-    return known if len(known) <= _MOST_CHARACTERS else known[: _MOST_CHARACTERS - 3] + "..."
-
-
-@contextmanager
-def _svg(width: float, height: float) -> Iterator[tuple[Figure, list[str]]]:
-    """A figure of a size in inches to draw on; its SVG is in the list after the block."""
-    svg: list[str] = []
-    with matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        yield figure, svg
-        buffer = io.StringIO()
-        # The date would make two runs differ.
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
-    # The page decides the size; the view box keeps the proportions.
-    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
-    svg.append("\n".join(line for line in text.splitlines() if line.strip()))

@@ -1,0 +1,96 @@
+"""``fpcal report``: one page that says how good the cell is, what to do next, and why to believe it."""
+
+import argparse
+import shlex
+from pathlib import Path
+
+from fpcal_bayes.cli.common import (
+    Commands,
+    add_command,
+    add_json,
+    cell_of,
+    check_output,
+    console,
+    warm_up,
+    write_result,
+)
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.goal import add_goal, goal_of
+from fpcal_bayes.errors import InputError
+from fpcal_bayes.model.cell import Cell
+
+_EPILOG = """\
+The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
+with intervals, what the calibration can tell, residuals, drift with alarms, the log of all sessions, an uncertainty
+budget and where every number comes from. It needs no network, and prints well.
+
+A calibration that did not converge or does not fit is said to be of no use; the exit status is then 1. The numbers of
+the page are those of fpcal track, decide, task-error and observe with the same options.
+"""
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command to the program."""
+    parser = add_command(commands, "report", "write a campaign's report as one HTML page", run, _EPILOG)
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    parser.add_argument("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
+    parser.add_argument("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
+    add_goal(parser)
+    parser.add_argument(
+        "--now", metavar="TIME_H|UTC", help="time of the report (default: this clock where rows carry utc, else the "
+        "last session)"
+    )  # fmt: skip
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from fpcal_bayes.report.campaign_page import write_campaign_report
+    from fpcal_bayes.report.campaign_words import standing, verdict
+
+    cell = cell_of(options)
+    for output in (options.output, options.json):
+        check_output(output, options.campaign, options.posterior, *(options.task or ()))
+    if options.output == options.json:
+        raise InputError(f"{options.json}: expected two names for -o and --json")
+    goal = goal_of(options)
+    _warm_up(cell)
+    out = console(options)
+    with out.status("working out the report"):
+        facts = write_campaign_report(
+            options.campaign,
+            cell,
+            options.output,
+            goal=goal,
+            now=options.now,
+            posterior=options.posterior,
+            command=_command(options),
+        )
+    said = verdict(facts)
+    for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
+        out.print(sentence, markup=False, soft_wrap=True)
+    tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
+    content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
+    write_result(options.json, "report", facts.estimate.content() | {"report": content})
+    return 1 if facts.unusable else 0
+
+
+def _warm_up(cell: Cell) -> None:
+    """Load the kernels; a cell whose joints cannot be solved for a pose has a report too, without tasks."""
+    try:
+        warm_up_inverse(cell)
+    except InputError:
+        warm_up(cell)
+
+
+def _command(options: argparse.Namespace) -> str:
+    """The command, with the names of the files but not their folders."""
+    words = ["fpcal", "report", Path(options.campaign).name, "-o", options.output.name]
+    if options.posterior is not None:
+        words += ["--posterior", Path(options.posterior).name]
+    words += ["--tolerance-nm", f"{options.tolerance_nm:g}", "--level", f"{options.level:g}"]
+    for task in options.task or ():
+        words += ["--task", Path(task).name]
+    if options.now is not None:
+        words += ["--now", options.now]
+    return shlex.join(words)

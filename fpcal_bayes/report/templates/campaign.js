@@ -1,0 +1,98 @@
+"use strict";
+// Charts that can be zoomed: uPlot draws them; on paper the figures of the page stand instead.
+(function () {
+  const blue = "#0072B2", grey = "#666666", vermilion = "#D55E00";
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const width = function (box) { return Math.max(260, box.clientWidth - 4); };
+  const short = function (value) { return value === null || value === undefined ? "" : String(Number(value.toPrecision(6))); };
+  const styles = {
+    "filter": { stroke: blue, width: 1.5 },
+    "median": { stroke: blue, width: 1.5 },
+    "truth": { stroke: "#000", width: 1, dash: [3, 3] },
+    "session alone": { stroke: grey, width: 0, paths: function () { return null; }, points: { show: true, size: 7, fill: grey } },
+    "alarm": { stroke: vermilion, width: 0, paths: function () { return null; }, points: { show: true, size: 10, fill: vermilion } }
+  };
+  const edge = { stroke: "rgba(0,114,178,.5)", width: 0.5 };
+
+  // A vertical line at the present, and a horizontal one at the tolerance.
+  const marks = function (now, tolerance) {
+    return { hooks: { draw: [function (plot) {
+      const c = plot.ctx, b = plot.bbox;
+      c.save();
+      c.beginPath(); c.rect(b.left, b.top, b.width, b.height); c.clip();
+      c.setLineDash([4, 4]);
+      const line = function (colour, x0, y0, x1, y1) { c.strokeStyle = colour; c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1); c.stroke(); };
+      if (now !== null) { const x = plot.valToPos(now, "x", true); line("#000", x, b.top, x, b.top + b.height); }
+      if (tolerance !== null) { const y = plot.valToPos(tolerance, "y", true); line(vermilion, b.left, y, b.left + b.width, y); }
+      c.restore();
+    }] } };
+  };
+
+  const order = ["low", "high", "filter", "median", "truth", "session alone", "alarm"];
+  const timeChart = function (box, title, hours, series, now, tolerance, height, logarithmic) {
+    const names = order.filter(function (name) { return series[name]; });
+    const list = [{ label: "time [h]", value: function (_, v) { return short(v); } }];
+    names.forEach(function (name) {
+      list.push(Object.assign({ label: name, points: { show: false }, value: function (_, v) { return short(v); } }, styles[name] || edge));
+    });
+    return new uPlot({
+      width: width(box), height: height, series: list,
+      scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
+      bands: [{ series: [2, 1], fill: "rgba(0,114,178,.15)" }],
+      axes: [{ label: "time [h]" }, { label: title, size: 76 }],
+      plugins: [marks(now, tolerance)],
+      cursor: { drag: { x: true, y: true, uni: 30 } }
+    }, [hours].concat(names.map(function (name) { return series[name]; })), box);
+  };
+
+  const boxes = [];
+  const place = function (id, make) {
+    const part = document.getElementById(id);
+    if (!part) return;
+    part.classList.add("ready");
+    const box = part.querySelector(".plot");
+    let plot = make(box);
+    const pick = part.querySelector("select");
+    if (pick) pick.addEventListener("change", function () { plot.destroy(); plot = make(box); });
+    const reset = part.querySelector("button");
+    if (reset) reset.addEventListener("click", function () { plot.setData(plot.data, true); });
+    boxes.push(function () { plot.setSize({ width: width(box), height: plot.height }); });
+  };
+
+  if (data.track) {
+    const pick = document.querySelector("#chart-track select");
+    data.track.parameters.forEach(function (parameter, i) { pick.add(new Option(parameter.name, i)); });
+    const first = data.track.parameters.findIndex(function (parameter) { return parameter.name.startsWith("x_wf"); });
+    pick.value = Math.max(0, first);
+    place("chart-track", function (box) {
+      const parameter = data.track.parameters[Number(pick.value)];
+      return timeChart(box, parameter.name, data.track.hours, parameter.series, data.track.now, null, 300, false);
+    });
+  }
+  if (data.outlook) {
+    place("chart-outlook", function (box) {
+      return timeChart(box, "peak to peak [nm]", data.outlook.hours, data.outlook.series, data.outlook.now, data.outlook.tolerance, 280, true);
+    });
+  }
+  if (data.residuals) {
+    place("chart-residuals", function (box) {
+      const names = data.residuals.names, rows = names.map(function (_, i) { return i + 1; });
+      return new uPlot({
+        width: width(box), height: 260,
+        scales: { x: { time: false } },
+        series: [
+          { label: "row", value: function (_, v) { return v === null ? "" : names[v - 1]; } },
+          { label: "residual / sigma", stroke: blue, width: 0, paths: function () { return null; }, points: { show: true, size: 5, fill: blue },
+            value: function (_, v) { return short(v); } }
+        ],
+        axes: [{ label: "row, all sessions in order" }, { label: "residual / sigma", size: 60 }],
+        cursor: { drag: { x: true, y: true, uni: 30 } }
+      }, [rows, data.residuals.values], box);
+    });
+  }
+  let waiting = 0;
+  window.addEventListener("resize", function () {
+    window.clearTimeout(waiting);
+    waiting = window.setTimeout(function () { boxes.forEach(function (fit) { fit(); }); }, 100);
+  });
+})();

@@ -1,0 +1,58 @@
+"""What all commands have in common: options, help, plain text when piped, completion."""
+
+import argparse
+import re
+import subprocess
+import sys
+
+import pytest
+
+from fpcal_bayes.cli.main import main, make_parser
+
+(_ACTION,) = (a for a in make_parser()._actions if isinstance(a, argparse._SubParsersAction))
+COMMANDS = _ACTION.choices
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_common_options_and_help(name):
+    parser = COMMANDS[name]
+    known = {option for action in parser._actions for option in action.option_strings}
+    assert {"--help", "--cell", "--opd", "--quiet"} <= known
+    assert parser.description.endswith(".")
+    for action in parser._actions:
+        assert action.help, f"{name} {action.option_strings or action.dest} has no help"
+    assert max(map(len, (parser.epilog or "").splitlines()), default=0) <= 120
+
+
+def test_the_help_names_every_step_in_its_order():
+    text = make_parser().format_help()
+    steps = [re.search(rf"fpcal {name}\b", text).start() for name in ("simulate", "doctor", "identify", "task-error")]
+    steps += [re.search(rf"fpcal {name}\b", text).start() for name in ("control", "track", "decide", "report")]
+    assert steps == sorted(steps)
+
+
+def test_tables_have_no_colour_when_piped_and_nothing_when_quiet(tmp_path, capsys):
+    file = str(tmp_path / "sweeps.csv")
+    assert main(["simulate", "-o", file]) == 0
+    capsys.readouterr()
+    for command in (["identify", file], ["observe", file], ["doctor", file]):
+        assert main(command) == 0
+        assert "\x1b" not in capsys.readouterr().out
+        assert main([*command, "--quiet"]) == 0
+        assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion(shell, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--print-completion", shell])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "task-error" in out
+    assert "tolerance-nm" in out
+
+
+def test_help_starts_fast():
+    script = "import sys; from fpcal_bayes.cli.main import make_parser; make_parser(); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not {"numba", "matplotlib", "arviz", "emcee", "shtab", "jinja2"} & set(done.stdout.split())

@@ -131,8 +131,7 @@ def by_rows(cell: Cell, sizes: list[int]) -> list[Point]:
     for n in [n for n in sizes if 100 <= n <= 3_000]:
         many = sessions(cell, 1 + max(1, n // 6), 6)
         points.append(timed("track, 6 rows a session", n, lambda s=many: track(cell, s)))
-    # All rows of a session are taken in together: a matrix of rows by rows.
-    for n in [n for n in sizes if 100 <= n <= 3000]:
+    for n in [n for n in sizes if 100 <= n <= 30_000]:
         large = sessions(cell, 3, n)
         points.append(timed("track, 2 sessions each of", n, lambda s=large: track(cell, s)))
     return points

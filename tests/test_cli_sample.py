@@ -140,5 +140,5 @@ def _interrupt(*_: object) -> None:
 def test_three_kills_change_nothing(here, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     random = np.random.default_rng(1)
-    met = study("posterior_kills").kill_and_resume(CASE_A, here, kills=3, draws=2000, seed=0, random=random)
+    met = study("posterior_kills").kill_and_resume(CASE_A, here, kills=3, draws=1000, seed=0, random=random)
     assert met == 3

@@ -19,15 +19,12 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.model.compiled import needs_compilation
 from fpcal_bayes.model.kernel import batch_lengths
-from fpcal_bayes.model.kernel_jacobian import batch_jacobians
-before = needs_compilation(batch_lengths, batch_jacobians)
+before = needs_compilation(batch_lengths)
 model = CavityModel.of(load_cell())
 rows = model.pose_rows(np.zeros((1, 6)))
 values = model.free.nominal
 lengths = model.predict(values, rows)
-model.predict_with_jacobian(values, rows)
-model.mirrors(values, np.zeros((1, 6)))
-print(before, needs_compilation(batch_lengths, batch_jacobians), float(lengths[0]))
+print(before, needs_compilation(batch_lengths), float(lengths[0]))
 """
 
 

@@ -52,9 +52,9 @@ class TestPlans:
 
 @pytest.mark.slow
 def test_replicates_do_not_depend_on_the_number_of_processes(sbc):
-    settings = {"protocol": "random", "seed": 3, "draws": 50}
+    settings = {"protocol": "random", "seed": 3, "draws": 50, "steps": 20}
     alone = sbc.run_replicate(1, **settings)
-    assert sbc.run_protocol("random", range(1, 2), 3, 50, 1) == [alone]
+    assert sbc.run_protocol("random", range(1, 2), 3, 50, 1, 20) == [alone]
     assert alone != sbc.run_replicate(2, **settings)
 
 
@@ -63,7 +63,7 @@ def test_replicates_do_not_depend_on_the_number_of_processes(sbc):
 def test_calibrated(sbc, femto, protocol):
     """50 truths a protocol; family-wise over all quantities and both protocols. The study runs more, to convergence."""
     names = sbc.quantities(femto)
-    found = sbc.run_protocol(protocol, range(50), seed=1, draws=400, processes=1, steps=30)
+    found = sbc.run_protocol(protocol, range(50), seed=1, draws=400, processes=1, steps=20)
     assert all(replicate.ranks is not None for replicate in found)
     ranks = np.array([replicate.ranks for replicate in found])
     random = np.random.default_rng(0)

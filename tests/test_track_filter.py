@@ -2,16 +2,20 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
 from fpcal_bayes.infer.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.drift_sizes import DriftSize
+from fpcal_bayes.track import measurement as rows_taken_in
 from fpcal_bayes.track.consistency import Monitor
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State, inflate, predict, update
-from fpcal_bayes.track.measurement import LinearMeasurement, SweepMeasurement
+from fpcal_bayes.track.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.track.smoother import smooth
 from fpcal_bayes.track.step import SessionOutcome
 
@@ -174,6 +178,64 @@ def test_all_sweeps_at_once_or_one_by_one_is_the_same_where_rows_are_linear():
     np.testing.assert_allclose(state.mean, once.state.mean, atol=1e-10)
     np.testing.assert_allclose(state.covariance, once.state.covariance, atol=1e-10)
     assert total == pytest.approx(once.innovation.log_likelihood, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 80), st.integers(1, 12), st.integers(0, 12), st.integers(0, 1000))
+def test_equivalent_rows_say_the_same_about_the_state(n_rows, n_states, rank, seed):
+    random = np.random.default_rng(seed)
+    h = random.standard_normal((n_rows, min(rank, n_states))) @ random.standard_normal((min(rank, n_states), n_states))
+    y = random.standard_normal(n_rows) * 10.0
+    few, slope = equivalent_rows(y, h)
+    if n_rows <= 2 * n_states:
+        assert few is y
+        assert slope is h
+    else:
+        assert slope.shape == (n_states + 1, n_states)
+    np.testing.assert_allclose(slope.T @ slope, h.T @ h, atol=1e-11 * (1.0 + np.sum(h**2)))
+    np.testing.assert_allclose(slope.T @ few, h.T @ y, atol=1e-10 * (1.0 + np.sum(h**2)))
+    assert few @ few == pytest.approx(y @ y)
+
+
+def test_many_rows_are_taken_in_exactly():
+    """Against the conditional normal distribution, with its matrices of rows by rows."""
+    random = np.random.default_rng(11)
+    drift, start, _, _, _ = linear_case(7)
+    n = drift.n_states
+    h = np.zeros((150, n))
+    h[:, :8] = random.standard_normal((150, 8)) * 30.0
+    z = h @ start.mean + random.standard_normal(150) * 40.0
+    r = np.diag(random.uniform(0.5, 2.0, 150))
+    taken = update(start, LinearMeasurement.of(z, h, r))
+    spread = h @ start.covariance @ h.T + r
+    gain = np.linalg.solve(spread, h @ start.covariance).T
+    misfit = z - h @ start.mean
+    np.testing.assert_allclose(taken.state.mean, start.mean + gain @ misfit, rtol=0, atol=1e-9)
+    covariance = start.covariance - gain @ h @ start.covariance
+    np.testing.assert_allclose(taken.state.covariance, covariance, rtol=0, atol=1e-9)
+    innovation = taken.innovation
+    assert (innovation.dof, len(innovation.misfit), len(taken.misfit)) == (150, n + 1, 150)
+    assert innovation.squared == pytest.approx(misfit @ np.linalg.solve(spread, misfit), rel=1e-9)
+    expected = stats.multivariate_normal(h @ start.mean, spread).logpdf(z)
+    assert innovation.log_likelihood == pytest.approx(expected, rel=1e-9)
+    wide = inflate(start, np.full(n, 0.5))
+    again = update(wide, LinearMeasurement.of(z, h, r)).innovation
+    assert innovation.under(wide.covariance).log_likelihood == pytest.approx(again.log_likelihood, rel=1e-12)
+
+
+def test_many_sweeps_are_taken_in_alike_both_ways(monkeypatch):
+    _, sweeps = campaign(6, sessions=1, count=60)
+    found = identify(CELL, sweeps.of_session("day0")).estimate
+    state = predict(DRIFT, State(0.0, *DRIFT.initial(found.values, found.covariance)), 8.0)
+    measurement = SweepMeasurement.of(DRIFT, CavityModel.of(CELL), sweeps.of_session("s1"), state.mean)
+    few = update(state, measurement)
+    monkeypatch.setattr(rows_taken_in, "_ROWS_PER_STATE", 1000)
+    whole = update(state, measurement)
+    assert (len(few.innovation.misfit), len(whole.innovation.misfit)) == (22, 60)
+    np.testing.assert_allclose(few.state.mean, whole.state.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(few.state.covariance, whole.state.covariance, rtol=0, atol=1e-9)
+    assert few.innovation.squared == pytest.approx(whole.innovation.squared, rel=1e-9)
+    assert few.innovation.log_likelihood == pytest.approx(whole.innovation.log_likelihood, rel=1e-9)
 
 
 def test_missing_sessions_need_nothing():

@@ -1,19 +1,24 @@
 """Rows that are not what they seem, and identifications with stale values."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from track_fixtures import CELL, DRIFT, campaign
+from track_fixtures import CELL, DRIFT, SIGMA, campaign, knock, plan, step_of_beta_4
 
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer.identify import identify
 from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import join
+from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track import measurement as rows_taken_in
+from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.filter import State, predict, update
 from fpcal_bayes.track.measurement import SweepMeasurement
 from fpcal_bayes.track.stale import stale_measurement
+from fpcal_bayes.track.step import take_in
 from fpcal_bayes.track.tracker import track
 
 
@@ -55,6 +60,55 @@ def test_a_slip_in_the_calibration_is_corrected(week):
     found = track(CELL, sweeps.with_measurement(dl, sweeps.sigma))
     assert any("fringe counts slipped" in text for text in found.outcomes[0].warnings)
     assert {o.verdict for o in found.outcomes} == {"as-modelled"}
+
+
+@pytest.fixture(scope="module")
+def calibrated(week):
+    return track(CELL, week[1].of_session("day0")).last
+
+
+CHANGES = {
+    "quiet": (np.zeros(21), "as-modelled"),
+    "knock": (knock(np.random.default_rng(2)), "extrinsics-moved"),
+    "robot": (2.0 * step_of_beta_4(), "intrinsics-moved"),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_a_session_of_many_rows_is_judged_alike_both_ways(calibrated, what, monkeypatch):
+    change, verdict = CHANGES[what]
+    sweeps = campaign(4, sessions=1, hours=4.0, count=60, change=change, changed=1)[1].of_session("s1")
+    found = []
+    for most in (2, 1000):
+        monkeypatch.setattr(rows_taken_in, "_ROWS_PER_STATE", most)
+        model = CavityModel.of(CELL)
+        found.append(take_in(DRIFT, model, Limits(), calibrated.state, calibrated.monitor, sweeps))
+    few, whole = found
+    assert few.verdict == whole.verdict == verdict
+    assert (few.evidence, few.warnings, few.dof) == (whole.evidence, whole.warnings, 60)
+    assert few.nis == pytest.approx(whole.nis, rel=1e-9)
+    assert few.log_likelihood == pytest.approx(whole.log_likelihood, rel=1e-9)
+    np.testing.assert_allclose(few.state.mean, whole.state.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(few.state.covariance, whole.state.covariance, rtol=0, atol=1e-9)
+    for a, b in zip(few.monitor.onsets, whole.monitor.onsets, strict=True):
+        np.testing.assert_allclose(a.information, b.information, atol=1e-7 * np.abs(b.information).max())
+        np.testing.assert_allclose(a.score, b.score, atol=1e-7 * (1.0 + np.abs(b.score).max()))
+
+
+def test_a_session_of_thousands_of_rows_forms_no_matrix_of_rows_by_rows(calibrated):
+    rows = plan(4000, np.random.default_rng(0))
+    sweeps = simulate(CELL, paper_truth(CELL), replace(rows, time_h=np.full(4000, 2.0)), sigma=SIGMA, seed=1)
+    dl = sweeps.dl.copy()
+    dl[[17, 3000]] += CELL.wavelength
+    slipped = sweeps.with_measurement(dl, sweeps.sigma)
+    tracemalloc.start()
+    found = take_in(DRIFT, CavityModel.of(CELL), Limits(), calibrated.state, calibrated.monitor, slipped)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (found.verdict, found.dof) == ("as-modelled", 4000)
+    assert "corrected by whole half wavelengths" in found.warnings[0]
+    # One matrix of rows by rows takes 122 MiB.
+    assert peak < 30 * 2**20
 
 
 def test_one_sweep_is_enough_and_paths_are_left_out(week):

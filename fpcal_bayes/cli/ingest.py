@@ -15,14 +15,16 @@ from fpcal_bayes.cli.common import (
     console,
     count,
     positive,
+    warm_up,
     warn,
     write_result,
 )
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.model.estimate import read_estimate
+from fpcal_bayes.model.estimate import Estimate, read_estimate
 
 if TYPE_CHECKING:
+    from fpcal_bayes.measure.alignment import Alignment
     from fpcal_bayes.measure.ingest import Ingested
     from fpcal_bayes.measure.trace_index import TraceIndex
     from fpcal_bayes.measure.wavelength_scan import ScanReading
@@ -38,6 +40,10 @@ file (-v7) with variables of these names: t_s, joint, irradiance_v as cell array
 A photodiode does not tell the sign of dL. It is taken from scans before and after, from --estimate, or from the cell's
 priors where these leave no doubt; other rows have signed = 0. Doubtful sweeps are no rows of FILE: they are listed,
 drawn, and kept in an HDF5 FILE under /doubtful. All traces are kept in an HDF5 FILE, so it can be ingested again.
+
+--alignment writes the fibre's direction against the mirror, by the fringe amplitude along the first session's sweeps
+that tilt the mirror, as a prior: `fpcal identify FILE --prior OUT`. On the perpendicular path dL does not see it. The
+amplitude is made linear at --estimate, or at what the first session's sweeps identify; OUT holds nothing else of it.
 """
 
 
@@ -55,6 +61,9 @@ def add_parser(commands: Commands) -> None:
         "--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength"
     )
     parser.add_argument("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
+    parser.add_argument(
+        "--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior"
+    )
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(
         "--plots", metavar="DIR", type=Path, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
@@ -72,10 +81,14 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     if options.output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
         raise InputError(f"{options.output}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
-    for output in (options.output, options.json):
+    for output in (options.output, options.json, options.alignment):
         check_output(output, options.index, options.estimate)
     if options.json is not None and options.json.resolve() == options.output.resolve():
         raise InputError(f"{options.json}: is the output too, expected another name for the JSON")
+    if options.alignment is not None:
+        taken = [other.resolve() for other in (options.output, options.json) if other is not None]
+        if options.alignment.resolve() in taken:
+            raise InputError(f"{options.alignment}: is another output too, expected another name for --alignment")
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_index(options.index, cell)
     _announce()
@@ -86,11 +99,14 @@ def run(options: argparse.Namespace) -> int:
         index_sd=options.index_sd or 0.0,
     )
     found = ingest(index, cell, estimate=estimate, settings=settings)
+    alignment = None if options.alignment is None else _align(cell, found, index, estimate)
     folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
     write_result(options.json, "ingest", _content(found, index, cell))
     _report(options, found, folder if drawn else None)
+    if alignment is not None:
+        _write_alignment(options, alignment, index)
     return 0
 
 
@@ -124,6 +140,42 @@ def _write(options: argparse.Namespace, found: "Ingested", index: "TraceIndex", 
         write_campaign(options.output, campaign, cell)
     else:
         write_sweeps(options.output, found.sweeps, cell)
+
+
+def _align(cell: Cell, found: "Ingested", index: "TraceIndex", estimate: Estimate | None) -> "Alignment":
+    """The fibre's direction, near `estimate` or near what the sweeps of the first session identify."""
+    from fpcal_bayes.infer.identify import identify
+    from fpcal_bayes.measure.alignment import align
+    from fpcal_bayes.measure.fringe_amplitude import fringe_amplitudes
+
+    amplitudes = fringe_amplitudes(cell, index.sweeps, found)
+    if estimate is None:
+        warm_up(cell)
+        identified = identify(cell, found.sweeps.of_session(str(index.sweeps.session[0])))
+        estimate = identified.estimate if identified.converged else None
+    return align(cell, amplitudes, estimate)
+
+
+def _write_alignment(options: argparse.Namespace, found: "Alignment", index: "TraceIndex") -> None:
+    from fpcal_bayes.files import file_sha256
+
+    data = {
+        "file": Path(options.index).name,
+        "sha256": file_sha256(Path(options.index)),
+        "session": str(index.sweeps.session[0]),
+    }
+    content = found.content() | {"data": data}
+    write_result(options.alignment, "ingest", content)
+    sds = np.degrees(np.sqrt(np.diag(found.noise)))
+    names = ", ".join(
+        f"{name} to {sd:.2g} deg" for name, sd in zip(content["alignment"]["names"], sds.tolist(), strict=True)
+    )
+    console(options).print(
+        f"fringe amplitude along {found.n_sweeps} sweeps tells, the mirror held, {names} (chi-square "
+        f"{found.chi_square:.1f}, expected {found.freedom}) -> {options.alignment}",
+        markup=False,
+        soft_wrap=True,
+    )
 
 
 def _draw(folder: Path, found: "Ingested", index: "TraceIndex", cell: Cell) -> int:

@@ -102,7 +102,7 @@ class Onset:
         Parameters
         ----------
         gain
-            Kalman gain by which the session was taken in, shape (n_states, n_rows).
+            Kalman gain by which the session was taken in, shape (n_states, n_equivalent).
         predicted_response
             `response` carried to the time of the session.
         """
@@ -250,7 +250,7 @@ def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftMode
     start = np.zeros((drift.n_states, n))
     start[range(n), range(n)] = limits.jump(drift)
     onset = Onset("", hours, 0, start, np.zeros((n, n)), np.zeros(n), 0.0, 0)
-    onset = onset.with_session(innovation, np.zeros((drift.n_states, innovation.dof)), start)
+    onset = onset.with_session(innovation, np.zeros((drift.n_states, len(innovation.misfit))), start)
     information = _single_jumps(onset, drift.extrinsic).information
     limit = _SINGLE_SHARE * _allowed(limits.full_per_week, hours) * _shares(limits, drift)[intrinsic]
     result = np.zeros(n)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import stats
 
 from fpcal_bayes.infer.slips import MOST_HALF_WAVES
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -15,6 +15,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import Innovation, State, update
 from fpcal_bayes.track.measurement import SweepMeasurement
+from fpcal_bayes.track.row_changes import RowChanges, row_changes
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +27,8 @@ _SLIP = 1e-3
 _JUMP = 1e-3
 #: A slip is corrected when it is this much likelier than anything else (e^7: a thousand times).
 _DECISIVE = 7.0
+#: Half wavelengths that a count may slip by.
+_WAVES = np.array([k for k in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1) if k])
 #: Probability of the corrected innovation that a correction must reach.
 _ACCEPT = 1e-3
 
@@ -97,24 +100,26 @@ def correct_slips(
     """
     half_wave = 0.5 * measurement.model.cell.wavelength
     count = len(sweeps)
-    # One um of a row in units of the innovation's standard deviations.
-    units = linalg.solve_triangular(innovation.factor, measurement.whitening.apply(np.eye(count)), lower=True)
-    whitened, dl = innovation.whitened.copy(), sweeps.dl.copy()
+    rows, dl = row_changes(measurement, innovation, predicted), sweeps.dl.copy()
     changes = np.zeros(count, dtype=np.int64)
     log_odds = float(np.log(_SLIP / (2 * MOST_HALF_WAVES * count)))
+    gain = _other_gains(innovation, predicted, jumps)
     evidence, needed = 0.0, (count + 1) // 2
     for _ in range(needed):
-        row, waves, squared = _best_slip(whitened, units * half_wave, changes)
+        left = _left(rows, changes)
+        row, waves, squared = _best_slip(left)
+        if _most(evidence, log_odds, innovation, rows.squared, left) < gain - 2.0 * _DECISIVE:
+            return Correction(sweeps.dl, ())
         evidence += log_odds
         changes[row] = waves
-        whitened = whitened - waves * half_wave * units[:, row]
+        rows = rows.taken_off(row, waves)
         dl[row] -= waves * half_wave
         if stats.chi2.sf(squared, count) > _ACCEPT:
             break
     else:
         return Correction(sweeps.dl, ())
-    others = innovation.log_likelihood + _other_gains(innovation, predicted, jumps)
-    slipped, best = evidence + innovation.log_likelihood + 0.5 * (innovation.squared - squared), others
+    best = innovation.log_likelihood + gain
+    slipped = evidence + innovation.log_likelihood + 0.5 * (innovation.squared - squared)
     if slipped < best + _DECISIVE:
         doubt = f"slipped fringe counts would explain the session about as well: {_named(sweeps, changes)}"
         return Correction(sweeps.dl, (doubt,) if slipped > best - _DECISIVE else ())
@@ -130,8 +135,7 @@ def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, 
     gains = [0.0]
     rarity = float(np.log(_JUMP))
     for jump in jumps:
-        covariance = predicted.covariance + np.diag(jump**2)
-        wide = Innovation.of(innovation.misfit, innovation.jacobian, covariance, innovation.log_volume)
+        wide = innovation.under(predicted.covariance + np.diag(jump**2))
         gains.append(rarity + wide.log_likelihood - innovation.log_likelihood)
     moving = np.flatnonzero(jumps[-1])
     columns = innovation.whiten(innovation.jacobian[:, moving] * jumps[-1][moving])
@@ -140,14 +144,31 @@ def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, 
     return max(*gains, rarity - float(np.log(len(moving))) + float(alone.max()))
 
 
-def _best_slip(whitened: Floats, columns: Floats, changes: NDArray[np.int64]) -> tuple[int, int, float]:
+def _left(rows: RowChanges, changes: NDArray[np.int64]) -> Floats:
+    """What is left of the square after each further correction, shape (2 MOST_HALF_WAVES, n_rows)."""
+    left = rows.squared - 2.0 * _WAVES[:, None] * rows.along + _WAVES[:, None] ** 2 * rows.size
+    return np.where(changes == 0, left, np.inf)
+
+
+def _best_slip(left: Floats) -> tuple[int, int, float]:
     """Row, number of half wavelengths and what is left of the square, for the best further correction."""
-    waves = np.array([k for k in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1) if k])
-    along, size = columns.T @ whitened, (columns**2).sum(axis=0)
-    left = whitened @ whitened - 2.0 * waves[:, None] * along + waves[:, None] ** 2 * size
-    left = np.where(changes == 0, left, np.inf)
     k, row = (int(i) for i in np.unravel_index(np.argmin(left), left.shape))
-    return row, int(waves[k]), float(left[k, row])
+    return row, int(_WAVES[k]), float(left[k, row])
+
+
+def _most(evidence: float, log_odds: float, innovation: Innovation, squared: float, left: Floats) -> float:
+    """How much the log likelihood can rise at most by the slips found so far and further ones.
+
+    Among few rows the state may hide a slip behind another one, and one more slip may explain all that is left. Among
+    many, each shows by itself: further slips give what each gives alone, and none is left if none lowers the square.
+    """
+    if len(innovation.misfit) == innovation.dof:
+        return evidence + log_odds + 0.5 * innovation.squared
+    falls = squared - left.min(axis=0)
+    if falls.max() <= 0.0:
+        return -np.inf
+    further = np.maximum(0.5 * falls + log_odds, 0.0).sum()
+    return float(evidence + 0.5 * (innovation.squared - squared) + further)
 
 
 def _named(sweeps: Sweeps, changes: NDArray[np.int64]) -> str:

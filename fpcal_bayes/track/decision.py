@@ -146,7 +146,7 @@ def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: S
     measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
     misfit, jacobian = measurement.linearise(state.mean)
     innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)
-    seen = innovation.whiten(jacobian @ state.covariance)
+    seen = innovation.whiten(innovation.jacobian @ state.covariance)
     return replace(state, covariance=state.covariance - seen.T @ seen)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.measurement import Measurement
+from fpcal_bayes.track.measurement import Measurement, equivalent_rows
 
 Floats = NDArray[np.float64]
 
@@ -47,43 +47,46 @@ class State:
 class Innovation:
     """What rows say beyond the prediction, linearised at it.
 
+    Of many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
+
     Attributes
     ----------
     misfit, jacobian
-        Whitened measurement minus prediction (n_rows,), and derivatives by the state (n_rows, n_states).
+        Whitened measurement minus prediction (n_equivalent,), and derivatives by the state (n_equivalent, n_states).
     factor
-        Lower Cholesky factor of the misfit's covariance, shape (n_rows, n_rows).
+        Lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent).
     log_volume
         Of the whitening.
+    dof
+        Number of rows that were measured.
     """
 
     misfit: Floats
     jacobian: Floats
     factor: Floats
     log_volume: float
+    dof: int
 
     @classmethod
     def of(cls, misfit: Floats, jacobian: Floats, covariance: Floats, log_volume: float) -> "Innovation":
-        """From a linearisation and the covariance of the predicted state."""
-        spread = jacobian @ covariance @ jacobian.T
-        factor = np.linalg.cholesky(spread + np.eye(len(misfit)))
-        return cls(misfit, jacobian, factor, log_volume)
+        """From a linearisation of all rows that were measured and the covariance of the predicted state."""
+        rows, derivatives = equivalent_rows(misfit, jacobian)
+        return cls(rows, derivatives, _factor(derivatives, covariance), log_volume, len(misfit))
+
+    def under(self, covariance: Floats) -> "Innovation":
+        """The same rows with another covariance of the predicted state, shape (n_states, n_states)."""
+        return replace(self, factor=_factor(self.jacobian, covariance))
 
     @cached_property
     def whitened(self) -> Floats:
-        """The misfit in units of its own standard deviations, shape (n_rows,)."""
+        """The misfit in units of its own standard deviations, shape (n_equivalent,)."""
         return self.whiten(self.misfit)
 
     def whiten(self, rows: Floats) -> Floats:
-        """Whitened rows (n_rows,) or (n_rows, n) in standard deviations of the misfit."""
+        """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
         # For a few rows this is faster than a triangular solve by LAPACK.
         result: Floats = np.linalg.solve(self.factor, rows)
         return result
-
-    @property
-    def dof(self) -> int:
-        """Number of rows."""
-        return len(self.misfit)
 
     @property
     def squared(self) -> float:
@@ -108,10 +111,10 @@ class Update:
     innovation
         What they said beyond the prediction.
     gain
-        Kalman gain at the solution, shape (n_states, n_rows).
+        Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent).
     misfit, jacobian
-        Linearisation at the solution, as an innovation: whitened measurement minus what the linearised prediction
-        makes of the predicted state.
+        Linearisation of all rows at the solution, as an innovation: whitened measurement minus what the linearised
+        prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states).
     converged
         Whether the iteration came to rest.
     """
@@ -163,9 +166,9 @@ def update(state: State, measurement: Measurement) -> Update:
     converged, last = False, np.inf
     for _ in range(_MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
-        spread = covariance @ jacobian.T
-        total = jacobian @ spread + np.eye(len(misfit))
-        wanted = jacobian.T @ np.linalg.solve(total, misfit + jacobian @ (mean - prior))
+        rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
+        total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
+        wanted = derivatives.T @ np.linalg.solve(total, rows)
         step = wanted - pull
         length = float(np.sqrt(max(float(step @ covariance @ step), 0.0)))
         if length < _STEP_TOLERANCE:
@@ -187,11 +190,12 @@ def update(state: State, measurement: Measurement) -> Update:
             break
         mean, pull, misfit, jacobian, cost = trial, pull + step, found, slope, trial_cost
     # Linear in the state from here on: one exact update from the prediction.
-    rows = misfit + jacobian @ (mean - prior)
+    misfit = misfit + jacobian @ (mean - prior)
+    rows, derivatives = equivalent_rows(misfit, jacobian)
     filtered = _kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
-    filtered.update(rows, R=np.eye(len(rows)), H=jacobian)
+    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
     after = replace(state, mean=prior + filtered.x, covariance=_symmetric(filtered.P))
-    return Update(after, innovation, filtered.K, rows, jacobian, converged)
+    return Update(after, innovation, filtered.K, misfit, jacobian, converged)
 
 
 def inflate(state: State, sd: Floats) -> State:
@@ -212,6 +216,13 @@ def _kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
     filtered = KalmanFilter(len(state.mean), n_rows)
     filtered.x, filtered.P = state.mean, state.covariance
     return filtered
+
+
+def _factor(jacobian: Floats, covariance: Floats) -> Floats:
+    """Lower Cholesky factor of the covariance of whitened rows."""
+    spread = jacobian @ covariance @ jacobian.T
+    result: Floats = np.linalg.cholesky(spread + np.eye(len(jacobian)))
+    return result
 
 
 def _symmetric(matrix: Floats) -> Floats:

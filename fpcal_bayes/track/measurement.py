@@ -13,6 +13,35 @@ from fpcal_bayes.track.drift import DriftModel
 
 Floats = NDArray[np.float64]
 
+#: With more whitened rows than this for each state, fewer rows that say the same take their place.
+_ROWS_PER_STATE = 2
+
+
+def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+    """Few whitened rows that say the same about the state as many.
+
+    A rotation of the rows leaves their errors independent with unit variance. The one that makes
+    ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state explains, and rows of
+    zeros, which are dropped (data compression of the square-root information filter, Bierman 1977). Sums of squares
+    and determinants that belong to the rows stay what they are; only the count of rows is lost.
+
+    Parameters
+    ----------
+    misfit, jacobian
+        Whitened measurement minus prediction (n_rows,), and derivatives by the state (n_rows, n_states).
+
+    Returns
+    -------
+    tuple
+        The same of the equivalent rows: n_states + 1 of them, or the rows given where they are at most
+        twice as many as the states.
+    """
+    n_rows, n_states = jacobian.shape
+    if n_rows <= _ROWS_PER_STATE * n_states:
+        return misfit, jacobian
+    triangle = np.linalg.qr(np.column_stack([jacobian, misfit]), mode="r")
+    return triangle[:, n_states], triangle[:, :n_states]
+
 
 class Measurement(Protocol):
     """Rows with independent errors of unit variance."""
@@ -91,8 +120,9 @@ class SweepMeasurement:
     @property
     def log_volume(self) -> float:
         """See `Measurement`."""
-        mix = self.whitening.mix
-        diagonal = self.whitening.scale if mix is None else mix.diagonal()
+        diagonal = self.whitening.scale.copy()
+        for batch in self.whitening.batches:
+            diagonal[batch.members] = batch.scale * batch.own
         return float(np.log(diagonal).sum())
 
     def predict(self, mean: Floats) -> Floats:

@@ -171,11 +171,9 @@ class _Judge:
             taken = update(wide, measurement)
             log_volume = taken.innovation.log_volume
             at_solution = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, log_volume)
-            tried.append((at_solution.log_likelihood, size, taken))
-        _, size, taken = max(tried, key=lambda entry: entry[0])
-        innovation = Innovation.of(taken.misfit, taken.jacobian, predicted.covariance, taken.innovation.log_volume)
-        wide_covariance = inflate(predicted, self.knock(size)).covariance
-        knocked = Innovation.of(taken.misfit, taken.jacobian, wide_covariance, taken.innovation.log_volume)
+            tried.append((at_solution.log_likelihood, size, at_solution))
+        _, size, knocked = max(tried, key=lambda entry: entry[0])
+        innovation = knocked.under(predicted.covariance)
         again = self._extend(self.monitor, innovation, _gain(predicted, innovation))
         anew = findings(again, self.limits, self.drift, knocked.log_likelihood - innovation.log_likelihood)
         intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
@@ -202,7 +200,7 @@ class _Judge:
 
 
 def _gain(predicted: State, innovation: Innovation) -> Floats:
-    """Kalman gain of a linearisation, shape (n_states, n_rows)."""
+    """Kalman gain of a linearisation, shape (n_states, n_equivalent)."""
     spread = innovation.jacobian @ predicted.covariance
     result: Floats = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
     return result

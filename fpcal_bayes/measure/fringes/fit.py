@@ -67,8 +67,8 @@ class Fit:
     ----------
     course, covariance
         Coefficients of the course in um, shape (DEGREE,), and their covariance.
-    unknowns
-        All that was fitted, in the order of `kernel_fit`.
+    unknowns, unknowns_covariance
+        All that was fitted, in the order of `kernel_fit`, and its covariance.
     nuisance
         What was allowed beside the fringes.
     noise
@@ -84,6 +84,7 @@ class Fit:
     course: Floats
     covariance: Floats
     unknowns: Floats
+    unknowns_covariance: Floats
     nuisance: Nuisance
     noise: float
     evidence: float
@@ -184,6 +185,7 @@ def fit_course(
         course=mean + modes_um @ unknowns[at:],
         covariance=modes_um @ inverse[at:, at:] @ modes_um.T,
         unknowns=unknowns,
+        unknowns_covariance=inverse,
         nuisance=nuisance,
         noise=noise,
         evidence=float(evidence),

@@ -122,7 +122,15 @@ def with_noise(
 
 def rescaled(solution: Solution, noise: float) -> Solution:
     """The same fits with their covariances for a noise (V) that is nearly what was presumed."""
-    fits = [replace(fit, covariance=fit.covariance * (noise / fit.noise) ** 2, noise=noise) for fit in solution.fits]
+    fits = [
+        replace(
+            fit,
+            covariance=fit.covariance * (noise / fit.noise) ** 2,
+            unknowns_covariance=fit.unknowns_covariance * (noise / fit.noise) ** 2,
+            noise=noise,
+        )
+        for fit in solution.fits
+    ]
     return replace(solution, fits=tuple(fits))
 
 

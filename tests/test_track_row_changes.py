@@ -1,0 +1,83 @@
+"""Half wavelengths taken off rows: by the Woodbury identity, by the matrix of rows by rows, and by measuring again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from track_fixtures import CELL, DRIFT, SIGMA, campaign
+
+from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.measure.protocol import add_midpoints
+from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track import measurement as rows_taken_in
+from fpcal_bayes.track.corrections import correct_slips
+from fpcal_bayes.track.filter import Innovation, State, predict
+from fpcal_bayes.track.measurement import SweepMeasurement
+from fpcal_bayes.track.row_changes import FewRows, ManyRows, row_changes
+
+HALF_WAVE = CELL.wavelength / 2.0
+
+
+@pytest.fixture(scope="module")
+def session():
+    """A predicted state, and sweeps with midpoints, which share the reading at their start."""
+    truth, sweeps = campaign(5, sessions=1, count=40)
+    found = identify(CELL, sweeps.of_session("day0")).estimate
+    state = predict(DRIFT, State(0.0, *DRIFT.initial(found.values, found.covariance)), 8.0)
+    both = simulate(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)
+    return state, replace(both, label=np.array([f"row {i}" for i in range(len(both))]))
+
+
+def innovation_of(state, sweeps):
+    measurement = SweepMeasurement.of(DRIFT, CavityModel.of(CELL), sweeps, state.mean)
+    return measurement, Innovation.of(*measurement.linearise(state.mean), state.covariance, measurement.log_volume)
+
+
+@pytest.mark.parametrize("grouped", [True, False])
+def test_both_ways_say_the_same(session, grouped, monkeypatch):
+    state, sweeps = session
+    sweeps = sweeps if grouped else sweeps.take(np.arange(len(sweeps)) % 2 == 0)
+    monkeypatch.setattr(rows_taken_in, "_ROWS_PER_STATE", 1)
+    measurement, innovation = innovation_of(state, sweeps)
+    many = row_changes(measurement, innovation, state)
+    monkeypatch.setattr(rows_taken_in, "_ROWS_PER_STATE", 1000)
+    measurement, innovation = innovation_of(state, sweeps)
+    few = row_changes(measurement, innovation, state)
+    assert (type(many), type(few)) == (ManyRows, FewRows)
+    for row, waves in ((7, 2), (30, -1), (7, -3), (0, 1)):
+        assert many.squared == pytest.approx(few.squared, rel=1e-9)
+        np.testing.assert_allclose(many.along, few.along, rtol=1e-9, atol=1e-9 * np.abs(few.along).max())
+        np.testing.assert_allclose(many.size, few.size, rtol=1e-9)
+        many, few = many.taken_off(row, waves), few.taken_off(row, waves)
+
+
+def test_a_change_does_what_it_does_to_the_measured_rows(session):
+    state, sweeps = session
+    measurement, innovation = innovation_of(state, sweeps)
+    changed = row_changes(measurement, innovation, state).taken_off(11, 2).taken_off(50, -3)
+    dl = sweeps.dl.copy()
+    dl[[11, 50]] -= np.array([2, -3]) * HALF_WAVE
+    _, expected = innovation_of(state, sweeps.with_measurement(dl, sweeps.sigma))
+    assert isinstance(changed, ManyRows)
+    assert changed.squared == pytest.approx(expected.squared, rel=1e-9)
+
+
+@pytest.mark.parametrize("slips", [{}, {3: 1}, {3: 1, 20: -2, 61: 3}])
+def test_slips_among_many_rows_are_corrected_alike_both_ways(session, slips, monkeypatch):
+    state, sweeps = session
+    dl = sweeps.dl.copy()
+    for row, waves in slips.items():
+        dl[row] += waves * HALF_WAVE
+    # Where nothing slips, the rows are twice as noisy as stated, so that there is something to explain.
+    noisy = sweeps.with_measurement(dl, sweeps.sigma / (1.0 if slips else 2.0))
+    jumps = (np.full(DRIFT.n_states, 1e-3),)
+    found = []
+    for most in (1, 1000):
+        monkeypatch.setattr(rows_taken_in, "_ROWS_PER_STATE", most)
+        measurement, innovation = innovation_of(state, noisy)
+        found.append(correct_slips(noisy, measurement, innovation, state, jumps))
+    np.testing.assert_array_equal(found[0].dl, found[1].dl)
+    assert found[0].warnings == found[1].warnings
+    np.testing.assert_allclose(found[0].dl, sweeps.dl, rtol=0, atol=1e-12)
+    assert len(found[0].warnings) == min(len(slips), 1)

@@ -9,7 +9,8 @@ from scipy import stats
 
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer import least_squares
-from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, chi2_tail, identify
+from fpcal_bayes.infer.goodness import chi2_tail
+from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.least_squares import minimise
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.rig import simulate

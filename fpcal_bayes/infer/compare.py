@@ -10,7 +10,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, chi2_tail, identify
+from fpcal_bayes.infer.goodness import chi2_tail
+from fpcal_bayes.infer.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
 from fpcal_bayes.infer.posterior.sample import Likelihood, sample
 from fpcal_bayes.measure.sweeps import Sweeps

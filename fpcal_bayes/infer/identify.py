@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
 
 from fpcal_bayes.errors import InputError
+from fpcal_bayes.infer.goodness import GoodnessOfFit, chi2_tail, goodness_of_fit
 from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, Solution, minimise, solution_rank
 from fpcal_bayes.infer.mirror import distinct_minima, mirror_images
 from fpcal_bayes.infer.observability import Spectrum, Status, spectrum_of, statuses
@@ -33,28 +33,6 @@ POOR_FIT_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
-
-
-@dataclass(frozen=True)
-class GoodnessOfFit:
-    """How well the data are met at the maximum of the posterior.
-
-    Attributes
-    ----------
-    chi2_data
-        Sum of squares of the whitened data rows.
-    expected
-        Its expected value: the number of rows less those that the parameters absorb.
-    p_value
-        Probability of a larger value if model, prior and noise are right.
-    standardised
-        Residual of each whitened row over its own standard deviation, shape (n_rows,).
-    """
-
-    chi2_data: float
-    expected: float
-    p_value: float
-    standardised: Floats
 
 
 @dataclass(frozen=True)
@@ -207,7 +185,7 @@ def identify(
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
     covariance = problem.covariance(unknowns)
     status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
-    fit = _goodness(problem, unknowns)
+    fit = goodness_of_fit(problem, unknowns)
 
     if not solution.converged:
         warnings.append(f"the fit did not converge from {starts} starting points: do not use this estimate")
@@ -346,24 +324,6 @@ def _fit(
     return problem, best, found, len(found)
 
 
-def _goodness(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
-    residuals = problem.data_residuals(unknowns)
-    chi2_data = float(residuals @ residuals)
-    jacobian = problem.data_jacobian(unknowns)
-    orthonormal = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")[0]
-    leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
-    standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
-    # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,
-    # h the eigenvalues of H; a scaled chi-square with the same mean and variance stands for it (Satterthwaite 1946).
-    shrink = linalg.svdvals(jacobian)[: problem.n_unknowns]
-    weights = np.ones(max(len(residuals), len(shrink)))
-    weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
-    weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
-    mean, square = float(weights.sum()), float((weights**2).sum())
-    p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
-    return GoodnessOfFit(chi2_data, mean, p_value, standardised)
-
-
 def _estimate(
     cell: Cell,
     sweeps: Sweeps,
@@ -401,8 +361,3 @@ def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, flo
         return []
     rows = [int(i) for i in np.argsort(-signs.doubt, kind="stable") if signs.doubt[i] > DOUBTFUL]
     return [(str(sweeps.label[i]), float(signs.doubt[i])) for i in rows]
-
-
-def chi2_tail(value: float, dof: float) -> float:
-    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
-    return float(special.gammaincc(dof / 2.0, value / 2.0))

@@ -10,7 +10,8 @@ from fpcal_bayes.control.tasks import TASKS, Task, find_task
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import file_sha256
 from fpcal_bayes.infer.budget import Budget, budget_of
-from fpcal_bayes.infer.identify import POOR_FIT_BELOW, chi2_tail
+from fpcal_bayes.infer.goodness import chi2_tail
+from fpcal_bayes.infer.identify import POOR_FIT_BELOW
 from fpcal_bayes.infer.observe import Observability, observe
 from fpcal_bayes.infer.task_prediction import TaskPrediction, predict_from_covariance
 from fpcal_bayes.measure.campaign import Campaign, read_campaign

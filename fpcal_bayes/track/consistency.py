@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.infer.identify import chi2_tail
+from fpcal_bayes.infer.goodness import chi2_tail
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import Innovation
 

@@ -145,12 +145,12 @@ def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[
             size = max(size, min(MOST_IN_TASK, int(TASK_SECONDS * len(numbers) / max(seconds, 1e-6))))
             yield numbers, rows
         else:
-            ending.add(hand_out(numbers, _next_try(future, numbers, tries)))
+            ending.add(hand_out(numbers, _next_try(client, future, numbers, tries)))
         while len(given) < WAITING and (more := list(islice(left, size))):
             ending.add(hand_out(more, 0))
 
 
-def _next_try(future: Any, numbers: list[int], tries: int) -> int:
+def _next_try(client: Any, future: Any, numbers: list[int], tries: int) -> int:
     """Number of the next try of a task that failed; `InputError` if there is none."""
     import distributed
 
@@ -159,6 +159,8 @@ def _next_try(future: Any, numbers: list[int], tries: int) -> int:
         error = future.exception()
         if not isinstance(error, distributed.scheduler.KilledWorker):
             raise InputError(f"{where}: {type(error).__name__}: {error}") from error
+    # A task that dies with its worker may also end as cancelled; so do all tasks when the scheduler is gone.
+    if future.status == "error" or client.status == "running":
         if tries == _NEW_TRIES:
             raise InputError(f"{where}: every worker that took it died; it may need more memory than a worker has")
         return tries + 1

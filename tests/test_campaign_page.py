@@ -3,11 +3,11 @@
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from page_reader import Reader
 
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.infer.task_prediction import predict_from_covariance
@@ -30,33 +30,6 @@ from fpcal_bayes.track.horizon import Goal
 
 CELL = load_cell()
 ODD = '<script>alert("&")</script> $x_{$ [red] \u4e2d'
-
-
-class Reader(HTMLParser):
-    """Tags with attributes, and the text outside scripts and styles."""
-
-    VOID = ("meta", "link", "br", "img")
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.tags, self.open, self.text = [], [], ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not self.open or self.open[-1] not in ("script", "style"):
-            self.text += data
 
 
 @pytest.fixture(scope="module")

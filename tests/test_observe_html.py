@@ -2,11 +2,11 @@
 
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Reader
 
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer.information import Information
@@ -21,34 +21,6 @@ from fpcal_bayes.report.observe_html import observe_html, write_observe_html
 
 CELL = load_cell()
 ODD = '<script>alert("&")</script> $x_{$ [red] --> \u4e2d'
-
-
-class Reader(HTMLParser):
-    """Every tag with its attributes, every text, and whether tags are closed in order."""
-
-    VOID = ("meta", "link", "br", "img")
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.text = ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,15 @@ WORKER_SECONDS = 60
 
 #: Each replicate has one core: libraries that start threads of their own are held to one.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), 1)
+#: Arrays of some megabytes come and go by the hundred: glibc keeps their memory, in place of clearing pages anew.
+#: More than 2**25 bytes it does not take.
+_KEEP_MEMORY = dict.fromkeys(("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "MALLOC_TOP_PAD_"), 2**25)
+
+#: What Dask would watch many times a second, on the cores that the replicates need.
+_UNWATCHED = (
+    "distributed.worker.profile.enabled",
+    *(f"distributed.worker.memory.{limit}" for limit in ("target", "spill", "pause", "terminate")),
+)
 
 
 @contextlib.contextmanager
@@ -39,9 +48,10 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
         ) from error
 
     settings = {
-        "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
+        "distributed.nanny.pre-spawn-environ": _ONE_THREAD | _KEEP_MEMORY,
         "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
-        "distributed.worker.memory.terminate": False,
+        **dict.fromkeys(_UNWATCHED, False),
+        "distributed.admin.system-monitor.interval": "10s",
     }
     # Workers that come and go are news to Dask; here they are expected.
     for name in ("distributed", "distributed.nanny", "distributed.scheduler", "tornado.application"):

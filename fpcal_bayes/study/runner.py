@@ -14,8 +14,9 @@ from fpcal_bayes.study.base import Study
 from fpcal_bayes.study.cluster import connected
 from fpcal_bayes.study.store import StudyStore, packed
 
-#: Tasks that wait at the scheduler at most.
-WAITING = 2000
+#: Tasks of each worker that are handed out at most: enough that it never waits, few enough that the size of the later
+#: ones follows from how long the first ones took.
+TASKS_OF_WORKER = 4
 #: Time of a task in s that is aimed at, as far as one can tell from the first: handing one out takes some milliseconds.
 TASK_SECONDS = 1.0
 #: Replicates of a task at most; they are lost with their worker.
@@ -136,7 +137,8 @@ def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[
         given[future.key] = numbers, tries
         return future
 
-    first = [hand_out([number], 0) for number in islice(left, 2 * max(1, len(client.nthreads())))]
+    n_workers, looked = max(1, len(client.nthreads())), time.monotonic()
+    first = [hand_out([number], 0) for number in islice(left, 2 * n_workers)]
     ending = distributed.as_completed(first)
     for future in ending:
         numbers, tries = given.pop(future.key)
@@ -146,7 +148,9 @@ def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[
             yield numbers, rows
         else:
             ending.add(hand_out(numbers, _next_try(client, future, numbers, tries)))
-        while len(given) < WAITING and (more := list(islice(left, size))):
+        if time.monotonic() - looked > _BETWEEN_LOOKS:
+            n_workers, looked = max(1, len(client.nthreads())), time.monotonic()
+        while len(given) < TASKS_OF_WORKER * n_workers and (more := list(islice(left, size))):
             ending.add(hand_out(more, 0))
 
 

@@ -75,6 +75,7 @@ def judged(right: ModelResult, wrong: ModelResult, gap: float | None, clear: boo
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--truths", type=int, default=50, help="of each path (default: 50)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first truth")
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=PATHS, help="on which the data are made")
     parser.add_argument("--draws", type=int, default=300, help="effective draws (default: 300)")
     parser.add_argument("--seed", type=int, default=0)
@@ -85,12 +86,13 @@ def main() -> int:
         f"{options.truths} truths, {MODELS}",
         ["data of", "judged", "other path poor", "no minimum", "not sampled", "least chi2", "least gap", "bound", "s"],
     )
+    numbers = range(options.first, options.first + options.truths)
     outcomes, good = [], True
     for path in options.paths:
         began = time.perf_counter()
         found = [
             outcome(path, compare_once(path, number, seed=options.seed, draws=options.draws))
-            for number in track(range(options.truths), path, console=Console(stderr=True), transient=True)
+            for number in track(numbers, path, console=Console(stderr=True), transient=True)
         ]
         outcomes += found
         counts = {word: sum(o["judged"] == word for o in found) for word in ("right", "open", "wrong")}

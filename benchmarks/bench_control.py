@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pinocchio
 import pytest
 from numpy.testing import assert_allclose
+from pinocchio_cell import PinocchioCell
 
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -50,30 +52,7 @@ def test_inverse_single_call(case: Case, timed: Timer) -> None:
 
 
 def test_inverse_pinocchio(case: Case, timed: Timer) -> None:
-    pinocchio = pytest.importorskip("pinocchio")
-    model = pinocchio.Model()
-    parent, at = 0, pinocchio.SE3.Identity()
-    for i, joint in enumerate(case.cell.joints):
-        beta, alpha, d, theta, r = case.vector[8 * i : 8 * i + 5]
-        turned = pinocchio.utils.rotate("y", beta) @ pinocchio.utils.rotate("x", alpha)
-        at = at * pinocchio.SE3(turned, np.zeros(3)) * pinocchio.SE3(np.eye(3), np.array([d, 0.0, 0.0]))
-        fixed = pinocchio.SE3(pinocchio.utils.rotate("z", theta), np.array([0.0, 0.0, r]))
-        kind = pinocchio.JointModelPZ() if joint.kind == "prismatic" else pinocchio.JointModelRZ()
-        parent = model.addJoint(parent, kind, at * fixed, f"q{i + 1}")
-        at = pinocchio.SE3.Identity()
-    data = model.createData()
+    rival = PinocchioCell(case.cell, case.vector)
     targets = [pinocchio.SE3(pose[:3, :3], pose[:3, 3]) for pose in case.poses]
-
-    def solve(target: object) -> np.ndarray:
-        q = np.zeros(6)
-        for _ in range(50):
-            pinocchio.computeJointJacobians(model, data, q)
-            error = pinocchio.log6(data.oMi[6].actInv(target)).vector
-            if np.abs(error[:3]).max() < 1e-9 and np.abs(error[3:]).max() < 1e-12:
-                break
-            jacobian = pinocchio.getJointJacobian(model, data, 6, pinocchio.ReferenceFrame.LOCAL)
-            q = q + np.linalg.solve(jacobian.T @ jacobian + 1e-9 * np.eye(6), jacobian.T @ error)
-        return q
-
-    assert_allclose([solve(target) for target in targets[:50]], case.q[:50], rtol=0, atol=1e-7)
-    timed("inverse model, Pinocchio and damped Newton", 1, solve, targets[0])
+    assert_allclose([rival.joints_at(target) for target in targets[:50]], case.q[:50], rtol=0, atol=1e-7)
+    timed("inverse model, Pinocchio and damped Newton", 1, rival.joints_at, targets[0])

@@ -12,6 +12,7 @@ import pinocchio
 import pytest
 from conftest import Timer
 from numpy.testing import assert_allclose
+from pinocchio_cell import PinocchioCell
 
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel, Rows
@@ -125,39 +126,6 @@ def test_numpy(case: Case, timed: Timer) -> None:
     timed("138 paper poses, NumPy", 20, numpy_lengths, case, values, case.q)
 
 
-class PinocchioCell:
-    """The same chain in Pinocchio: each link's fixed placement, then its joint about or along Z."""
-
-    def __init__(self, cell: Cell, vector: np.ndarray) -> None:
-        self.model = pinocchio.Model()
-        parent, end = 0, pinocchio.SE3.Identity()
-        for i, joint in enumerate(cell.joints):
-            # At q = 0 the joint's own motion is the identity, and it stands last: TransZ(r) commutes with RotZ(q).
-            placement = pinocchio.SE3(chain.link_transform(vector[8 * i : 8 * i + 8], 0.0, joint.kind == "prismatic"))
-            kind = pinocchio.JointModelPZ() if joint.kind == "prismatic" else pinocchio.JointModelRZ()
-            parent = self.model.addJoint(parent, kind, end * placement, f"q{i + 1}")
-        self.mirror = self._frame("mirror", parent, chain.mirror_in_tool(vector))
-        self.fibre = self._frame("fibre", 0, chain.fibre_in_world(vector))
-        self.data = self.model.createData()
-
-    def _frame(self, name: str, parent: int, placement: np.ndarray) -> int:
-        kind = pinocchio.FrameType.OP_FRAME
-        frame: int = self.model.addFrame(pinocchio.Frame(name, parent, pinocchio.SE3(placement), kind))
-        return frame
-
-    def mirror_pose(self, q: np.ndarray) -> np.ndarray:
-        """wTt, shape (4, 4)."""
-        pinocchio.forwardKinematics(self.model, self.data, q)
-        placement: np.ndarray = pinocchio.updateFramePlacement(self.model, self.data, self.mirror).homogeneous
-        return placement
-
-    def run(self, poses: list[np.ndarray]) -> None:
-        """Forward kinematics of every pose, without reading the result out."""
-        model, data = self.model, self.data
-        for q in poses:
-            pinocchio.forwardKinematics(model, data, q)
-
-
 def test_pinocchio(case: Case, timed: Timer) -> None:
     """Only the kinematics are timed: neither the change of parameters nor the cavity length."""
     vector = case.model.vector(case.values[0])
@@ -167,3 +135,13 @@ def test_pinocchio(case: Case, timed: Timer) -> None:
     fibre = pinocchio.updateFramePlacement(rival.model, rival.data, rival.fibre).homogeneous
     assert_allclose(fibre, chain.fibre_in_world(vector), rtol=0, atol=1e-9)
     timed("138 paper poses, Pinocchio", 1, rival.run, list(case.q))
+
+
+def test_pinocchio_jacobian(case: Case, timed: Timer) -> None:
+    """By the six joints; ours is by the 21 parameters."""
+    rival = PinocchioCell(case.cell, case.model.vector(case.values[0]))
+    q, step = case.q[3], 1e-5
+    ahead, behind = ([rival.mirror_pose(q + sign * step * unit)[:3, 3] for unit in np.eye(6)] for sign in (1, -1))
+    differences = (np.array(ahead) - np.array(behind)).T / (2 * step)
+    assert_allclose(rival.mirror_jacobian(q)[:3], differences, rtol=0, atol=1e-6)
+    timed("138 paper poses, Pinocchio Jacobian", 1, rival.run_jacobians, list(case.q))

@@ -32,6 +32,8 @@ def timed(benchmark: Any, request: pytest.FixtureRequest) -> Timer:
     """Time a function that serves `vectors` parameter vectors a call, under a name of the final table."""
 
     def run(name: str, vectors: int, function: Callable[..., Any], *arguments: Any) -> None:
+        # For the page of the docs.
+        benchmark.extra_info.update(name=name, served=vectors)
         benchmark(function, *arguments)
         # Without timing (--benchmark-disable) the function runs once and there are no figures.
         if benchmark.stats is not None:

@@ -1,6 +1,7 @@
-"""Same inputs, seed and version: is the JSON of every command the same, run after run, on one core and on two?
+"""Same inputs, seed and version: does every command give the same, run after run, on one core and on two?
 
-Each command runs as a program of its own: twice bound to one core, and on all cores.
+Compared are the JSON and every file beside it. Each command runs as a program of its own: twice bound to one core, and
+on all cores.
 
     python studies/determinism.py
 """
@@ -13,6 +14,8 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any
+
+from fault_child import meaning
 
 #: The only values that tell how long a run took; they stand in `fit`, `sampler` or beside a model.
 TIMED = {"seconds"}
@@ -50,6 +53,12 @@ def timeless(value: Any) -> Any:
     return [timeless(entry) for entry in value] if isinstance(value, list) else value
 
 
+def files_of(folder: Path, inputs: set[str]) -> dict[str, Any]:
+    """What the files say that a command left beside its JSON; pages byte by byte."""
+    made = [path for path in sorted(folder.iterdir()) if path.name not in inputs and path.name != "out.json"]
+    return {path.name: path.read_bytes() if path.suffix == ".html" else meaning(path) for path in made}
+
+
 def run(line: str, folder: Path, *, cores: set[int]) -> int:
     """Run a command bound to some cores, with as many threads as its libraries like; its exit status."""
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -77,17 +86,22 @@ def main() -> int:
         for line in INPUTS:
             if run(line, folder, cores=everywhere):
                 raise RuntimeError(f"{line}: failed")
+        inputs = {path.name for path in folder.iterdir()}
         for command in options.only:
             found = []
             for cores in (one, one, everywhere):
                 status = run(f"{COMMANDS[command]} --json out.json", folder, cores=cores)
-                found.append((status, timeless(json.loads((folder / "out.json").read_text()))))
-                (folder / "out.json").unlink()
+                content = timeless(json.loads((folder / "out.json").read_text()))
+                found.append((status, content, files_of(folder, inputs)))
+                for path in folder.iterdir():
+                    if path.name not in inputs:
+                        path.unlink()
             same = found[0] == found[1] == found[2] and found[0][0] in (0, 1)
             different += [] if same else [command]
-            print(f"{command:12} {'the same' if same else 'DIFFERENT'} (status {found[0][0]})", flush=True)
+            beside = f", with {', '.join(found[0][2])}" if found[0][2] else ""
+            print(f"{command:12} {'the same' if same else 'DIFFERENT'} (status {found[0][0]}){beside}", flush=True)
     same_ones = f"{len(options.only) - len(different)} of {len(options.only)} commands"
-    print(f"{same_ones} give the same JSON on 1 and on {len(everywhere)} cores")
+    print(f"{same_ones} give the same JSON and files on 1 and on {len(everywhere)} cores")
     return 1 if different else 0
 
 

@@ -12,7 +12,12 @@ import numpy as np
 from scipy.io import savemat
 
 from fpcal_bayes.cli.main import main as fpcal
+from fpcal_bayes.measure.sweep_files import read_sweeps
+from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.resources import data_file
+from fpcal_bayes.study.coverage import Coverage
+from fpcal_bayes.study.runner import run_alone
+from fpcal_bayes.study.store import StudyStore
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class Case:
         return cls(words[0], words, tuple(inputs.split()), tuple(outputs.split()))
 
 
+COVERAGE = "study coverage --replicates 4 --workers 1 --protocol sweeps.csv"
 #: Quick commands, then slower ones that only the whole study runs.
 QUICK = (
     Case.of("identify sweeps.csv --json out.json", "sweeps.csv", "out.json"),
@@ -61,6 +67,11 @@ SLOW = (
     Case.of("ingest index.csv -o out.h5", "index.csv index_traces", "out.h5"),
     Case.of("ingest index.mat -o out.csv", "index.mat", "out.csv"),
     Case.of("check driven.csv --estimate estimate.json --json out.json", "driven.csv estimate.json", "out.json"),
+    Case.of("week --no-page --cell cell.toml -o out", "cell.toml", "out/campaign.h5 out/posterior.nc out/report.txt"),
+    Case.of(f"{COVERAGE} -o out.h5", "sweeps.csv", "out.h5"),
+    # Half of the replicates are there.
+    Case.of(f"{COVERAGE} -o store.h5", "store.h5 sweeps.csv", "store.h5"),
+    Case.of("study plan --replicates 2 --workers 1 --plan plan.csv -o out.h5", "plan.csv", "out.h5"),
 )
 
 
@@ -102,6 +113,7 @@ def make_inputs(folder: Path, *, quick: bool) -> None:
             ):
                 in_process(line.split())
             make_matlab_index(Path("index.csv"), Path("index.mat"))
+            make_store(Path("store.h5"), 2)
 
 
 def make_matlab_index(index: Path, output: Path) -> None:
@@ -117,6 +129,14 @@ def make_matlab_index(index: Path, output: Path) -> None:
         cells[:, 0] = [trace[:, column] for trace in traces]
         content[name] = cells
     savemat(output, content)
+
+
+def make_store(path: Path, replicates: int) -> None:
+    """The first replicates of the study of coverage."""
+    cell = load_cell()
+    plan = read_sweeps("sweeps.csv", cell, plan=True)
+    study = Coverage(cell=cell, plan=plan)
+    run_alone(study, StudyStore(path, study), replicates)
 
 
 def in_process(arguments: list[str]) -> None:

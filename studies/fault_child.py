@@ -110,3 +110,9 @@ def meaning(path: Path) -> Any:
         # The first bytes say when it was made.
         return path.read_bytes()[128:]
     return path.read_bytes()
+
+
+def is_part(path: Path, whole: Any) -> bool:
+    """Whether a store of replicates is the whole one but for bytes that are still empty."""
+    found = path.read_bytes()
+    return len(found) == len(whole) and all(a in (b, 0) for a, b in zip(found, whole, strict=True))

@@ -5,6 +5,7 @@ some bytes; a folder that may not be written; a clock that jumps; two writers on
 process of its own, forked from this one, in a fresh folder.
 
     python studies/faults.py --faults 2000
+    python studies/faults.py --faults 100 --commands week study
 """
 
 import os
@@ -27,17 +28,24 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fault_cases import QUICK, SLOW, Case, make_inputs
-from fault_child import Child, Outcome, contents, meaning
+from fault_child import Child, Outcome, contents, is_part, meaning
 
 from fpcal_bayes.cli.main import main as fpcal
 
 #: Of a user who owns nothing.
 NOBODY = 65534
+#: Inputs that a command adds to.
+KEPT = ("campaign.h5", "store.h5")
+#: Share of the pairs of writers that meet on a store, whose processes take longer to start.
+STORE_SHARE = 0.2
+#: After so many seconds a study whose clock was set back is killed.
+_STALL = 20.0
 
 
 class Injector:
@@ -85,7 +93,7 @@ class Injector:
                 missing = [name for name in case.outputs if not (there / name).exists()]
                 if outcome.code not in (0, 1) or missing:
                     raise RuntimeError(f"{' '.join(case.arguments)}: {outcome}, missing {missing}")
-                names = [*case.outputs, *(name for name in case.inputs if name == "campaign.h5")]
+                names = [name for name in contents(there) if name not in case.inputs or name in KEPT]
                 self.references[case] = outcome.code, {name: meaning(there / name) for name in names}, seconds
         return self.references[case]
 
@@ -106,8 +114,8 @@ class Injector:
 
     def pick(self, *, costly: bool = False) -> Case:
         """A case; mostly a quick one for a fault that lets the command do all its work."""
-        heavy = costly and self.random.random() < 0.97
-        cases = [case for case in self.cases if case in QUICK] if heavy else self.cases
+        quick = tuple(case for case in self.cases if case in QUICK)
+        cases = quick if quick and costly and self.random.random() < 0.97 else self.cases
         return cases[self.random.integers(len(cases))]
 
     def truncated(self) -> None:
@@ -125,8 +133,9 @@ class Injector:
             before = contents(there)
             outcome = Child(case.arguments, there).wait()
             if outcome.code in (0, 1) and self._cut_between_lines(path, whole, keep):
-                # Nothing in the file says that more was there.
-                self.notes["truncated: cut between rows, a valid shorter file"] += 1
+                # Nothing in a text says that more was there; a store or an HDF5 file never comes here.
+                what = "a trace" if path.parent != there else path.name
+                self.notes[f"truncated: {what} cut at a row's end, a valid shorter text: cannot be seen"] += 1
                 return
             self.check_refused(f"truncated {path.suffix} at {keep} of {len(whole)}", case, outcome, before, there)
             self.notes["truncated: refused in one line"] += outcome.one_line
@@ -147,19 +156,23 @@ class Injector:
             before = contents(there)
             outcome = Child(case.arguments, there).wait(kill_after=float(self.random.uniform(0.0, 1.1) * seconds))
             self.notes["killed: met the command under way"] += outcome.code is None
-            for name in contents(there):
-                # A file is there whole or not at all, inputs as they were.
-                if name in outputs and name not in case.inputs and meaning(there / name) != outputs[name]:
-                    self.problem("killed", case, outcome, f"{name} is half-written")
-            changed = [name for name, value in before.items() if contents(there).get(name) != value]
-            if [name for name in changed if name not in outputs or meaning(there / name) != outputs[name]]:
-                self.problem("killed", case, outcome, f"inputs changed: {changed}")
+            after = contents(there)
+            changed = [name for name, value in after.items() if before.get(name) != value]
+            for name in changed:
+                # A file is there whole or not at all, a store with some of its replicates, inputs as they were.
+                whole = name in outputs and meaning(there / name) == outputs[name]
+                begun = case.name == "study" and name in outputs and is_part(there / name, outputs[name])
+                self.notes["killed: a store with some of its replicates"] += begun and not whole
+                if not whole and not begun:
+                    self.problem("killed", case, outcome, f"{name} is half-written, or an input that changed")
+            if lost := before.keys() - after.keys():
+                self.problem("killed", case, outcome, f"lost: {lost}")
             again = Child(case.arguments, there).wait()
             if again.code != code:
                 self.problem("killed, again", case, again, f"expected status {code}")
                 return
             for name, expected in outputs.items():
-                if changed and name == "out.json":
+                if "campaign.h5" in changed and name == "out.json":
                     # States that were saved before the kill change the hash of the campaign.
                     continue
                 if meaning(there / name) != expected:
@@ -174,7 +187,8 @@ class Injector:
             with self.bench(case, self.tmpfs) as there:
                 filler = self.tmpfs / "filler"
                 with filler.open("wb", buffering=0) as file, contextlib.suppress(OSError):
-                    while True:
+                    # The files of a week do not fit in any case: some of them may.
+                    while case.name != "week" or file.tell() < 1 << 20:
                         file.write(bytes(4096))
                 before = contents(there)
                 outcome = Child(case.arguments, there).wait()
@@ -196,6 +210,13 @@ class Injector:
         # Warnings of the result itself may come first.
         lines = outcome.errors.splitlines()
         errors = [line for line in lines if not line.startswith("fpcal: warning: ")]
+        after = contents(there)
+        if case.name == "week":
+            # Of many files the first ones may be there, each of them whole.
+            outputs = self.reference(case)[1]
+            whole = {name for name in after.keys() - before.keys() if meaning(there / name) == outputs.get(name)}
+            self.notes["full disk: some files of a week are there, each whole"] += bool(whole)
+            before = before | {name: after[name] for name in whole}
         self.check_refused("full disk", case, Outcome(outcome.code, "\n".join(errors)), before, there)
 
     def read_only(self) -> None:
@@ -219,15 +240,20 @@ class Injector:
             self.check_refused("read-only folder", case, outcome, before, there)
 
     def clock(self) -> None:
-        """A clock that jumps by up to ten years at each look."""
+        """A clock that jumps by up to ten years at each look; that of a study, whose cluster keeps time, once.
+
+        Set back, Dask holds its messages until the clock has caught up: that study is killed, and called anew.
+        """
         case = self.pick(costly=True)
         code, outputs, _ = self.reference(case)
         steps = timedelta(days=1) * self.random.uniform(-3650, 3650, 1000)
+        before_step = int(self.random.integers(500))
 
         def prepare() -> None:
             from fpcal_bayes.track import sessions
 
-            looks = iter(steps)
+            once = chain(repeat(timedelta(0), before_step), repeat(steps[0]))
+            looks = once if case.name == "study" else iter(steps)
 
             class Jumping(datetime):
                 @classmethod
@@ -239,17 +265,28 @@ class Injector:
             time.time = lambda: real() + next(looks).total_seconds()
 
         with self.bench(case) as there:
-            outcome = Child(case.arguments, there, prepare).wait()
+            stalls = case.name == "study" and steps[0] < timedelta(0)
+            outcome = Child(case.arguments, there, prepare).wait(kill_after=_STALL if stalls else None)
+            if stalls and outcome.code is None:
+                self.notes["clock: a study whose clock is set back stalls, and goes on when called anew"] += 1
+                outcome = Child(case.arguments, there).wait()
             if outcome.code != code:
                 self.problem("clock", case, outcome, f"expected status {code}")
             elif any(meaning(there / name) != expected for name, expected in outputs.items()):
                 self.problem("clock", case, outcome, "another result")
 
+    def shared(self) -> list[Case]:
+        """Commands that write into a file that is there: following a campaign, then adding to a store."""
+        follow = [case for case in self.cases if case.name == "track" and case.inputs[0] == "campaign.h5"]
+        return follow + [case for case in self.cases if case.inputs[0] == "store.h5"]
+
     def two_writers(self) -> None:
-        """Two processes follow one campaign at the same time."""
-        case = next(case for case in self.cases if case.name == "track" and "campaign.h5" in case.inputs)
+        """Two processes follow one campaign, or add to one store, at the same time."""
+        pairs = self.shared()
+        on_store = pairs[-1].name == "study" and (len(pairs) == 1 or self.random.random() < STORE_SHARE)
+        case = pairs[-1] if on_store else pairs[0]
         _, outputs, seconds = self.reference(case)
-        first = case.arguments[:2]
+        first, kept = (case.arguments, "store.h5") if case.name == "study" else (case.arguments[:2], "campaign.h5")
         with self.bench(case) as there:
             one = Child(first, there)
             time.sleep(float(self.random.uniform(0.0, 0.8) * seconds))
@@ -260,8 +297,8 @@ class Injector:
             self.notes["two writers: the second told"] += len(refused) + len(told)
             if len(refused) + sum(o.code == 0 for o in outcomes) != 2 or len(refused) == 2:
                 self.problem("two writers", case, outcomes[1], f"the other: {outcomes[0]}")
-            if meaning(there / "campaign.h5") != outputs["campaign.h5"]:
-                self.problem("two writers", case, outcomes[1], "the campaign holds something else")
+            if meaning(there / kept) != outputs[kept]:
+                self.problem("two writers", case, outcomes[1], f"{kept} holds something else")
 
     def run(self, faults: int, minutes: float) -> None:
         """Inject so many faults of all kinds, fewer if time runs out."""
@@ -270,12 +307,14 @@ class Injector:
             self.truncated: 0.7, self.killed: 0.1, self.full_disk: 0.06, self.read_only: 0.08, self.clock: 0.04,
             self.two_writers: 0.02,
         }  # fmt: skip
-        kinds = list(shares)
+        if not self.shared():
+            del shares[self.two_writers]
+        kinds, weights = list(shares), np.array(list(shares.values()))
         for number in range(faults):
             if time.monotonic() > end:
                 break
             # Every kind is met early; then by share.
-            at = number if number < len(kinds) else self.random.choice(len(kinds), p=list(shares.values()))
+            at = number if number < len(kinds) else self.random.choice(len(kinds), p=weights / weights.sum())
             kinds[at]()
             self.count[kinds[at].__name__] += 1
             if number % 20 == 19:
@@ -293,7 +332,8 @@ def small_disk(place: Path) -> Iterator[Path | None]:
         yield folder if mounted else None
     finally:
         if mounted:
-            subprocess.run(["umount", str(folder)], check=False)
+            # What was killed may still stand in it.
+            subprocess.run(["umount", "--lazy", str(folder)], check=False)
 
 
 def main() -> int:
@@ -301,6 +341,7 @@ def main() -> int:
     parser.add_argument("--faults", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="inject no more after this time")
+    parser.add_argument("--commands", nargs="+", metavar="NAME", help="faults of these commands only")
     parser.add_argument("--quick", action="store_true", help="the quick commands only, and no disk of its own")
     options = parser.parse_args()
     # So that the small disk is unmounted when the study is stopped.
@@ -309,12 +350,18 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "inputs").mkdir()
+        # Killed processes leave temporary folders behind.
+        (folder / "temporary").mkdir()
+        tempfile.tempdir = str(folder / "temporary")
         make_inputs(folder / "inputs", quick=options.quick)
         known = tuple(
             case
             for case in (QUICK if options.quick else QUICK + SLOW)
             if all((folder / "inputs" / file).exists() for file in case.inputs)
+            and (options.commands is None or case.name in options.commands)
         )
+        if not known:
+            parser.error(f"--commands {' '.join(options.commands)}: expected some command of the study")
         injector = Injector(folder, known, np.random.default_rng(options.seed))
         with contextlib.ExitStack() as stack:
             injector.tmpfs = None if options.quick else stack.enter_context(small_disk(folder))
@@ -322,7 +369,8 @@ def main() -> int:
     for kind, count in injector.count.items():
         print(f"{kind.replace('_', ' '):12} {count:6}")
     for note, count in sorted(injector.notes.items()):
-        if " at " not in note:
+        # One of each cut says no more than their sum.
+        if not note.startswith("truncated ."):
             print(f"  {note}: {count}")
     total = sum(injector.count.values())
     print(

@@ -63,7 +63,7 @@ def walk_hours(weeks: int, *, intrinsic: bool) -> np.ndarray:
 
 def believed(found: Track) -> list[tuple[float, float, np.ndarray, np.ndarray]]:
     """From which day to which, the smoothed change of each parameter, and its sd, in um and rad."""
-    smoothed = smooth(DRIFT, found.outcomes)
+    smoothed = smooth(found.drift, found.outcomes)
     changes = []
     for before, outcome, first, second in zip(
         found.outcomes[:-1], found.outcomes[1:], smoothed[:-1], smoothed[1:], strict=True

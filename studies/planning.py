@@ -1,21 +1,24 @@
-"""Accuracy against the number of sweeps: the paper's order, random, greedy, exchange with refinement, adaptive.
+"""Accuracy against the number of sweeps: the paper's order, random, greedy, exchange, best found, adaptive.
 
-    python studies/planning.py accuracy --numbers 8,10,12,14,16   expected, and simulated with --truths
-    python studies/planning.py extrinsic                          the best 1 to 6 sweeps a day after a calibration
+    python studies/planning.py accuracy --numbers 10,12,14 --simulate    each way; simulated, too
+    python studies/planning.py extrinsic                                 the best 1 to 6 sweeps a day after
+    python studies/planning.py figure A.json .. --figure OUT.svg         of what accuracy --json wrote
 
-Figures are relative to what the paper's 69 end-point sweeps leave; expected ones on draws of the prior that no plan was
-made for, simulated ones from the largest error along each task after identifying simulated measurements.
+Figures are relative to what the paper's 69 sweeps leave. Expected ones are judged at draws of the prior that no plan is
+made for, simulated ones by the largest error along each task after identifying simulated measurements of these truths.
+Each ratio is given twice: of root mean squares over the truths, and as the mean over truths of the ratio.
 """
 
 import argparse
+import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.cli.plan import aged
-from fpcal_bayes.control.tasks import find_task
+from fpcal_bayes.files import write_json
 from fpcal_bayes.infer.identify import identify
 from fpcal_bayes.infer.planning.candidates import candidate_sweeps
 from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
@@ -24,17 +27,23 @@ from fpcal_bayes.infer.planning.limits import SweepLimits
 from fpcal_bayes.infer.planning.order import in_short_order
 from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
 from fpcal_bayes.infer.planning.rows import read_often
-from fpcal_bayes.infer.task_error import task_errors
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.sweep_files import write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.report.plan_figure import draw_plan
+from fpcal_bayes.report.plan_figure import draw_accuracy, draw_plan
 from fpcal_bayes.report.week_figure import save_figure
+from fpcal_bayes.study.planning import compare, largest_errors
+from fpcal_bayes.track.aged import aged
 
 SIGMA = 0.005
+#: Standard deviations or errors by task in um, one a truth.
+ByTask = dict[str, np.ndarray]
+#: Expected standard deviation by task in um: what comparisons leave by name, plans by way and number of sweeps.
+Levels = dict[str, dict[str, float]]
+Found = dict[str, dict[int, dict[str, float]]]
 
 
 @dataclass(frozen=True)
@@ -43,105 +52,156 @@ class Grounds:
 
     made: Ground
     judged: Ground
-    made_paper: dict[str, float]
-    paper: dict[str, float]
+    reference: dict[str, float]
+    paper: ByTask
 
     @classmethod
-    def of(cls, cell: Cell, draws: int, truths: int, seed: int) -> "Grounds":
-        made = prior_ground(cell, draws=draws, seed=seed)
-        judged = prior_ground(cell, draws=truths, points=31, seed=seed + 1_000_003)
-        papers = [ground.expected_sd(paper_protocol(cell), readings=1) for ground in (made, judged)]
-        return cls(made, judged, *papers)
-
-    def ratios(self, sweeps: Sweeps, readings: int = 2) -> dict[str, float]:
-        """Expected standard deviations over those after the paper's sweeps."""
-        found = self.judged.expected_sd(sweeps, readings=readings)
-        return {task: found[task] / self.paper[task] for task in found}
+    def of(cls, cell: Cell, options: argparse.Namespace) -> "Grounds":
+        tasks = tuple(options.tasks)
+        made = prior_ground(cell, tasks=tasks, draws=options.draws, seed=options.seed)
+        judged = prior_ground(cell, tasks=tasks, draws=options.truths, points=31, seed=options.seed + 1_000_003)
+        paper, often = paper_protocol(cell), 2 if options.against == "midpoints" else 1
+        reference = made.expected_sd(paper, readings=often)
+        return cls(made, judged, reference, judged.sd_at_draws(paper, readings=often))
 
 
-def line(name: str, ratios: dict[str, float]) -> str:
-    return f"{name:34}" + "  ".join(f"{task} {ratio:6.2f}" for task, ratio in ratios.items())
+def show(name: str, ours: ByTask, theirs: ByTask) -> None:
+    """Two lines: ratio of root mean squares, and mean ratio, with standard errors over the truths."""
+    found = {task: compare(ours[task], theirs[task]) for task in theirs}
+    for kind, label in (("ratio_of_rms", "rms"), ("mean_ratio", "mean of ratios")):
+        parts = [f"{task} {ratio[kind]:6.2f} +- {ratio[kind + '_se']:4.2f}" for task, ratio in found.items()]
+        print(f"{name if kind == 'ratio_of_rms' else '':34} {label:14} " + "  ".join(parts), flush=True)
 
 
-def errors(cell: Cell, values: np.ndarray, plan: Sweeps, seed: int) -> dict[str, float]:
-    """Largest task errors in um after identifying a simulated cell from simulated measurements."""
-    model = CavityModel.of(cell)
-    truth = Truth(cell.free, np.zeros(1), values[None])
-    found = identify(cell, simulate(cell, truth, plan, sigma=SIGMA, seed=seed)).estimate
-    result = {}
-    for name in DEFAULT_TASKS:
-        task = find_task(cell, found.vector(), name, n_points=31)
-        # With an estimate at the edge of what the joints reach there may be no point to drive to.
-        error = task_errors(model, values[None], found.values, task.take(task.ok)) if task.ok.any() else np.nan
-        result[name] = float(np.abs(error).max())
-    return result
+def simulated(cell: Cell, grounds: Grounds, plan: Sweeps, noises: int) -> ByTask:
+    """Largest error along each task, root mean square over some noises of each truth.
+
+    NaN where the estimate leaves no point of a task to drive to.
+    """
+    squares: dict[str, list[float]] = {task: [] for task in grounds.paper}
+    for number, values in enumerate(grounds.judged.goals.values):
+        found = [largest_errors(cell, values, plan, sigma=SIGMA, seed=number + 1000 * k) for k in range(noises)]
+        for task, each in squares.items():
+            each.append(float(np.mean([errors[task] ** 2 for errors in found])))
+    return {task: np.sqrt(each) for task, each in squares.items()}
 
 
-def simulated(cell: Cell, grounds: Grounds, plan: Sweeps) -> dict[str, tuple[float, float]]:
-    """Root mean square over truths of the largest task error, plan over paper, and the ratio of the medians."""
-    ours, theirs = read_often(plan, 2), paper_protocol(cell)
-    pairs = [
-        (errors(cell, values, ours, seed), errors(cell, values, theirs, seed))
-        for seed, values in enumerate(grounds.judged.goals.values)
-    ]
-    ratios = {}
-    for name in DEFAULT_TASKS:
-        a, b = np.array([[pair[side][name] for side in (0, 1)] for pair in pairs]).T
-        both = np.isfinite(a + b)
-        a, b = a[both], b[both]
-        ratios[name] = (float(np.sqrt((a**2).mean() / (b**2).mean())), float(np.median(a) / np.median(b)))
-    return ratios
+def show_simulated(name: str, ours: ByTask, theirs: ByTask) -> None:
+    """As `show`, of the truths at which each task can be driven to after either calibration."""
+    good = np.isfinite([ours[task] + theirs[task] for task in theirs]).all(axis=0)
+    a, b = ({task: errors[good] for task, errors in side.items()} for side in (ours, theirs))
+    show(f"{name}, {good.sum()} truths", a, b)
+
+
+def ways_of(cell: Cell, grounds: Grounds, options: argparse.Namespace) -> dict[str, Callable[[int], Sweeps]]:
+    """How n sweeps are chosen, by name."""
+    limits, paper = limits_of(options), paper_protocol(cell)
+    settings = settings_of(options)
+
+    def planned(**changes: int) -> Callable[[int], Sweeps]:
+        planner = Planner(grounds.made, replace(settings, **changes), grounds.reference)
+        return lambda n: planner.best(n).sweeps
+
+    ways = {
+        "paper's order": lambda: lambda n: paper.take(np.arange(n)),
+        "random": lambda: lambda n: candidate_sweeps(cell, n=n, rng=np.random.default_rng(options.seed), limits=limits),
+        "greedy": lambda: planned(passes=0, variations=0, iterations=0),
+        "exchange": lambda: planned(passes=5, variations=0, iterations=0),
+        "best": lambda: planned(),
+    }
+    return {name: make() for name, make in ways.items() if name in options.ways}
+
+
+def limits_of(options: argparse.Namespace) -> SweepLimits:
+    return SweepLimits(tilt=float(np.radians(options.tilt)))
+
+
+def settings_of(options: argparse.Namespace) -> PlanSettings:
+    return PlanSettings(
+        seed=options.seed,
+        limits=limits_of(options),
+        readings=options.readings,
+        share=options.share,
+        variations=options.variations,
+    )
 
 
 def accuracy(options: argparse.Namespace) -> None:
+    """Each way at each number of sweeps."""
     cell = load_cell()
-    grounds = Grounds.of(cell, options.draws, options.truths, options.seed)
-    paper = paper_protocol(cell)
+    grounds, paper = Grounds.of(cell, options), paper_protocol(cell)
+    levels: Levels = {}
     for often, name in ((1, "paper, 69 end points"), (2, "paper, 69 with midpoints")):
-        sd = grounds.judged.expected_sd(paper, readings=often)
-        print(f"{name}: " + ", ".join(f"{task} {1e3 * value:.2f} nm" for task, value in sd.items()))
-    limits = SweepLimits(tilt=float(np.radians(options.tilt)))
-    settings = PlanSettings(seed=options.seed, limits=limits, variations=options.variations)
-    searched = Planner(grounds.made, settings, grounds.made_paper)
-    greedy = Planner(grounds.made, replace(settings, passes=0, variations=0), grounds.made_paper)
-    for n in options.numbers:
-        random = candidate_sweeps(cell, n=n, rng=np.random.default_rng(options.seed), limits=limits)
-        print(line(f"{n} in the paper's order", grounds.ratios(paper.take(np.arange(n)))))
-        print(line(f"{n} random", grounds.ratios(random)))
-        print(line(f"{n} greedy", grounds.ratios(greedy.best(n).sweeps)))
-        began = time.process_time()
-        plan = in_short_order(cell, searched.best(n).sweeps, limits)
-        name = f"{n} exchanged and refined"
-        print(line(name, grounds.ratios(plan)), f" ({time.process_time() - began:.0f} s)", flush=True)
-        print(line(f"{n} the same, end points only", grounds.ratios(plan, 1)), flush=True)
-        if options.simulate:
-            ratios = simulated(cell, grounds, plan)
-            print(line(f"{n} simulated, rms", {task: ratio[0] for task, ratio in ratios.items()}))
-            print(line(f"{n} simulated, median", {task: ratio[1] for task, ratio in ratios.items()}), flush=True)
-        if options.adaptive:
-            print(line(f"{n} adaptive, of {options.adaptive} truths", adaptive(cell, grounds, n, options)), flush=True)
-        if options.figure is not None:
-            save_figure(draw_plan(cell, plan), options.figure)
+        levels[name] = grounds.judged.expected_sd(paper, readings=often)
+        print(f"{name}: " + ", ".join(f"{task} {1e3 * sd:.2f} nm" for task, sd in levels[name].items()), flush=True)
+    often = 2 if options.against == "midpoints" else 1
+    theirs = simulated(cell, grounds, read_often(paper, often), options.noises) if options.simulate else {}
+    found: Found = {}
+    for name, choose in ways_of(cell, grounds, options).items():
+        for n in options.numbers:
+            began = time.process_time()
+            plan = choose(n)
+            spent = time.process_time() - began
+            if name != "paper's order":
+                plan = in_short_order(cell, plan, limits_of(options))
+            each = grounds.judged.sd_at_draws(plan, readings=options.readings)
+            show(f"{n} {name} ({spent:.0f} s)", each, grounds.paper)
+            found.setdefault(name, {})[n] = {task: float(np.sqrt((sd**2).mean())) for task, sd in each.items()}
+            record(options, levels, found)
+            if options.plans is not None and name == "best":
+                options.plans.mkdir(parents=True, exist_ok=True)
+                write_sweeps(options.plans / f"plan-{n}.csv", plan, cell)
+                save_figure(draw_plan(cell, plan), options.plans / f"plan-{n}.png")
+            if options.simulate and name == "best":
+                ours = simulated(cell, grounds, read_often(plan, options.readings), options.noises)
+                show_simulated(f"{n} {name}, simulated", ours, theirs)
+    if options.adaptive:
+        for n in options.numbers:
+            sd, reference = adaptive(cell, grounds, n, options)
+            show(f"{n} adaptive, {options.adaptive} truths", sd, reference)
+            scale = {task: np.sqrt((sd[task] ** 2).mean() / (reference[task] ** 2).mean()) for task in sd}
+            # Few truths: their ratio to the paper's sweeps is carried over to all of them.
+            level = levels["paper, 69 with midpoints" if options.against == "midpoints" else "paper, 69 end points"]
+            found.setdefault("adaptive", {})[n] = {task: float(scale[task]) * level[task] for task in sd}
+            record(options, levels, found)
 
 
-def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> dict[str, float]:
+def record(options: argparse.Namespace, levels: Levels, found: Found) -> None:
+    """What is found so far, for a figure: a long run may be ended early."""
+    if options.json is not None:
+        write_json(options.json, {"levels": levels, "found": found})
+
+
+def figure(options: argparse.Namespace) -> None:
+    """One figure of what several runs found."""
+    levels: Levels = {}
+    found: Found = {}
+    for path in options.files:
+        content = json.loads(path.read_text())
+        levels |= content["levels"]
+        for way, of_way in content["found"].items():
+            found.setdefault(way, {}).update({int(n): sd for n, sd in of_way.items()})
+    save_figure(draw_accuracy(found, levels), options.figure)
+
+
+def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> tuple[ByTask, ByTask]:
     """Half of the sweeps are planned before the cell is known, the others on what the first half told."""
-    limits = SweepLimits(tilt=float(np.radians(options.tilt)))
-    first = Planner(grounds.made, PlanSettings(limits=limits), grounds.made_paper).best(n // 2).sweeps
-    ours, theirs = [], []
+    settings = settings_of(options)
+    first = Planner(grounds.made, settings, grounds.reference).best(n // 2).sweeps
+    ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
         truth = Truth(cell.free, np.zeros(1), values[None])
-        known = identify(cell, simulate(cell, truth, read_often(first, 2), sigma=SIGMA, seed=number)).estimate
-        now = estimate_ground(known)
-        second = Planner(now, PlanSettings(limits=limits, seed=number), grounds.made_paper).best(n - n // 2).sweeps
+        measured = simulate(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
+        now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
+        second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
         # Judged at the truth, under the cell's own prior.
         there = grounds.judged.at_draws(np.array([number]))
-        ours.append(there.expected_sd(join([first, second])))
-        theirs.append(there.expected_sd(paper_protocol(cell), readings=1))
-    return {
-        task: float(np.sqrt(np.mean([a[task] ** 2 for a in ours]) / np.mean([b[task] ** 2 for b in theirs])))
-        for task in DEFAULT_TASKS
-    }
+        for task, sd in there.expected_sd(join([first, second]), readings=options.readings).items():
+            ours[task].append(sd)
+    return (
+        {task: np.array(sd) for task, sd in ours.items()},
+        {task: sd[: options.adaptive] for task, sd in grounds.paper.items()},
+    )
 
 
 def extrinsic(options: argparse.Namespace) -> None:
@@ -150,36 +210,52 @@ def extrinsic(options: argparse.Namespace) -> None:
     calibration = simulate(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )
-    ground = estimate_ground(aged(identify(cell, calibration).estimate, options.hours))
+    ground = estimate_ground(aged(identify(cell, calibration).estimate, options.hours), tasks=tuple(options.tasks))
     paper = ground.expected_sd(paper_protocol(cell), readings=1)
-    for name, sd in (("before", ground.expected_sd(None)), ("paper's 69", paper)):
+    middle = ground.expected_sd(paper_protocol(cell), readings=2)
+    for name, sd in (("before", ground.expected_sd(None)), ("paper's 69", paper), ("with midpoints", middle)):
         print(f"{name:34}" + "  ".join(f"{task} {1e3 * value:6.2f} nm" for task, value in sd.items()))
     for n in range(1, 7):
-        sd = Planner(ground, PlanSettings(seed=options.seed), paper).best(n).sd
+        sd = Planner(ground, settings_of(options), paper).best(n).sd
         print(f"{n:<34}" + "  ".join(f"{task} {1e3 * value[-1]:6.2f} nm" for task, value in sd.items()), flush=True)
 
 
 def parser() -> argparse.ArgumentParser:
     """The options of the study."""
+
+    def names(text: str) -> list[str]:
+        return text.split(",")
+
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("what", choices=("accuracy", "extrinsic"))
+    made.add_argument("what", choices=("accuracy", "extrinsic", "figure"))
+    made.add_argument("files", nargs="*", type=Path, help="figure: what accuracy --json wrote")
     made.add_argument("--numbers", type=lambda text: [int(n) for n in text.split(",")], default=[10, 12, 14])
+    made.add_argument("--ways", type=names, default=["paper's order", "random", "greedy", "exchange", "best"])
+    made.add_argument("--tasks", type=names, default=list(DEFAULT_TASKS))
+    made.add_argument(
+        "--against", choices=("endpoints", "midpoints"), default="endpoints", help="of the paper's sweeps"
+    )
+    made.add_argument("--readings", type=int, default=2, help="of each planned sweep after its start")
     made.add_argument("--draws", type=int, default=64, help="that plans are averaged over")
+    made.add_argument("--share", type=int, default=16, help="of these draws for each start of the search")
     made.add_argument("--truths", type=int, default=100, help="that plans are judged on")
     made.add_argument("--tilt", type=float, default=4.3, help="largest tilt of the mirror in deg")
     made.add_argument("--variations", type=int, default=30, help="of each sweep in a round of refinement")
     made.add_argument("--simulate", action="store_true", help="calibrate every truth from simulated measurements")
+    made.add_argument("--noises", type=int, default=1, help="simulated for each truth")
     made.add_argument("--adaptive", type=int, default=0, metavar="TRUTHS", help="plan the second half truth by truth")
     made.add_argument("--hours", type=float, default=24.0, help="since the calibration")
     made.add_argument("--seed", type=int, default=0)
-    made.add_argument("--figure", type=Path, help="draw the last plan: .svg or .png")
+    made.add_argument("--plans", type=Path, help="folder for the best plans, as CSV and drawn")
+    made.add_argument("--json", type=Path, help="accuracy: what is found, for a figure")
+    made.add_argument("--figure", type=Path, help="figure to write: .svg or .png")
     return made
 
 
 def main() -> None:
     """Print the figures."""
     options = parser().parse_args()
-    {"accuracy": accuracy, "extrinsic": extrinsic}[options.what](options)
+    {"accuracy": accuracy, "extrinsic": extrinsic, "figure": figure}[options.what](options)
 
 
 if __name__ == "__main__":

@@ -45,6 +45,31 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 class TestControl:
+    def test_an_estimate_past_its_horizon_is_named(self, capsys: pytest.CaptureFixture[str]) -> None:
+        content = json.loads(Path("e.json").read_text())
+        Path("e.json").write_text(json.dumps(content | {"time_h": 24.0, "valid_until_h": 31.5}))
+        common = (
+            "control",
+            "--estimate",
+            "e.json",
+            "--task",
+            "circle",
+            "--points",
+            5,
+            "-o",
+            "j.csv",
+            "--json",
+            "j.json",
+        )
+        run(*common, "--now", 31.4)
+        assert json.loads(Path("j.json").read_text())["warnings"] == []
+        capsys.readouterr()
+        run(*common, "--now", 33)
+        told = [line for line in capsys.readouterr().err.splitlines() if "was valid until 31.50 h, 1.50 h ago" in line]
+        assert len(told) == 1
+        assert len(json.loads(Path("j.json").read_text())["warnings"]) == 1
+        assert "--now" in refusal(capsys, *common, "--now", "soon")
+
     def test_joint_file(self, capsys: pytest.CaptureFixture[str]) -> None:
         run("control", "--estimate", "e.json", "--task", "circle", "--radius-um", 50, "-o", "j.csv", "--json", "j.json")
         lines = Path("j.csv").read_text().splitlines()

@@ -88,8 +88,10 @@ def test_a_campaign_file_keeps_the_states(capsys):
 def test_clock_times_are_shown(capsys):
     utc = [f"2024-05-{1 + int(hour) // 24:02d}T{int(hour) % 24:02d}:00:00Z" for hour in SWEEPS.time_h]
     file = written("week.csv", utc=np.array(utc))
-    assert main(["track", file, "--now", "2024-05-02T09:00:00Z"]) == 0
+    assert main(["track", file, "--now", "2024-05-02T09:00:00Z", "--estimate", "estimate.json"]) == 0
     assert "2024-05-02 08:00 UTC" in capsys.readouterr().out
+    # By it a controller tells from its clock whether the estimate still holds.
+    assert json.loads(Path("estimate.json").read_text())["data"]["utc"] == "2024-05-02T08:00:00Z"
     line = refused(capsys, file, "--now", "2024-05-02T07:00:00Z")
     assert "session s4 lies in the future" in line
 

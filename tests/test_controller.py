@@ -1,6 +1,8 @@
 """The controller: absolute and relative moves, paths at bounded steps, a new estimate while it runs."""
 
+import warnings
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from numpy.testing import assert_allclose
 from task_fixtures import paper_estimate
 
 from fpcal_bayes.control.controller import Controller, interpolate
+from fpcal_bayes.control.validity import StaleEstimateWarning, hours_of_estimate, read_now, stale_text
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell import Cell
@@ -124,3 +127,43 @@ def test_offsets_become_a_task(estimate: Estimate) -> None:
     task = controller.follow("step", np.array([[0.0] * 6, [5.0, 0, 0, 0, 0, 0]]))
     assert_allclose(task.poses[1] - task.poses[0], chain.translation(5.0, 0, 0) - np.eye(4), atol=1e-12)
     assert task.ok.all()
+
+
+class TestStale:
+    def test_warns_once_an_estimate_past_its_horizon(self, estimate: Estimate) -> None:
+        dated = replace(estimate, time_h=24.0, valid_until_h=31.5)
+        hours = [31.0]
+        controller = Controller(dated, now_h=lambda: hours[0])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            controller.move_to(controller.aligned)
+        hours[0] = 33.0
+        with pytest.warns(StaleEstimateWarning, match=r"of 24.00 h was valid until 31.50 h, 1.50 h ago"):
+            controller.move_to(controller.aligned)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            controller.move_to(controller.aligned)
+        controller.update(replace(dated, valid_until_h=32.0))
+        with pytest.warns(StaleEstimateWarning, match="valid until 32.00 h"):
+            controller.move_to(controller.aligned)
+        controller.update(replace(dated, valid_until_h=40.0))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            controller.move_to(controller.aligned)
+
+    @pytest.mark.parametrize(("ago_h", "stale"), [(2.0, False), (4.0, True)])
+    def test_the_clock_is_asked_where_the_estimate_carries_one(self, estimate, ago_h, stale) -> None:
+        made = datetime.now(UTC) - timedelta(hours=ago_h)
+        dated = replace(estimate, time_h=24.0, valid_until_h=27.0, data={"utc": made.isoformat()})
+        assert hours_of_estimate(dated, made) == pytest.approx(24.0)
+        assert (stale_text(dated, read_now(None, dated)) is not None) == stale
+        assert stale_text(replace(dated, data={}), read_now(None, replace(dated, data={}))) is None
+
+    def test_an_estimate_that_never_held_is_named_without_a_clock(self, estimate: Estimate) -> None:
+        assert "did not hold" in (stale_text(replace(estimate, time_h=5.0, valid_until_h=5.0), None) or "")
+        assert stale_text(replace(estimate, valid_until_h=None), 1e6) is None
+
+    @pytest.mark.parametrize("text", ["soon", "nan", "2024-05-01T08:30:00Z"])
+    def test_a_time_that_cannot_be_understood(self, estimate: Estimate, text: str) -> None:
+        with pytest.raises(InputError, match="--now"):
+            read_now(text, estimate)

@@ -94,3 +94,12 @@ def test_impossible_limits(femto: Cell) -> None:
         candidate_sweeps(femto, n=5, rng=rng, values=tilted)
     with pytest.raises(InputError, match="limit tilt of a sweep: expected a number above zero"):
         SweepLimits(tilt=-1.0)
+    with pytest.raises(InputError, match="limit tilt of a sweep: expected less than 90 deg, found 400"):
+        SweepLimits(tilt=np.radians(400.0))
+
+
+def test_a_joint_with_hardly_any_room_stays(femto: Cell) -> None:
+    sweeps = candidate_sweeps(femto, n=40, rng=np.random.default_rng(0), limits=SweepLimits(tilt=np.radians(1e-6)))
+    assert not sweeps.q_start[:, 3:5].any()
+    assert not sweeps.q_end[:, 3:5].any()
+    assert ((sweeps.q_start != sweeps.q_end).sum(axis=0) > 0)[[0, 1, 2, 5]].all()

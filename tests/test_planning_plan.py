@@ -24,7 +24,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import Cell, load_cell
 from fpcal_bayes.model.estimate import Estimate
 
-SMALL = PlanSettings(n_candidates=150, variations=8, share=4)
+SMALL = PlanSettings(n_candidates=150, variations=8, iterations=5, share=4)
 
 
 @pytest.fixture(scope="module")

@@ -117,9 +117,9 @@ def test_holds_then_measures_what_holds_longest_for_the_minutes():
     hold = POLICY.decide(FORECAST, CALIBRATED)
     assert (hold.action, hold.sweeps) == ("hold", None)
     assert 0.5 < hold.hold_hours < 2.0
-    began = time.perf_counter()
+    began = time.process_time()
     later = POLICY.decide(FORECAST, FORECAST.ahead(CALIBRATED, hold.hold_hours + 0.1))
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     assert later.action == "extrinsic"
     assert later.after.exceeds(0.05) <= 0.1 < later.now.exceeds(0.05)
     assert later.after.median < later.now.median < later.at_horizon.median
@@ -216,9 +216,12 @@ def test_two_translations_cannot_see_the_robot_and_a_diagnosis_can():
     assert len(two) == 2
     assert session_power(DRIFT, MODEL, state, planned(two), 8.0, Limits())[at] == 0.0
     most = most_power(DRIFT, state, 8.0, Limits())[at]
-    looks = POLICY.choose_diagnosis(FORECAST, state)
-    found = session_power(DRIFT, MODEL, state, planned(looks), 8.0, Limits())[at]
-    assert 0.8 * most < found <= most + 1e-6
+    # Two more sweeps than six tell little more: nearly all that any session could show is shown.
+    for count, share in ((6, 0.9), (8, 0.95)):
+        looks = replace(POLICY, costs=Costs(diagnosis_sweeps=count)).choose_diagnosis(FORECAST, state)
+        found = session_power(DRIFT, MODEL, state, planned(looks), 8.0, Limits())[at]
+        assert len(looks) == count
+        assert share * most < found <= most + 1e-6
 
 
 def test_power_is_the_share_of_sessions_that_show_the_change():
@@ -230,7 +233,7 @@ def test_power_is_the_share_of_sessions_that_show_the_change():
     jump = np.zeros(DRIFT.n_states)
     jump[at] = Limits().jump(DRIFT)[at]
     root, found = np.linalg.cholesky(state.covariance + 1e-18 * np.eye(DRIFT.n_states)), 0
-    for _ in range(400):
+    for _ in range(250):
         error = root @ random.standard_normal(len(root)) + jump
         misfit = jacobian @ error + random.standard_normal(len(plan))
         innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)
@@ -238,7 +241,7 @@ def test_power_is_the_share_of_sessions_that_show_the_change():
         monitor = extend(Monitor(), "s", 16.0, innovation, gain, still, Limits(), DRIFT)
         found += any("beta_4" in f.evidence for f in findings(monitor, Limits(), DRIFT))
     # Another parameter may stand in for beta_4 in the evidence.
-    assert found / 400 == pytest.approx(expected, abs=0.1)
+    assert found / 250 == pytest.approx(expected, abs=0.1)
 
 
 def test_the_robot_is_looked_at_in_time():

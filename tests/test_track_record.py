@@ -90,7 +90,7 @@ def test_a_damaged_state_is_refused(saved, summary):
 
 
 def test_the_smoother_knows_more_than_the_filter(whole):
-    smoothed = smooth(DRIFT, whole.outcomes)
+    smoothed = smooth(whole.drift, whole.outcomes)
     for outcome, state in zip(whole.outcomes, smoothed, strict=True):
         excess = np.linalg.eigvalsh(outcome.state.covariance - state.covariance)
         assert excess.min() > -1e-6

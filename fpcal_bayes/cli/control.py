@@ -36,6 +36,10 @@ def add_parser(commands: Commands) -> None:
         "--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)"
     )
     add_task_options(parser, required=True)
+    parser.add_argument(
+        "--now", metavar="TIME_H|UTC", help="when the task is driven: says if the estimate is past its horizon "
+        "(default: this clock, where the estimate carries a clock time)"
+    )  # fmt: skip
     parser.add_argument("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
     add_json(parser)
 
@@ -68,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     import numpy as np
 
     from fpcal_bayes.control.joint_files import check_suffix, write_joints
+    from fpcal_bayes.control.validity import read_now, stale_text
     from fpcal_bayes.infer.task_source import read_knowledge
     from fpcal_bayes.report.task_tables import prediction_content, prediction_table, reach_warnings
 
@@ -78,12 +83,13 @@ def run(options: argparse.Namespace) -> int:
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    stale = stale_text(estimate, read_now(options.now, estimate))
     prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)
     sd[task.ok] = prediction.sd
     write_joints(options.output, task, sd)
 
-    warnings = reach_warnings(task)
+    warnings = reach_warnings(task) + ([] if stale is None else [stale])
     console(options).print(
         prediction_table([prediction], None, f"{options.output}: {task.ok.sum()} of {len(task)} points")
     )

@@ -60,14 +60,14 @@ def follow(options: argparse.Namespace, cell: Cell, *, anew: bool = False, poste
     from fpcal_bayes.measure.campaign import read_campaign
     from fpcal_bayes.measure.sweep_files import is_campaign_file, read_sweeps
     from fpcal_bayes.track.consistency import Limits
-    from fpcal_bayes.track.drift import DriftModel
+    from fpcal_bayes.track.likely_terms import likely_drift
     from fpcal_bayes.track.record import resume
     from fpcal_bayes.track.sessions import check_sessions, hours_of
     from fpcal_bayes.track.tracker import track
 
-    drift, limits = DriftModel.of(cell), Limits()
     campaign = read_campaign(options.campaign, cell) if is_campaign_file(options.campaign) else None
     sweeps = read_sweeps(options.campaign, cell) if campaign is None else campaign.sweeps
+    drift, limits = likely_drift(cell, sweeps), Limits()
     now_h = None if options.now is None else hours_of(options.now, sweeps)
     parts = check_sessions(sweeps, now_h)
     notes: list[str] = []
@@ -79,7 +79,8 @@ def follow(options: argparse.Namespace, cell: Cell, *, anew: bool = False, poste
     warm_up(cell)
     found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=now_h)
     data = {"file": Path(options.campaign).name, "sha256": file_sha256(Path(options.campaign))}
-    found = replace(found, data=data | {"session": found.last.session})
+    utc = {"utc": found.last.utc} if found.last.utc else {}
+    found = replace(found, data=data | {"session": found.last.session} | utc)
     return Followed(found, sweeps, now_h, notes, campaign)
 
 

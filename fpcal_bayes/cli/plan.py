@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from fpcal_bayes.infer.planning.limits import SweepLimits
     from fpcal_bayes.infer.planning.plan import PlanSettings
     from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.model.estimate import Estimate
 
 _EPILOG = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
-task, in units of what the paper's 69 sweeps leave, is expected to be known best; then they are varied to serve better.
+task, in units of what the paper's 69 sweeps leave, is expected to be known best; then they are varied to serve better,
+and at the end all of them move together to where the criterion is smallest nearby.
 Without an estimate the plan is averaged over draws of the prior, so that it is good before the cell is known.
 
 --reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
@@ -84,6 +84,9 @@ def add_parser(commands: Commands) -> None:
     )
     parser.add_argument(
         "--variations", type=count, default=30, metavar="N", help="of each sweep in a round of refinement (default: 30)"
+    )
+    parser.add_argument(
+        "--iterations", type=seed, default=100, metavar="N", help="of the descent at the end (default: 100)"
     )
     parser.add_argument("--seed", type=seed, default=0, help="of the search (default: 0)")
     parser.add_argument("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
@@ -155,6 +158,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> "tupl
     from fpcal_bayes.infer.planning.ground import estimate_ground, measured_estimate, prior_ground
     from fpcal_bayes.measure.sweep_files import read_sweeps
     from fpcal_bayes.model.estimate import read_estimate
+    from fpcal_bayes.track.aged import aged
 
     sigma, common = options.sigma_nm * 1e-3, {"tasks": tasks, "radius": options.radius_um}
     first: Sweeps | None = None
@@ -183,16 +187,6 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> "tupl
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1]
-
-
-def aged(estimate: "Estimate", hours: float) -> "Estimate":
-    """An estimate some hours later: its covariance has grown by the cell's drift."""
-    from fpcal_bayes.track.drift import DriftModel
-
-    drift = DriftModel.of(estimate.cell, estimate.parameters)
-    _, before = drift.initial(estimate.values, estimate.covariance)
-    step = drift.transition(hours)
-    return replace(estimate, covariance=drift.covariance(step.matrix @ before @ step.matrix.T + step.noise))
 
 
 def _absolute(cell: Cell) -> "Sweeps":
@@ -261,6 +255,7 @@ def _settings(options: argparse.Namespace) -> "PlanSettings":
         criterion=options.criterion,
         n_candidates=options.candidates,
         variations=options.variations,
+        iterations=options.iterations,
         several=not options.single_joints,
         seed=options.seed,
         limits=_limits(options),
@@ -290,6 +285,7 @@ def _record(options: argparse.Namespace, settings: "PlanSettings") -> dict[str, 
         "criterion": settings.criterion,
         "candidates": settings.n_candidates,
         "variations": settings.variations,
+        "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,
         "limits": dict(vars(settings.limits)),

@@ -1,12 +1,14 @@
 """The controller of the paper's Fig 7: from operational poses to joint values, with what has been identified."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.control.placement import Placement, turns
 from fpcal_bayes.control.tasks import Task, follow_offsets
+from fpcal_bayes.control.validity import StaleEstimateWarning, read_now, stale_text
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.inverse import InverseModel, JointSolutions
@@ -29,6 +31,14 @@ class Controller:
         Of a cell with six joints; from a file, a posterior or the tracker.
     q
         Where the joints stand, shape (n_joints,), in um and rad; by default at zero.
+    now_h
+        Tells the time in hours since the campaign began; by default this machine's clock does, where the estimate
+        carries a clock time.
+
+    Warns
+    -----
+    StaleEstimateWarning
+        Once an estimate, when joint values are asked for after the time until which it is valid.
 
     Raises
     ------
@@ -36,7 +46,10 @@ class Controller:
         If the cell has other than six joints, or `q` lies outside its limits.
     """
 
-    def __init__(self, estimate: Estimate, q: Floats | None = None) -> None:
+    def __init__(
+        self, estimate: Estimate, q: Floats | None = None, *, now_h: Callable[[], float] | None = None
+    ) -> None:
+        self._now_h, self._told = now_h, False
         self._inverse = InverseModel(estimate.cell)
         self._load(estimate)
         self._q = self._checked(np.zeros(len(estimate.cell.joints)) if q is None else np.asarray(q, dtype=float))
@@ -95,6 +108,7 @@ class Controller:
         InputError
             If a pose is not finite or its rotation is not orthonormal.
         """
+        self._warn_if_stale()
         tools = self._placement.tool_poses(np.asarray(poses, dtype=float))
         return self._inverse.solve(self._vector, tools, near=self._q, follow=follow)
 
@@ -181,9 +195,20 @@ class Controller:
 
     def follow(self, name: str, offsets: Floats) -> Task:
         """Moves away from the aligned pose as a task, without going there (see `follow_offsets`)."""
+        self._warn_if_stale()
         return follow_offsets(self._estimate.cell, self._vector, name, offsets)
 
+    def _warn_if_stale(self) -> None:
+        if self._told:
+            return
+        now_h = read_now(None, self.estimate) if self._now_h is None else self._now_h()
+        text = stale_text(self.estimate, now_h)
+        if text is not None:
+            self._told = True
+            warnings.warn(text, StaleEstimateWarning, stacklevel=3)
+
     def _load(self, estimate: Estimate) -> None:
+        self._told = False
         self._estimate, self._vector = estimate, estimate.vector()
         self._placement = Placement.of(estimate.cell, self._vector)
 

@@ -23,9 +23,9 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.posterior_summary import PosteriorSummary, read_posterior_summary
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.decision import Costs, Decision
-from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
 from fpcal_bayes.track.horizon import Forecast, Goal
+from fpcal_bayes.track.likely_terms import likely_drift
 from fpcal_bayes.track.policy import decide_track
 from fpcal_bayes.track.record import resume
 from fpcal_bayes.track.sessions import check_sessions, hours_now, hours_of
@@ -228,7 +228,7 @@ def _follow(
     """All sessions followed, from where a saved track ends; or None, and why they cannot be."""
     limits = Limits()
     try:
-        drift = DriftModel.of(cell)
+        drift = likely_drift(cell, sweeps)
         known = None
         if campaign is not None and campaign.track is not None:
             known, _ = resume(campaign.track, cell, drift, limits, parts, str(path))

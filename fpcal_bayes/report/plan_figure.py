@@ -1,4 +1,6 @@
-"""A plan drawn in the workspace: which joints move, and from where to where."""
+"""Plans drawn: in the workspace, and their accuracy against the number of sweeps."""
+
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -8,6 +10,7 @@ from fpcal_bayes.model.cell import Cell
 
 # Okabe and Ito's colours.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
 
 
 def draw_plan(cell: Cell, sweeps: Sweeps) -> Figure:
@@ -28,8 +31,42 @@ def draw_plan(cell: Cell, sweeps: Sweeps) -> Figure:
                 markersize=3,
                 linewidth=1.2,
             )
-            axis.annotate(str(number + 1), (start[across], start[up]), fontsize=7, color=colour)
+            place = (start[across], start[up])
+            axis.annotate(str(number + 1), place, (3, 3), textcoords="offset points", fontsize=7, color=colour)
         axis.set_xlabel(f"q{across + 1} [{cell.joints[across].unit}]")
         axis.set_ylabel(f"q{up + 1} [{cell.joints[up].unit}]")
         axis.grid(alpha=0.3)
+    return figure
+
+
+def draw_accuracy(
+    found: Mapping[str, Mapping[int, Mapping[str, float]]], levels: Mapping[str, Mapping[str, float]]
+) -> Figure:
+    """Draw the accuracy of each task against the number of sweeps, a panel a task and a line a way of choosing them.
+
+    Parameters
+    ----------
+    found
+        Standard deviation of each task in um, by the way and the number of sweeps.
+    levels
+        What is drawn across for comparison, by its name.
+    """
+    tasks = list(next(iter(levels.values())))
+    figure = Figure(figsize=(2.9 * len(tasks), 3.4), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(tasks)))
+    for axis, task in zip(axes, tasks, strict=True):
+        for style, (name, sd) in zip(("--", ":"), levels.items(), strict=False):
+            axis.axhline(1e3 * sd[task], color="0.35", linestyle=style, linewidth=1.2, label=name)
+        for colour, marker, (name, of_way) in zip(_COLOURS, _MARKERS, found.items(), strict=False):
+            numbers = sorted(of_way)
+            sizes = [1e3 * of_way[n][task] for n in numbers]
+            axis.plot(numbers, sizes, color=colour, marker=marker, markersize=4, linewidth=1.3, label=name)
+        axis.set_xticks(sorted({n for of_way in found.values() for n in of_way}))
+        axis.set_yscale("log")
+        axis.set_title(task)
+        axis.set_xlabel("sweeps")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("expected standard deviation [nm]")
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return figure

@@ -52,6 +52,8 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
         "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
         **dict.fromkeys(_UNWATCHED, False),
         "distributed.admin.system-monitor.interval": "10s",
+        # A worker that dies is known by its connection; by the clock it would die when the clock is set.
+        "distributed.scheduler.worker-ttl": None,
     }
     # Workers that come and go are news to Dask; here they are expected.
     for name in ("distributed", "distributed.nanny", "distributed.scheduler", "tornado.application"):
@@ -64,7 +66,9 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
-                    dashboard_address=None,
+                    # No dashboard; the address keeps the server of its port apart from those of other studies.
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
                     silence_logs=logging.CRITICAL,
                     local_directory=folder,
                 )

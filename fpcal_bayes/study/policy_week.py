@@ -17,6 +17,7 @@ from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.study.base import Floats
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.likely_terms import likely_terms
 from fpcal_bayes.track.step import SessionOutcome, take_in
 from fpcal_bayes.track.tracker import calibrate
 
@@ -38,7 +39,7 @@ class Setting:
     hours
         Length of a week.
     model, drift, paper, limits
-        Made from the cell.
+        Made from the cell. The temperature is logged, so that the filter allows for its part (`likely_terms`).
     """
 
     cell: Cell
@@ -51,15 +52,20 @@ class Setting:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", CavityModel.of(self.cell))
-        object.__setattr__(self, "drift", DriftModel.of(self.cell))
+        object.__setattr__(self, "drift", likely_terms(DriftModel.of(self.cell)))
         object.__setattr__(self, "paper", paper_protocol(self.cell))
         object.__setattr__(self, "limits", Limits())
 
-    def measured(self, plan: Sweeps, time_h: float, values: Floats, *seed: int) -> Sweeps:
+    def measured(self, plan: Sweeps, time_h: float, values: Floats, temperature_c: float, *seed: int) -> Sweeps:
         """The sweeps of a plan, measured at a time; `values` are the truth then, shape (n_free,)."""
         number = int(np.random.default_rng([11, *seed]).integers(2**31))
         count = len(plan)
-        timed = replace(plan, session=np.full(count, f"h{time_h:08.2f}"), time_h=np.full(count, time_h))
+        timed = replace(
+            plan,
+            session=np.full(count, f"h{time_h:08.2f}"),
+            time_h=np.full(count, time_h),
+            temperature_c=np.full(count, temperature_c),
+        )
         truth = Truth(self.cell.free, np.array([time_h]), values[None])
         return simulate(self.cell, truth, timed, sigma=self.sigma, seed=number)
 
@@ -76,6 +82,8 @@ class DriftingWeek:
         In hours, shape (n_steps,).
     values
         Free parameters in um and rad, shape (n_steps, n_free).
+    temperature_c
+        Logged, shape (n_steps,).
     calibration
         What the first session gives.
     """
@@ -83,25 +91,34 @@ class DriftingWeek:
     seed: tuple[int, ...]
     times: Floats
     values: Floats
+    temperature_c: Floats
     calibration: SessionOutcome
 
     def at(self, time_h: float) -> Floats:
         """The truth at a time, shape (n_free,)."""
-        here: Floats = self.values[min(round(time_h / STEP), len(self.times) - 1)]
+        here: Floats = self.values[self._step(time_h)]
         return here
+
+    def temperature(self, time_h: float) -> float:
+        """What is logged at a time."""
+        return float(self.temperature_c[self._step(time_h)])
+
+    def _step(self, time_h: float) -> int:
+        return min(round(time_h / STEP), len(self.times) - 1)
 
 
 def simulate_week(setting: Setting, *seed: int, harder: bool = False) -> DriftingWeek:
     """A week that drifts as modelled, or a harder one that the policies know nothing of.
 
-    The harder week adds a day and night cycle of the mirror's and fibre's angles, two knocks, a steady rate of one
-    parameter, and one day on which nothing drifts.
+    The harder week adds a day and night cycle of the mirror's and fibre's angles by 0.005 deg per kelvin, two knocks, a
+    steady rate of one parameter, and one day on which nothing drifts.
     """
     cell, drift = setting.cell, setting.drift
     random = np.random.default_rng([7, *seed])
     times = STEP * np.arange(round(setting.hours / STEP) + 1, dtype=np.float64)
     steps = drift.walk * drift.scale * np.sqrt(STEP / 24.0) * random.standard_normal((len(times), len(cell.free)))
     steps[0] = 0.0
+    temperature = np.full(len(times), 20.0)
     if harder:
         quiet = 24.0 * random.integers(1, 8)
         steps[(times > quiet) & (times <= quiet + 24.0)] = 0.0
@@ -111,11 +128,11 @@ def simulate_week(setting: Setting, *seed: int, harder: bool = False) -> Driftin
             steps[int(knock / STEP)] += np.where(drift.extrinsic, size * random.choice([-1.0, 1.0], len(size)), 0.0)
         steady = np.array([p.name == "theta_et" for p in cell.free])
         steps += np.where(steady, np.radians(0.03) * STEP / 24.0, 0.0)
-        cycle = np.sin(2.0 * np.pi * times / 24.0)[:, None] * np.where(extrinsic_angle, np.radians(0.01), 0.0)
-        steps += np.diff(cycle, axis=0, prepend=0.0)
+        temperature = 20.0 + 2.0 * np.sin(2.0 * np.pi * times / 24.0)
+        steps += np.diff(temperature, prepend=20.0)[:, None] * np.where(extrinsic_angle, np.radians(0.005), 0.0)
     values: Floats = paper_truth(cell).at(0.0) + np.cumsum(steps, axis=0)
-    calibration, _, _ = calibrate(cell, drift, setting.measured(setting.paper, 0.0, values[0], *seed, 0))
-    return DriftingWeek(seed, times, values, calibration)
+    calibration, _, _ = calibrate(cell, drift, setting.measured(setting.paper, 0.0, values[0], 20.0, *seed, 0))
+    return DriftingWeek(seed, times, values, temperature, calibration)
 
 
 @dataclass
@@ -162,7 +179,7 @@ def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str
             break
         now = until
         if plan is not None:
-            sweeps = setting.measured(plan, now, week.at(now), *week.seed, len(run.times) + 1)
+            sweeps = setting.measured(plan, now, week.at(now), week.temperature(now), *week.seed, len(run.times) + 1)
             outcome = take_in(setting.drift, setting.model, setting.limits, outcome.state, outcome.monitor, sweeps)
             run.times.append(now)
             run.sweeps.append(len(plan))

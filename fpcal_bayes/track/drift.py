@@ -6,7 +6,7 @@ All parts are linear, and their transition over any time is exact.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,10 +53,14 @@ class DriftModel:
         The parameters that are followed.
     sizes
         One a parameter, in the same order.
+    hidden
+        Variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None
+        (see `hidden_noise`).
     """
 
     parameters: ParameterSet
     sizes: tuple[DriftSize, ...]
+    hidden: Floats | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
@@ -77,8 +81,8 @@ class DriftModel:
         return cls(parameters, tuple(known.get(name, DriftSize(name)) for name in parameters.names))
 
     def resized(self, change: Callable[[DriftSize], DriftSize]) -> "DriftModel":
-        """The same model with each size replaced by `change` of it."""
-        return replace(self, sizes=tuple(change(size) for size in self.sizes))
+        """The same model with each size replaced by `change` of it, without `hidden`."""
+        return replace(self, sizes=tuple(change(size) for size in self.sizes), hidden=None)
 
     @cached_property
     def n_parameters(self) -> int:
@@ -149,6 +153,8 @@ class DriftModel:
         n, days = self.n_parameters, hours / HOURS_PER_DAY
         matrix, noise = np.eye(self.n_states), np.zeros((self.n_states, self.n_states))
         noise[range(n), range(n)] = self.walk**2 * days
+        if self.hidden is not None:
+            noise[:n, :n] += self.hidden * days
         shift = np.zeros(self.n_states)
         shift[:n] = kelvin * np.array([size.temperature for size in self.sizes]) / self.scale
         at = n

@@ -4,6 +4,7 @@ Sweeps are chosen by `infer.planning`: those that leave the least expected error
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.consistency import HOURS_PER_WEEK, Limits
 from fpcal_bayes.track.decision import Costs, Decision, decide, measure_instead
 from fpcal_bayes.track.diagnosis import last_diagnosis, most_power, session_power, watched
-from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.drift import HOURS_PER_DAY, DriftModel
 from fpcal_bayes.track.filter import State
 from fpcal_bayes.track.horizon import Forecast, Goal
 from fpcal_bayes.track.task_sweeps import task_sweeps
@@ -27,8 +28,33 @@ Floats = NDArray[np.float64]
 
 #: Random sweeps to choose from, beside those of the calibration.
 _CANDIDATES = 300
+#: Random halves of the candidates among which a look at the robot is sought, beside the whole.
+_HALVES = 4
 #: Jumps of mirror and fibre that a look at the robot allows for, in units of `Limits.jump`.
 _NUISANCE = 3.0
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Sweeps to choose from, and their whitened rows by the scaled state, shape (1, n_candidates, 1, n_parameters)."""
+
+    candidates: Sweeps
+    rows: Floats
+
+    def take(self, which: NDArray[np.int64]) -> "_Pool":
+        """Some of them."""
+        return _Pool(self.candidates.take(which), self.rows[:, which])
+
+    def choose(self, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0) -> Sweeps:
+        """At most `n` that leave least unknown of the tasks."""
+        goals = {name: jacobian[None] for name, jacobian in tasks.items()}
+        count = min(n, len(self.candidates))
+        # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
+        # exchange each sweep is the best after those before it, as a session may end after any.
+        chosen = choose_sweeps(
+            self.candidates, self.rows, goals, count, covariance=covariance, criterion="I", passes=passes
+        )  # fmt: skip
+        return chosen.sweeps
 
 
 @dataclass(frozen=True)
@@ -81,12 +107,15 @@ class Policy:
 
     def choose(self, forecast: Forecast, state: State, n: int) -> Sweeps:
         """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
+        return self._choose_for_tasks(self._pool(forecast), forecast, state, n)
+
+    def _choose_for_tasks(self, pool: "_Pool", forecast: Forecast, state: State, n: int) -> Sweeps:
         m = self.drift.n_parameters
         tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
-        return self._choose(forecast, state.covariance[:m, :m], tasks, n)
+        return pool.choose(state.covariance[:m, :m], tasks, n)
 
     def choose_diagnosis(self, forecast: Forecast, state: State) -> Sweeps:
-        """The sweeps that leave least unknown of a jump of the intrinsic parameter that drifts most.
+        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most.
 
         Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
         """
@@ -94,24 +123,28 @@ class Policy:
         jump = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
         jump[at] = self.limits.jump(self.drift)[at]
         wide = state.covariance[:m, :m] + np.diag(jump**2)
-        # Together they see what no single one does: chosen by exchange.
-        return self._choose(forecast, wide, {"robot": np.eye(m)[at : at + 1]}, self.costs.diagnosis_sweeps, passes=5)
+        whole, n = self._pool(forecast), self.costs.diagnosis_sweeps
+        # Together they see what no single one does: chosen by exchange, which may end in a poor optimum. Of those in
+        # the whole pool and in random halves of it, the session of the greatest power is taken.
+        random, count = np.random.default_rng(0), len(whole.candidates)
+        pools = [whole, *(whole.take(random.permutation(count)[: max(n, count // 2)]) for _ in range(_HALVES))]
+        robot = {"robot": np.eye(m)[at : at + 1]}
+        found = [pool.choose(wide, robot, n, passes=5) for pool in pools]
+        return max(found, key=lambda sweeps: self._power(state, sweeps, HOURS_PER_DAY))
 
-    def _choose(
-        self, forecast: Forecast, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0
-    ) -> Sweeps:
+    def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:
+        """Probability that sweeps at the time of `state` show a jump of the watched parameter."""
+        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma))
+        found = session_power(self.drift, self.model, state, planned, hours, self.limits)
+        return float(found[watched(self.drift, self.limits)])
+
+    def _pool(self, forecast: Forecast) -> "_Pool":
+        """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
         near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
         candidates = join([near, self.candidates], file="candidates")
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma)
-        rows, goals = rows * self.drift.scale, {name: jacobian[None] for name, jacobian in tasks.items()}
-        count = min(n, len(candidates))
-        # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
-        # exchange each sweep is the best after those before it, as a session may end after any.
-        chosen = choose_sweeps(
-            candidates, rows, goals, count, covariance=covariance, criterion="I", passes=passes
-        )  # fmt: skip
-        return chosen.sweeps
+        return _Pool(candidates, rows * self.drift.scale)
 
     def decide(
         self,
@@ -173,8 +206,14 @@ class Policy:
     def _decide(
         self, forecast: Forecast, state: State, calibration_due: str | None, *, measure: bool = False
     ) -> Decision:
+        # All sessions of a decision are chosen for one estimate, from one pool, which is made if one is wanted.
+        pool = cache(lambda: self._pool(forecast))
+
+        def choose(same: Forecast, at: State, n: int) -> Sweeps:
+            return self._choose_for_tasks(pool(), same, at, n)
+
         return decide(
-            forecast, self.model, state, self.costs, self.choose, self.calibration, calibration_due, measure=measure
+            forecast, self.model, state, self.costs, choose, self.calibration, calibration_due, measure=measure
         )
 
     def _diagnose(self, decision: Decision, forecast: Forecast, state: State, diagnosed_h: float) -> Decision:
@@ -182,10 +221,9 @@ class Policy:
         sweeps = self.choose_diagnosis(forecast, state)
         if decision.sweeps is not None:
             sweeps = join([decision.sweeps, sweeps], file="candidates")
-        planned = sweeps.with_measurement(np.zeros(len(sweeps)), self.costs.sigma)
         hours = state.time_h - diagnosed_h
         at = watched(self.drift, self.limits)
-        found = session_power(self.drift, self.model, state, planned, hours, self.limits)[at]
+        found = self._power(state, sweeps, hours)
         most = most_power(self.drift, state, hours, self.limits)[at]
         parameter = self.drift.parameters[at]
         size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)

@@ -11,10 +11,12 @@ from fpcal_bayes.errors import InputError
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.track_record import TrackRecord
+from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.track.consistency import Limits, Monitor, Onset
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State, predict
+from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.sessions import session_sha256
 from fpcal_bayes.track.step import SessionOutcome
 from fpcal_bayes.track.tracker import Track
@@ -112,7 +114,7 @@ def resume(
     if kept == 0:
         return None, "the first session is not that of the saved track: all sessions are taken in anew"
     reason = "" if kept == len(hashes) else f"sessions after {track.outcomes[kept - 1].session} are taken in anew"
-    return Track(cell, drift, track.outcomes[:kept], track.status, kept, track.warnings), reason
+    return Track(cell, track.drift, track.outcomes[:kept], track.status, kept, track.warnings), reason
 
 
 def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
@@ -137,6 +139,8 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track, l
         logged = stated["temperature_c"]
         temperature = float("nan") if logged is None else float(logged)
         state = State(stated["time_h"], record.mean[i], record.covariance[i], temperature)
+        if not outcomes:
+            drift = with_hidden_noise(drift, CavityModel.of(cell, drift.parameters), state)
         predicted = predict(drift, outcomes[-1].state, state.time_h, temperature) if outcomes else state
         onsets = []
         for entry in stated["onsets"]:

@@ -20,6 +20,8 @@ from fpcal_bayes.notebook import html_table
 from fpcal_bayes.track.consistency import Limits, Monitor
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.hidden_noise import with_hidden_noise
+from fpcal_bayes.track.likely_terms import likely_drift
 from fpcal_bayes.track.linear_start import linear_start
 from fpcal_bayes.track.sessions import check_sessions, mean_temperature
 from fpcal_bayes.track.step import SessionOutcome, take_in
@@ -150,7 +152,7 @@ def track(
     sweeps
         Of all sessions, measured. The first session is the full calibration.
     drift
-        In place of the cell's own.
+        In place of the cell's own, to which `likely_drift` adds terms if a temperature is logged.
     limits
         Of the tests, by default `Limits()`.
     known
@@ -169,7 +171,7 @@ def track(
         If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
         calibration.
     """
-    drift = DriftModel.of(cell) if drift is None else drift
+    drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
     model = CavityModel.of(cell, drift.parameters)
@@ -181,6 +183,8 @@ def track(
         known = Track(cell, drift, (first,), status, 0, warnings)
     else:
         known = replace(known, resumed=len(known.outcomes))
+    drift = with_hidden_noise(drift, model, known.outcomes[0].state)
+    known = replace(known, drift=drift)
     outcomes = list(known.outcomes)
     for part in parts[len(outcomes) :]:
         before = outcomes[-1]

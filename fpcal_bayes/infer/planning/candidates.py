@@ -21,6 +21,8 @@ _AT_END, _AT_ZERO = 0.4, 0.15
 _SEVERAL, _WHOLE = 0.4, 0.6
 #: Shortest move, as a share of a joint's range.
 _SHORTEST = 0.1
+#: Least share of a joint's range that must be visible for the joint to be moved at all.
+_NARROWEST = 0.01
 _ROUNDS = 60
 #: Points of a sweep at which its cavity length is looked at.
 _POINTS = 9
@@ -123,14 +125,16 @@ def neighbours(
     steps = width * (high - low) * rng.standard_normal((2, *start.shape)) * varied
     new_start = np.clip(start + steps[0], low, high)
     new_end = np.where(moved, np.clip(end + steps[1], low, high), new_start)
-    long_enough = _long_enough(new_end - new_start, high - low)
-    good = long_enough & can_be_followed(model, values, new_start, new_end, limits)
+    good = long_enough(new_end - new_start, high - low)
+    good &= can_be_followed(model, values, new_start, new_end, limits)
     origin = np.repeat(np.arange(len(sweeps)), n_each)[good]
     return replace(sweeps.take(origin), q_start=new_start[good], q_end=new_end[good]), origin
 
 
 def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> tuple[Floats, Floats]:
     """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
+
+    A joint that can use less than a hundredth of its range stays where it is.
 
     Raises
     ------
@@ -139,7 +143,7 @@ def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> t
     """
     low, high = limits.ranges(model.cell)
     home = np.clip(0.0, low, high)
-    if not _tilts(model, values, home[None])[0] <= limits.tilt:
+    if not tilts(model, values, home[None])[0] <= limits.tilt:
         raise InputError(
             f"cell {model.cell.name!r}: the mirror stands more than {np.degrees(limits.tilt):g} deg off the optical "
             "axis with all joints at zero; expected a larger tilt limit"
@@ -149,13 +153,14 @@ def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> t
     for bound in (low, high):
         # One joint after the other leaves home: poses of shape (n_joints, n_steps, n_joints).
         moves = np.eye(len(home))[:, None] * share[:, None] * (bound - home)
-        tilts = _tilts(model, values, (home + moves).reshape(-1, len(home))).reshape(len(home), -1)
-        reached = np.logical_and.accumulate(tilts <= limits.tilt, axis=1).sum(axis=1) - 1
+        found = tilts(model, values, (home + moves).reshape(-1, len(home))).reshape(len(home), -1)
+        reached = np.logical_and.accumulate(found <= limits.tilt, axis=1).sum(axis=1) - 1
         ends.append(home + share[reached] * (bound - home))
-    return ends[0], ends[1]
+    narrow = ends[1] - ends[0] < _NARROWEST * (high - low)
+    return np.where(narrow, home, ends[0]), np.where(narrow, home, ends[1])
 
 
-def _tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
+def tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
     """Angle between mirror normal and optical axis at poses (n, n_joints), in rad, shape (n,)."""
     normals, _ = model.mirrors(values, q)
     axis = np.asarray(chain.optical_axis(model.cell, model.vector(values)), dtype=float)
@@ -170,7 +175,7 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
     along = np.linspace(0.0, 1.0, _POINTS)
     q = start[:, None] + (end - start)[:, None] * along[:, None]
     flat = q.reshape(-1, q.shape[-1])
-    visible = (_tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
+    visible = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
     lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
     fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
     slow = fringes <= limits.fringe_rate * limits.seconds(cell, end - start)
@@ -224,11 +229,11 @@ def _draw(
     first = np.where(whole, other, rng.uniform(low, high, (n, n_joints)))
     last = np.where(whole, low + high - first, rng.uniform(low, high, (n, n_joints)))
     start, end = np.where(moved, first, start), np.where(moved, last, start)
-    long_enough = _long_enough(end - start, high - low)
-    return start[long_enough], end[long_enough]
+    enough = long_enough(end - start, high - low)
+    return start[enough], end[enough]
 
 
-def _long_enough(moves: Floats, widths: Floats) -> Bools:
+def long_enough(moves: Floats, widths: Floats) -> Bools:
     """Whether one joint at least uses a fair part of its range; joints that cannot move do not count."""
     share = np.abs(moves) / np.where(widths > 0, widths, np.inf)
     result: Bools = share.max(axis=1) >= _SHORTEST

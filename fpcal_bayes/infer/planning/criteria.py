@@ -36,12 +36,24 @@ class Criterion:
         Value if each candidate, of all or among those at given positions, were added to those chosen, shape (n,).
     value
         Value of those chosen.
+    pull
+        What makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
+        that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls.
     """
 
     name: str
     design: Design
     if_added: Callable[[Sequence[int], Ints | None], Floats]
     value: Callable[[Sequence[int]], float]
+    pull: Callable[[Sequence[int]], tuple[Floats, Floats]]
+
+    def slope(self, chosen: Sequence[int]) -> Floats:
+        """Derivative of the value by the rows of those chosen, shape (n_draws, len(chosen), k, n)."""
+        rows, (directions, weights) = self.design.rows[:, list(chosen)], self.pull(chosen)
+        flat = rows.reshape(len(rows), -1, rows.shape[-1])
+        seen = (flat @ directions.transpose(0, 2, 1)) * weights[:, None]
+        result: Floats = (-2.0 * seen @ directions).reshape(rows.shape)
+        return result
 
 
 def worst_task(design: Design, reference: Floats) -> Criterion:
@@ -53,31 +65,59 @@ def worst_task(design: Design, reference: Floats) -> Criterion:
         mean: Floats = (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
         return mean
 
+    def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        roots = design.roots(chosen)
+        points = design.tasks @ roots
+        variance, draws = (points**2).sum(axis=-1), np.arange(len(roots))
+        of_task = [np.flatnonzero(design.task_of_point == task) for task in range(len(design.names))]
+        # Of each task the worst point alone counts, at each draw another one.
+        worst = np.stack([places[variance[:, places].argmax(axis=1)] for places in of_task], axis=1)
+        expected = variance[draws[:, None], worst].mean(axis=0)
+        ratio = expected / reference**2
+        share = (ratio / power_mean(expected)) ** (_POWER - 1.0) / reference**2 / len(roots)
+        directions = points[draws[:, None], worst] @ roots.transpose(0, 2, 1)
+        return directions, np.broadcast_to(share, worst.shape)
+
     return Criterion(
         "worst",
         design,
         lambda chosen, among: power_mean(design.if_added(chosen, among)[0]),
         lambda chosen: float(power_mean(design.expected_variance(chosen))),
+        pull,
     )
 
 
 def mean_task(design: Design, reference: Floats) -> Criterion:
     """Expected variance averaged over points and tasks, in units of `reference` squared (I-optimal)."""
+
+    def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        roots = design.roots(chosen)
+        share = 1.0 / (np.bincount(design.task_of_point) * reference**2 * len(reference) * len(roots))
+        weights = np.broadcast_to(share[design.task_of_point], design.tasks.shape[:2])
+        return design.tasks @ roots @ roots.transpose(0, 2, 1), weights
+
     return Criterion(
         "I",
         design,
         lambda chosen, among: (design.if_added(chosen, among, worst=False)[0] / reference**2).mean(axis=1),
         lambda chosen: float((design.expected_variance(chosen, worst=False) / reference**2).mean()),
+        pull,
     )
 
 
 def mean_parameter(design: Design, _: Floats) -> Criterion:
     """Expected variance averaged over the parameters, in prior units (A-optimal)."""
+
+    def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        roots = design.roots(chosen)
+        return roots @ roots.transpose(0, 2, 1), np.full(roots.shape[:2], 1.0 / roots.shape[0] / roots.shape[1])
+
     return Criterion(
         "A",
         design,
         lambda chosen, among: design.if_added(chosen, among, worst=False, whole_state=True)[0][:, 0],
         lambda chosen: float((design.roots(chosen) ** 2).sum(axis=(1, 2)).mean() / design.n_parameters),
+        pull,
     )
 
 
@@ -88,7 +128,11 @@ def volume(design: Design, _: Floats) -> Criterion:
         diagonal = np.diagonal(design.roots(chosen), axis1=1, axis2=2)
         return float(2.0 * np.log(np.abs(diagonal)).sum(axis=1).mean())
 
-    return Criterion("D", design, lambda chosen, among: value(chosen) - design.if_added(chosen, among)[1], value)
+    def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        roots = design.roots(chosen)
+        return roots.transpose(0, 2, 1), np.full(roots.shape[:2], 1.0 / len(roots))
+
+    return Criterion("D", design, lambda chosen, among: value(chosen) - design.if_added(chosen, among)[1], value, pull)
 
 
 def observability_index(design: Design, reference: Floats) -> Criterion:
@@ -126,7 +170,14 @@ def worst_direction(design: Design, _: Floats) -> Criterion:
         roots = part.roots(chosen)
         return float(np.mean([np.linalg.norm(basis @ root, 2) ** 2 for basis, root in zip(seen, roots, strict=True)]))
 
-    return Criterion("E", part, if_added, value)
+    def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        directions = []
+        for basis, root in zip(seen, part.roots(chosen), strict=True):
+            longest = np.linalg.svd(basis @ root)[0][:, 0]
+            directions.append(root @ (root.T @ (basis.T @ longest)))
+        return np.array(directions)[:, None], np.full((draws, 1), 1.0 / draws)
+
+    return Criterion("E", part, if_added, value, pull)
 
 
 #: Criteria by the name a user gives: worst task, mean over tasks, trace, determinant, largest eigenvalue, index O1.

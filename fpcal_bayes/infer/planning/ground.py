@@ -61,11 +61,18 @@ class Ground:
         sweeps
             A plan that is measured as a whole, or None for what is known without one.
         """
-        used = 1 if sweeps is None else len(sweeps)
+        each = self.sd_at_draws(sweeps, readings=readings, sigma=sigma)
+        return {name: float(np.sqrt(np.mean(sd**2))) for name, sd in each.items()}
+
+    def sd_at_draws(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, Floats]:
+        """Worst-point standard deviation of each task in um at each draw, shape (n_draws,) (see `expected_sd`)."""
         home = np.zeros((1, len(self.cell.joints)))
         design = self.design(Sweeps.make(home, home) if sweeps is None else sweeps, readings=readings, sigma=sigma)
-        variance = design.expected_variance(() if sweeps is None else range(used))
-        return dict(zip(design.names, np.sqrt(variance).tolist(), strict=True))
+        variance = design.task_variance(() if sweeps is None else range(len(sweeps)))
+        return {
+            name: np.sqrt(variance[:, design.task_of_point == task].max(axis=1))
+            for task, name in enumerate(design.names)
+        }
 
     def at_draws(self, chosen: NDArray[np.int64]) -> "Ground":
         """The same averaged over some of the draws, by position."""

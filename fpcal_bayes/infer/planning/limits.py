@@ -46,6 +46,8 @@ class SweepLimits:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and (value >= 0 if name == "settling" else value > 0)):
                 raise InputError(f"limit {name} of a sweep: expected a number above zero, found {value:g}")
+        if self.tilt >= np.pi / 2:
+            raise InputError(f"limit tilt of a sweep: expected less than 90 deg, found {np.degrees(self.tilt):g}")
 
     def ranges(self, cell: Cell) -> tuple[Floats, Floats]:
         """Lowest and highest value of each joint, shape (n_joints,) each."""

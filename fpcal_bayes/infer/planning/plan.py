@@ -10,12 +10,14 @@ from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer.planning.candidates import candidate_sweeps, neighbours, reverses
 from fpcal_bayes.infer.planning.choose import ChosenSweeps, chosen_sweeps, reference_of
 from fpcal_bayes.infer.planning.criteria import Criterion, criterion_by_name
+from fpcal_bayes.infer.planning.descend import descend
 from fpcal_bayes.infer.planning.design import Design
 from fpcal_bayes.infer.planning.exchange import exchange, greedy, most_useful_first
 from fpcal_bayes.infer.planning.ground import Ground
 from fpcal_bayes.infer.planning.limits import SweepLimits
 from fpcal_bayes.infer.planning.refine import WIDTHS, refine
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,7 +43,9 @@ class PlanSettings:
     passes
         Passes of the exchange.
     variations
-        Variations of each chosen sweep in a round of refinement; 0 keeps to the candidates.
+        Variations of each chosen sweep in a round of refinement.
+    iterations
+        Steps of the descent at the end; 0 of both keeps to the candidates.
     several
         Also move several joints of one controller at once.
     seed
@@ -57,6 +61,7 @@ class PlanSettings:
     share: int = 16
     passes: int = 1
     variations: int = 30
+    iterations: int = 100
     several: bool = True
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)
@@ -117,7 +122,7 @@ class Planner:
         return criterion_by_name(settings.criterion, design, self.reference)
 
     def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement.
+        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent.
 
         Raises
         ------
@@ -133,13 +138,25 @@ class Planner:
             chosen = exchange(criterion, greedy(criterion, n), passes=self.settings.passes)
             found.append(self._vary(self.candidates.take(np.array(chosen)), part, WIDTHS[::2]))
         if len(found) == 1:
-            return self._finished(found[0])
+            return self._finished(self._descended(found[0]))
         values = [self.judge(plan).value(range(n)) for plan in found]
         return self.refined(found[int(np.argmin(values))])
 
     def refined(self, sweeps: Sweeps) -> ChosenSweeps:
-        """Sweeps after refinement over all draws, the most useful first."""
-        return self._finished(self._vary(sweeps, self.ground, WIDTHS))
+        """Sweeps after refinement and descent over all draws, the most useful first."""
+        return self._finished(self._descended(self._vary(sweeps, self.ground, WIDTHS)))
+
+    def _descended(self, sweeps: Sweeps) -> Sweeps:
+        settings, cell = self.settings, self.ground.cell
+        return descend(
+            sweeps,
+            self.judge,
+            CavityModel.of(cell),
+            self._centre,
+            settings.limits,
+            several=settings.several,
+            iterations=settings.iterations,
+        )
 
     def _vary(self, sweeps: Sweeps, ground: Ground, widths: tuple[float, ...]) -> Sweeps:
         settings = self.settings

@@ -1,0 +1,66 @@
+"""Share of time in tolerance against sweeps spent: the curves of `policies.py --json`, a panel a file."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+#: Beginnings of the names that belong to one curve, and what it is called.
+FAMILIES = {
+    "q3 and q1 at joint zero every": "q3 and q1 at joint zero, fixed interval",
+    "q3 and q1 at the task every": "q3 and q1 at the task, fixed interval",
+    "4 chosen every": "4 chosen sweeps, fixed interval",
+    "ours": "policy",
+    "69 sweeps": "the paper's 69 sweeps every 8 h",
+    "q3 and q1 when": "when a circle fails",
+}
+
+
+def panel(axes: plt.Axes, content: dict[str, Any]) -> None:
+    """Curves of the first task, and dashed those of all tasks at once where there are several."""
+    tasks, policies = content["tasks"], content["policies"]
+    for number, (beginning, label) in enumerate(FAMILIES.items()):
+        found = sorted((p["sweeps"], p) for name, p in policies.items() if name.startswith(beginning))
+        shares = [(tasks[0], "-")] if len(tasks) == 1 else [*zip(tasks, (":",) * len(tasks), strict=True), ("all", "-")]
+        for share, style in shares if found else []:
+            sweeps = np.array([s for s, _ in found])
+            whole = share == shares[-1][0]
+            axes.errorbar(
+                sweeps,
+                [p[share] for _, p in found],
+                yerr=[p[f"{share}_error"] for _, p in found],
+                color=f"C{number}",
+                linestyle=style,
+                marker="o" if whole else ".",
+                alpha=1.0 if whole else 0.6,
+                label=label if whole else None,
+            )
+            if not whole:
+                axes.annotate(share, (sweeps[0], found[0][1][share]), fontsize=7, color=f"C{number}")
+    weeks = max(p["weeks"] for p in policies.values())
+    kind = "harder weeks" if content["harder"] else "weeks as modelled"
+    axes.set_title(f"up to {weeks} {kind}\n{', '.join(tasks)} within {content['tolerance_nm']:g} nm", fontsize=9)
+    axes.axhline(95.0, color="0.5", linewidth=0.8)
+    axes.set_xlabel("sweeps in 8 days")
+    axes.set_ylabel("share of time in tolerance [%]")
+    axes.legend(fontsize=7)
+
+
+def main() -> None:
+    """Draw the files that are named."""
+    made = argparse.ArgumentParser(description=__doc__)
+    made.add_argument("files", nargs="+", type=Path)
+    made.add_argument("-o", dest="output", type=Path, required=True, metavar="FIGURE.png")
+    options = made.parse_args()
+    figure, every = plt.subplots(1, len(options.files), figsize=(4.6 * len(options.files), 4.0), squeeze=False)
+    for axes, file in zip(every[0], options.files, strict=True):
+        panel(axes, json.loads(file.read_text()))
+    figure.tight_layout()
+    figure.savefig(options.output, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

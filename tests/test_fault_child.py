@@ -1,0 +1,40 @@
+"""What the study of faults takes for whole, begun or damaged."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_study import ToyStudy
+
+from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.study.runner import run_alone
+from fpcal_bayes.study.store import StudyStore, packed
+
+
+@pytest.fixture
+def is_part(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "studies"))
+    import fault_child
+
+    yield fault_child.is_part
+    sys.modules.pop("fault_child")
+
+
+def test_a_store_that_was_cut_short_is_part_of_the_whole_one(tmp_path, is_part):
+    study = ToyStudy(cell=load_cell())
+    whole, begun = tmp_path / "whole.h5", tmp_path / "begun.h5"
+    run_alone(study, StudyStore(whole, study), 3)
+    store = StudyStore(begun, study)
+    with store.appending(3) as appender:
+        appender.put(1, packed(study, study.replicate(1)))
+    assert is_part(begun, whole.read_bytes())
+    assert is_part(whole, whole.read_bytes())
+    assert not is_part(whole, begun.read_bytes())
+    np.testing.assert_array_equal(store.done(), [False, True, False])
+    wrong = bytearray(begun.read_bytes())
+    wrong[-3] ^= 1
+    begun.write_bytes(bytes(wrong))
+    assert not is_part(begun, whole.read_bytes())
+    begun.write_bytes(whole.read_bytes()[:-1])
+    assert not is_part(begun, whole.read_bytes())

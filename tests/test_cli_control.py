@@ -65,7 +65,9 @@ class TestControl:
         assert json.loads(Path("j.json").read_text())["warnings"] == []
         capsys.readouterr()
         run(*common, "--now", 33)
-        told = [line for line in capsys.readouterr().err.splitlines() if "was valid until 31.50 h, 1.50 h ago" in line]
+        told = [
+            line for line in capsys.readouterr().err.splitlines() if "was valid until 31.50 h, which has passed" in line
+        ]
         assert len(told) == 1
         assert len(json.loads(Path("j.json").read_text())["warnings"]) == 1
         assert "--now" in refusal(capsys, *common, "--now", "soon")

@@ -138,7 +138,7 @@ class TestStale:
             warnings.simplefilter("error")
             controller.move_to(controller.aligned)
         hours[0] = 33.0
-        with pytest.warns(StaleEstimateWarning, match=r"of 24.00 h was valid until 31.50 h, 1.50 h ago"):
+        with pytest.warns(StaleEstimateWarning, match=r"of 24.00 h was valid until 31.50 h, which has passed"):
             controller.move_to(controller.aligned)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

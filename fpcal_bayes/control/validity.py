@@ -2,10 +2,9 @@
 
 from datetime import UTC, datetime
 
-import numpy as np
-
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.times import clock, read_time
 
 
 class StaleEstimateWarning(UserWarning):
@@ -23,10 +22,9 @@ def hours_of_estimate(estimate: Estimate, moment: datetime) -> float | None:
         With its time zone.
     """
     try:
-        made = datetime.fromisoformat(str(estimate.data["utc"]))
+        made = clock(str(estimate.data["utc"]))
     except (KeyError, ValueError):
         return None
-    made = made if made.tzinfo is not None else made.replace(tzinfo=UTC)
     return estimate.time_h + (moment - made).total_seconds() / 3600.0
 
 
@@ -45,20 +43,10 @@ def read_now(text: str | None, estimate: Estimate) -> float | None:
     """
     if text is None:
         return hours_of_estimate(estimate, datetime.now(UTC))
-    try:
-        hours = float(text)
-    except ValueError:
-        pass
-    else:
-        if np.isfinite(hours):
-            return hours
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise InputError(
-            f"--now {text[:40]!r}: expected hours since the campaign began, or ISO 8601 as in 2024-05-01T08:30:00Z"
-        ) from error
-    found = hours_of_estimate(estimate, moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC))
+    given = read_time(text, "--now")
+    if isinstance(given, float):
+        return given
+    found = hours_of_estimate(estimate, given)
     if found is None:
         raise InputError(f"--now {text[:40]!r}: the estimate carries no clock time, expected hours")
     return found
@@ -78,7 +66,7 @@ def stale_text(estimate: Estimate, now_h: float | None) -> str | None:
         return None
     if now_h is not None and now_h > until:
         return (
-            f"the estimate of {estimate.time_h:.2f} h was valid until {until:.2f} h, {now_h - until:.2f} h ago: "
+            f"the estimate of {estimate.time_h:.2f} h was valid until {until:.2f} h, which has passed: "
             "measure, or ask fpcal decide"
         )
     if until <= estimate.time_h:

@@ -6,7 +6,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fpcal_bayes.report.tables import plain_table
-from fpcal_bayes.track.sessions import clock
+from fpcal_bayes.times import clock
 from fpcal_bayes.track.step import SessionOutcome
 from fpcal_bayes.track.tracker import Track, innovation_bounds
 

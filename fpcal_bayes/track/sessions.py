@@ -8,6 +8,7 @@ import numpy as np
 from fpcal_bayes.errors import InputError, located
 from fpcal_bayes.files import content_sha256
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.times import clock, read_time
 
 #: How far a clock may be ahead of this machine's.
 _CLOCK_SLACK_H = 0.1
@@ -72,12 +73,6 @@ def mean_temperature(sweeps: Sweeps) -> float:
     return float(logged.mean()) if len(logged) else float("nan")
 
 
-def clock(text: str) -> datetime:
-    """A clock time as ISO 8601 says it; without a zone it is UTC."""
-    time = datetime.fromisoformat(text)
-    return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
-
-
 def hours_of(text: str, sweeps: Sweeps) -> float:
     """A time that a user gives, in hours since the campaign began.
 
@@ -91,19 +86,9 @@ def hours_of(text: str, sweeps: Sweeps) -> float:
     InputError
         If the text is neither, or no session carries a clock time.
     """
-    try:
-        hours = float(text)
-    except ValueError:
-        pass
-    else:
-        if np.isfinite(hours):
-            return hours
-    try:
-        wanted = clock(text)
-    except ValueError as error:
-        raise InputError(
-            f"time {text[:40]!r}: expected hours since the campaign began, or ISO 8601 as in 2024-05-01T08:30:00Z"
-        ) from error
+    wanted = read_time(text)
+    if isinstance(wanted, float):
+        return wanted
     row = np.flatnonzero(sweeps.utc != "")
     if not len(row):
         raise InputError(f"{sweeps.file}: no row carries utc: expected the time {text[:40]!r} in hours")

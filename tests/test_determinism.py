@@ -1,10 +1,11 @@
 """Same inputs, seed and version: the same JSON, run after run and whatever the number of cores."""
 
-import importlib.util
+import importlib
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -22,11 +23,10 @@ QUICK = ("identify", "observe", "task-error", "control", "track")
 
 
 @pytest.fixture(scope="module")
-def study() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("determinism", STUDY)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(STUDY.parent))
+        yield importlib.import_module(STUDY.stem)
 
 
 @pytest.fixture(scope="module")

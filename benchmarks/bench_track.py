@@ -53,4 +53,4 @@ def test_week_of_24_sessions(benchmark: Any, sweeps: Sweeps) -> None:
 
 
 def test_smoother(benchmark: Any, week: Track) -> None:
-    assert len(benchmark(smooth, DRIFT, week.outcomes)) == 25
+    assert len(benchmark(smooth, DRIFT, week.outcomes).states) == 25

@@ -9,6 +9,7 @@ python studies/hold_time.py [--weeks N]
 """
 
 import argparse
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from fpcal_bayes.measure.truth import paper_tables, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import kelvin_between
 from fpcal_bayes.track.smoother import smooth
 from fpcal_bayes.track.tracker import Track, track
 from fpcal_bayes.week import measure_week
@@ -63,21 +63,13 @@ def walk_hours(weeks: int, *, intrinsic: bool) -> np.ndarray:
 
 def believed(found: Track) -> list[tuple[float, float, np.ndarray, np.ndarray]]:
     """From which day to which, the smoothed change of each parameter, and its sd, in um and rad."""
-    smoothed = smooth(found.drift, found.outcomes)
-    changes = []
-    for before, outcome, first, second in zip(
-        found.outcomes[:-1], found.outcomes[1:], smoothed[:-1], smoothed[1:], strict=True
-    ):
-        hours = second.time_h - first.time_h
-        kelvin = kelvin_between(before.state.temperature_c, outcome.state.temperature_c)
-        matrix = DRIFT.transition(hours, kelvin).matrix
-        gain = before.state.covariance @ matrix.T @ np.linalg.inv(outcome.predicted.covariance)
-        joint = gain @ second.covariance
-        covariance = first.covariance + second.covariance - joint - joint.T
-        sd = np.sqrt(np.clip(np.diag(covariance), 0.0, None))[: DRIFT.n_parameters] * DRIFT.scale
-        changes.append((first.time_h / 24.0, second.time_h / 24.0, DRIFT.values(second.mean - first.mean), sd))
-    nominal = DRIFT.parameters.nominal
-    return [(a, b, change - nominal, sd) for a, b, change, sd in changes]
+    smoothed, n, changes = smooth(found.drift, found.outcomes), DRIFT.n_parameters, []
+    for number, (first, second) in enumerate(pairwise(smoothed.states)):
+        mean, covariance = smoothed.change(number)
+        # Of a constant parameter rounding may leave a negative variance.
+        sd = np.sqrt(np.clip(np.diag(covariance)[:n], 0.0, None))
+        changes.append((first.time_h / 24.0, second.time_h / 24.0, mean[:n] * DRIFT.scale, sd * DRIFT.scale))
+    return changes
 
 
 def day_7() -> list[tuple[str, float, float, float, float]]:

@@ -177,7 +177,7 @@ class Tally:
         self.nis.append(np.array([(o.nis, o.dof) for o in after]))
         self.hours.append(np.array([o.time_h for o in after]))
         truth = week.truth.values[1:]
-        smoothed = smooth(found.drift, found.outcomes)[1:]
+        smoothed = smooth(found.drift, found.outcomes).states[1:]
         for name, states in (
             ("before", [o.predicted for o in after]),
             ("after", [o.state for o in after]),

@@ -1,5 +1,7 @@
 """The filter against exact joint conditioning, statsmodels and its own invariants."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -50,9 +52,10 @@ def run(drift, start, times, temperatures, rows):
     state = start
     for time, temperature, (z, h, r) in zip(times, temperatures, rows, strict=True):
         predicted = predict(drift, state, float(time), float(temperature))
-        taken = update(predicted, LinearMeasurement.of(z, h, r))
+        measurement = LinearMeasurement.of(z, h, r)
+        taken = update(predicted, measurement)
         state, total = taken.state, total + taken.innovation.log_likelihood
-        outcomes.append(outcome_of(predicted, state, drift))
+        outcomes.append(replace(outcome_of(predicted, state, drift), measurement=measurement))
     return outcomes, total
 
 
@@ -104,7 +107,7 @@ def test_filter_and_smoother_equal_joint_conditioning(seed):
     np.testing.assert_allclose(outcomes[-1].state.mean, means[-1], rtol=0, atol=1e-9)
     np.testing.assert_allclose(outcomes[-1].state.covariance, covariances[-1], rtol=0, atol=1e-9)
     assert total == pytest.approx(log_likelihood, abs=1e-9 * abs(log_likelihood))
-    for state, mean, covariance in zip(smooth(case[0], outcomes), means, covariances, strict=True):
+    for state, mean, covariance in zip(smooth(case[0], outcomes).states, means, covariances, strict=True):
         np.testing.assert_allclose(state.mean, mean, rtol=0, atol=1e-9)
         np.testing.assert_allclose(state.covariance, covariance, rtol=0, atol=1e-9)
 

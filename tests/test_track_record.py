@@ -11,7 +11,7 @@ from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.record import decisions_of, record_of, resume
 from fpcal_bayes.track.sessions import check_sessions
-from fpcal_bayes.track.smoother import smooth
+from fpcal_bayes.track.smoother import smooth, smooth_track
 from fpcal_bayes.track.tracker import track
 
 LIMITS = Limits()
@@ -89,18 +89,20 @@ def test_a_damaged_state_is_refused(saved, summary):
         resume(replace(saved, summary=summary), CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
 
 
-def test_the_smoother_knows_more_than_the_filter(whole):
-    smoothed = smooth(whole.drift, whole.outcomes)
-    for outcome, state in zip(whole.outcomes, smoothed, strict=True):
-        excess = np.linalg.eigvalsh(outcome.state.covariance - state.covariance)
-        assert excess.min() > -1e-6
-        assert state.time_h == outcome.time_h
-    np.testing.assert_allclose(smoothed[-1].mean, whole.last.state.mean, atol=1e-12)
+def test_a_resumed_track_is_smoothed_like_a_whole_one(saved, whole):
+    known, _ = resume(saved, CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
+    resumed = track(CELL, SWEEPS, known=known)
+    with pytest.raises(ValueError, match="session 's1' comes without its measurement"):
+        smooth(resumed.drift, resumed.outcomes)
+    found, expected = smooth_track(resumed, SWEEPS), smooth(whole.drift, whole.outcomes)
+    for one, other in zip(found.states, expected.states, strict=True):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
 def test_a_calibration_may_be_given(whole):
-    given = track(CELL, SWEEPS, calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
-    np.testing.assert_allclose(given.last.state.mean, whole.last.state.mean, atol=1e-6)
+    given = track(CELL, early("s1"), calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
+    np.testing.assert_allclose(given.last.state.mean, whole.outcomes[1].state.mean, atol=1e-6)
 
 
 def test_decisions_are_saved_with_the_track():

@@ -9,7 +9,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.report.campaign_facts import CampaignFacts, state_at
-from fpcal_bayes.track.smoother import smooth
+from fpcal_bayes.track.smoother import smooth_track
 from fpcal_bayes.track.tracker import Track
 
 Floats = NDArray[np.float64]
@@ -107,7 +107,7 @@ def history(facts: CampaignFacts) -> History | None:
         states.append((step.matrix @ state.mean + step.shift, np.diag(covariance)))
     scale = drift.scale / parameters.scales
     n = drift.n_parameters
-    smoothed = smooth(drift, followed.outcomes)
+    smoothed = smooth_track(followed, facts.sweeps).states
     return History(
         hours=hours,
         after=after,

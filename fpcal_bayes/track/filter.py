@@ -135,7 +135,7 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     temperature_c
         Logged at that time, or NaN: the temperature is then taken as unchanged.
     """
-    filtered = _kalman(state, 1)
+    filtered = kalman(state, 1)
     step = drift.transition(time_h - state.time_h, kelvin_between(state.temperature_c, temperature_c))
     filtered.predict(F=step.matrix, Q=step.noise, B=np.eye(drift.n_states), u=step.shift)
     known = state.temperature_c if np.isnan(temperature_c) else temperature_c
@@ -192,7 +192,7 @@ def update(state: State, measurement: Measurement) -> Update:
     # Linear in the state from here on: one exact update from the prediction.
     misfit = misfit + jacobian @ (mean - prior)
     rows, derivatives = equivalent_rows(misfit, jacobian)
-    filtered = _kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
+    filtered = kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
     filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
     after = replace(state, mean=prior + filtered.x, covariance=_symmetric(filtered.P))
     return Update(after, innovation, filtered.K, misfit, jacobian, converged)
@@ -209,7 +209,8 @@ def inflate(state: State, sd: Floats) -> State:
     return replace(state, covariance=state.covariance + np.diag(sd**2))
 
 
-def _kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
+def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
+    """A filter of filterpy that holds a state and takes in `n_rows` rows."""
     # filterpy takes a second to import: only commands that filter pay for it.
     from filterpy.kalman import KalmanFilter
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,9 @@ from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State, predict
 from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.sessions import session_sha256
+from fpcal_bayes.track.solutions import LOOKS
 from fpcal_bayes.track.step import SessionOutcome
-from fpcal_bayes.track.tracker import Track
+from fpcal_bayes.track.tracker import Track, calibration_measurement
 
 _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_likelihood", "converged")
 _ONSET = ("session", "hours", "age", "squared", "dof")
@@ -45,7 +46,8 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     summary = {
         "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
         "status": track.status,
-        "warnings": track.warnings,
+        "solutions": track.solutions,
+        "from_prior": track.outcomes[0].measurement is not None,
         "decisions": list(decisions),
     }
     return TrackRecord(
@@ -114,7 +116,13 @@ def resume(
     if kept == 0:
         return None, "the first session is not that of the saved track: all sessions are taken in anew"
     reason = "" if kept == len(hashes) else f"sessions after {track.outcomes[kept - 1].session} are taken in anew"
-    return Track(cell, track.drift, track.outcomes[:kept], track.status, kept, track.warnings), reason
+    if track.solutions > 1 and kept <= LOOKS:
+        return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
+    outcomes = track.outcomes[:kept]
+    if json.loads(record.summary).get("from_prior", False):
+        measurement = calibration_measurement(cell, drift, parts[0])
+        outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
+    return replace(track, outcomes=outcomes, resumed=kept), reason
 
 
 def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
@@ -162,4 +170,4 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track, l
     hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]
     if len(record.mean) != len(outcomes) or record.mean.shape[1] != drift.n_states:
         raise ValueError("its arrays do not fit its sessions")
-    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, tuple(summary["warnings"])), hashes
+    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary.get("solutions", 1))), hashes

@@ -1,16 +1,64 @@
-"""What all sessions together say about every time: the Rauch-Tung-Striebel smoother of filterpy."""
+"""What all sessions together say about every time: the Rauch-Tung-Striebel smoother of filterpy, iterated.
+
+The filter sees each session through derivatives at what was known then. Where later sessions move the means by much of
+a bend of the model, these derivatives are those of another place. So the rows are linearised again where all sessions
+together put the state, and smoothed again, until that place stays: the trajectory is then the maximum of its posterior
+(Gauss-Newton on the whole trajectory, Bell 1994, SIAM J. Optim. 4, 626). The rows of the calibration are among them,
+under the prior before it, where they are known.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import State, kelvin_between
-from fpcal_bayes.track.step import SessionOutcome
+from fpcal_bayes.track.filter import State, kalman, kelvin_between
+from fpcal_bayes.track.measurement import Measurement, equivalent_rows
+from fpcal_bayes.track.step import SessionOutcome, take_in
+
+if TYPE_CHECKING:
+    from fpcal_bayes.track.tracker import Track
+
+Floats = NDArray[np.float64]
+
+#: The iteration ends when a step is shorter than this, in standard deviations of what drives the trajectory.
+_STEP_TOLERANCE = 1e-2
+_MOST_STEPS = 30
+_MOST_HALVINGS = 10
+#: What rounding may add to the sum of squares.
+_ROUNDING = 1e-9
 
 
-def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> list[State]:
+@dataclass(frozen=True)
+class Smoothed:
+    """States given all sessions.
+
+    Attributes
+    ----------
+    states
+        After each session, in order of time.
+    gains
+        By which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero.
+    """
+
+    states: tuple[State, ...]
+    gains: Floats
+
+    def change(self, number: int) -> tuple[Floats, Floats]:
+        """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
+        first, second = self.states[number : number + 2]
+        joint = self.gains[number] @ second.covariance
+        return second.mean - first.mean, first.covariance + second.covariance - joint - joint.T
+
+
+def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     """States after each session given all sessions, in order of time.
 
     Widenings after a jump count as noise of the step before their session.
@@ -18,26 +66,208 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> list[State]
     Parameters
     ----------
     outcomes
-        From the calibration on, as `track` gives them.
-    """
-    from filterpy.kalman import KalmanFilter
+        From the calibration on, with their measurements, as `track` gives them when nothing is resumed. Without that of
+        the calibration its state is taken as it is.
 
-    states = [outcome.state for outcome in outcomes]
-    matrices, noises = [np.eye(drift.n_states)], [np.zeros((drift.n_states, drift.n_states))]
-    # A known temperature coefficient shifts the prediction: the smoother is run on what is left without the shifts.
-    shifts = [np.zeros(drift.n_states)]
-    for before, outcome in zip(states, outcomes[1:], strict=False):
-        now = outcome.predicted
-        kelvin = kelvin_between(before.temperature_c, now.temperature_c)
-        step = drift.transition(now.time_h - before.time_h, kelvin)
-        matrices.append(step.matrix)
-        noises.append(step.noise + np.diag(outcome.jump**2))
-        shifts.append(step.matrix @ shifts[-1] + step.shift)
-    means = np.array([state.mean - shift for state, shift in zip(states, shifts, strict=True)])
-    covariances = np.array([state.covariance for state in states])
-    # The method of the class uses the transition into each time; the function of the module does not.
-    smoothed, spread, _, _ = KalmanFilter(drift.n_states, 1).rts_smoother(means, covariances, matrices, noises)
-    return [
-        replace(state, mean=mean + shift, covariance=(covariance + covariance.T) / 2.0)
-        for state, mean, shift, covariance in zip(states, smoothed, shifts, spread, strict=True)
-    ]
+    Raises
+    ------
+    ValueError
+        If the measurement of a session is missing: see `smooth_track`.
+    """
+    if len(outcomes) == 1:
+        return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)))
+    course = _Course.of(drift, outcomes)
+    means = np.array([outcome.state.mean for outcome in outcomes]) - course.shifts
+    covariances = np.array([outcome.state.covariance for outcome in outcomes])
+    trajectory = course.smoothed(means, covariances)
+    cost = course.cost(trajectory)
+    for _ in range(_MOST_STEPS):
+        wanted = course.smoothed(*course.filtered(trajectory.means))
+        step = wanted.less(trajectory)
+        length = float(np.sqrt(course.squares(step)))
+        share = 1.0
+        for _ in range(_MOST_HALVINGS):
+            trial = trajectory.moved(step, share)
+            trial_cost = course.cost(trial)
+            if trial_cost <= cost + _ROUNDING * (1.0 + cost):
+                break
+            share /= 2.0
+        else:
+            break
+        trajectory, cost = replace(trial, covariances=wanted.covariances, gains=wanted.gains), trial_cost
+        if length < _STEP_TOLERANCE:
+            break
+    states = tuple(
+        replace(outcome.state, mean=mean, covariance=(covariance + covariance.T) / 2.0)
+        for outcome, mean, covariance in zip(
+            outcomes, trajectory.means + course.shifts, trajectory.covariances, strict=True
+        )
+    )
+    return Smoothed(states, trajectory.gains)
+
+
+def smooth_track(track: "Track", sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
+    """States after each session of a track given all sessions; see `smooth`.
+
+    Parameters
+    ----------
+    track
+        Also one that was taken up again.
+    sweeps
+        Of all its sessions.
+    limits
+        Of its tests, by default `Limits()`.
+    """
+    limits = Limits() if limits is None else limits
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
+    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+
+
+def with_measurements(
+    drift: DriftModel,
+    model: CavityModel,
+    limits: Limits,
+    outcomes: Sequence[SessionOutcome],
+    parts: Sequence[Sweeps],
+) -> list[SessionOutcome]:
+    """The outcomes with their measurements; sessions of an earlier run are read again for them.
+
+    Parameters
+    ----------
+    outcomes
+        From the calibration on.
+    parts
+        Sweeps of each session.
+    """
+    found = list(outcomes[:1])
+    for (before, outcome), part in zip(pairwise(outcomes), parts[1:], strict=False):
+        if outcome.measurement is None and outcome.n_sweeps:
+            again = take_in(drift, model, limits, before.state, before.monitor, part)
+            outcome = replace(outcome, measurement=again.measurement)
+        found.append(outcome)
+    return found
+
+
+@dataclass(frozen=True)
+class _Trajectory:
+    """States at all times, and what drives them there.
+
+    Attributes
+    ----------
+    means, covariances
+        Of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states, n_states).
+    pulls
+        The state before any session is start + covariance @ pull, and what the drift adds at each later time is
+        noise @ pull; shape (n_times, n_states).
+    gains
+        See `Smoothed`.
+    """
+
+    means: Floats
+    covariances: Floats
+    pulls: Floats
+    gains: Floats
+
+    def less(self, other: "_Trajectory") -> "_Trajectory":
+        """The way from `other` to this one."""
+        return replace(self, means=self.means - other.means, pulls=self.pulls - other.pulls)
+
+    def moved(self, step: "_Trajectory", share: float) -> "_Trajectory":
+        """A share of a way further on."""
+        return replace(self, means=self.means + share * step.means, pulls=self.pulls + share * step.pulls)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """The sessions, the steps between them, and where they start.
+
+    A known temperature coefficient shifts the prediction: all is done on what is left without the shifts.
+
+    Attributes
+    ----------
+    start
+        Before the first measurement.
+    matrices, noises
+        Of the step into each time, shape (n_times, n_states, n_states).
+    shifts
+        Sum of the known shifts up to each time, shape (n_times, n_states).
+    measurements
+        One a time, or None.
+    """
+
+    start: State
+    matrices: Floats
+    noises: Floats
+    shifts: Floats
+    measurements: list[Measurement | None]
+
+    @classmethod
+    def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":
+        """From the calibration on."""
+        n = drift.n_states
+        matrices, noises, shifts = [np.eye(n)], [np.zeros((n, n))], [np.zeros(n)]
+        for before, outcome in pairwise(outcomes):
+            if outcome.measurement is None and outcome.n_sweeps:
+                raise ValueError(f"session {outcome.session!r} comes without its measurement: expected it")
+            now = outcome.predicted
+            kelvin = kelvin_between(before.state.temperature_c, now.temperature_c)
+            step = drift.transition(now.time_h - before.state.time_h, kelvin)
+            matrices.append(step.matrix)
+            noises.append(step.noise + np.diag(outcome.jump**2))
+            shifts.append(step.matrix @ shifts[-1] + step.shift)
+        start = outcomes[0].state
+        if outcomes[0].measurement is not None:
+            # All states are in units of their prior.
+            start = replace(start, mean=np.zeros(n), covariance=np.eye(n))
+        measurements = [outcome.measurement for outcome in outcomes]
+        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), measurements)
+
+    def filtered(self, at: Floats) -> tuple[Floats, Floats]:
+        """Means and covariances after each session, its rows linearised at `at`, shape (n_times, n_states)."""
+        means, covariances = [], []
+        state = self.start
+        for matrix, noise, shift, point, measurement in self._sessions(at):
+            filtered = kalman(state, 1)
+            filtered.predict(F=matrix, Q=noise)
+            if measurement is not None:
+                misfit, jacobian = measurement.linearise(point + shift)
+                rows, derivatives = equivalent_rows(misfit + jacobian @ point, jacobian)
+                filtered.dim_z = len(rows)
+                filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+            state = replace(state, mean=filtered.x, covariance=(filtered.P + filtered.P.T) / 2.0)
+            means.append(state.mean)
+            covariances.append(state.covariance)
+        return np.array(means), np.array(covariances)
+
+    def smoothed(self, means: Floats, covariances: Floats) -> _Trajectory:
+        """The trajectory that follows from the states after each session."""
+        # The method of the class uses the transition into each time; the function of the module does not.
+        smoother = kalman(self.start, 1)
+        smoothed, spread, gains, predicted = smoother.rts_smoother(means, covariances, self.matrices, self.noises)
+        pulls = np.zeros_like(means)
+        expected = np.einsum("kij,kj->ki", self.matrices[1:], means[:-1])
+        pulls[1:] = np.linalg.solve(predicted[:-1], (smoothed[1:] - expected)[..., None])[..., 0]
+        pulls[0] = self.matrices[1].T @ pulls[1]
+        if self.measurements[0] is not None:
+            pulls[0] = np.linalg.solve(self.start.covariance, smoothed[0] - self.start.mean)
+        return _Trajectory(smoothed, spread, pulls, gains)
+
+    def squares(self, trajectory: _Trajectory) -> float:
+        """Sum of squares of what drives a trajectory, in its standard deviations."""
+        pulls = trajectory.pulls
+        noises = np.concatenate([self.start.covariance[None], self.noises[1:]])
+        return max(float(np.einsum("ki,kij,kj->", pulls, noises, pulls)), 0.0)
+
+    def _sessions(self, at: Floats) -> "zip[tuple[Floats, Floats, Floats, Floats, Measurement | None]]":
+        """Step, shift, a state and the measurement of each session; the step into the calibration is none."""
+        return zip(self.matrices, self.noises, self.shifts, at, self.measurements, strict=True)
+
+    def cost(self, trajectory: _Trajectory) -> float:
+        """Sum of squares of what drives the trajectory and of the rows."""
+        total = self.squares(trajectory)
+        for _, _, shift, point, measurement in self._sessions(trajectory.means):
+            if measurement is not None:
+                misfit = measurement.misfit(point + shift)
+                total += float(misfit @ misfit)
+        return total

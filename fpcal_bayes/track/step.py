@@ -1,6 +1,6 @@
 """One session: predict, take it in, judge it, and widen what has moved."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from fpcal_bayes.track.consistency import Finding, Limits, Monitor, Verdict, ext
 from fpcal_bayes.track.corrections import correct_slips, with_signs
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import Innovation, State, Update, inflate, kelvin_between, predict, update
-from fpcal_bayes.track.measurement import SweepMeasurement
+from fpcal_bayes.track.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.track.sessions import mean_temperature
 
 Floats = NDArray[np.float64]
@@ -46,6 +46,9 @@ class SessionOutcome:
         Before and after the session; the first holds no widening.
     monitor
         Memory of the tests after it.
+    measurement
+        The rows as they were taken in, signs decided and slips corrected; None if none were, or if the outcome is
+        read from a file.
     """
 
     session: str
@@ -63,6 +66,7 @@ class SessionOutcome:
     predicted: State
     state: State
     monitor: Monitor
+    measurement: Measurement | None = field(default=None, compare=False, repr=False)
 
 
 def take_in(
@@ -130,6 +134,7 @@ def take_in(
         predicted=predicted,
         state=taken.state,
         monitor=after,
+        measurement=measurement,
     )
 
 

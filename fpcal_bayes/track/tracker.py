@@ -20,16 +20,19 @@ from fpcal_bayes.notebook import html_table
 from fpcal_bayes.track.consistency import Limits, Monitor
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.following import follow_sessions
 from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.likely_terms import likely_drift
 from fpcal_bayes.track.linear_start import linear_start
+from fpcal_bayes.track.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.track.sessions import check_sessions, mean_temperature
-from fpcal_bayes.track.step import SessionOutcome, take_in
+from fpcal_bayes.track.solutions import likeliest, solutions_of
+from fpcal_bayes.track.step import SessionOutcome
 
 Floats = NDArray[np.float64]
 
 #: Posterior draws whose moments the filter starts from.
-_DRAWS = 500
+_DRAWS = 2000
 #: A first session that determines a smaller share of the free parameters is no calibration.
 _CALIBRATED = 0.6
 
@@ -48,8 +51,10 @@ class Track:
         Of each parameter after the calibration.
     resumed
         How many of the outcomes were taken over from an earlier run.
-    warnings
-        Sentences about the calibration.
+    solutions
+        How many the calibration has; see `track.solutions`.
+    data
+        Of the file that was followed.
     """
 
     cell: Cell
@@ -57,7 +62,7 @@ class Track:
     outcomes: tuple[SessionOutcome, ...]
     status: tuple[str, ...]
     resumed: int = 0
-    warnings: tuple[str, ...] = ()
+    solutions: int = 1
     data: dict[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -175,26 +180,29 @@ def track(
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
     model = CavityModel.of(cell, drift.parameters)
+    starts: tuple[tuple[SessionOutcome, float], ...] = ()
     if known is None and calibration is not None:
         status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
         known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
     elif known is None:
-        first, status, warnings = calibrate(cell, drift, parts[0], draws)
-        known = Track(cell, drift, (first,), status, 0, warnings)
+        first, status, starts = calibrate(cell, drift, parts[0], draws)
+        known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
     else:
         known = replace(known, resumed=len(known.outcomes))
-    drift = with_hidden_noise(drift, model, known.outcomes[0].state)
-    known = replace(known, drift=drift)
-    outcomes = list(known.outcomes)
-    for part in parts[len(outcomes) :]:
-        before = outcomes[-1]
-        outcomes.append(take_in(drift, model, limits, before.state, before.monitor, part))
-    return replace(known, outcomes=tuple(outcomes))
+    first = known.outcomes[0]
+    hidden = with_hidden_noise(drift, model, first.state)
+    outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
+    if starts:
+        chosen = likeliest(drift, model, limits, outcomes, starts, parts)
+        if chosen is not first:
+            hidden = with_hidden_noise(drift, model, chosen.state)
+            outcomes = follow_sessions(hidden, model, limits, [chosen], parts)
+    return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
 
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
-) -> tuple[SessionOutcome, tuple[str, ...], tuple[str, ...]]:
+) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
     """Identify all parameters from the first session.
 
     Parameters
@@ -205,17 +213,15 @@ def calibrate(
     Returns
     -------
     tuple
-        The outcome of the session, the status of each parameter, and warnings.
+        The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
+        from each of them alone and its share of the posterior.
 
     Raises
     ------
     InputError
         If the sweeps determine too little to be a calibration.
     """
-    found = identify(cell, sweeps, free=drift.parameters.names)
-    warnings: tuple[str, ...] = ()
-    if found.fit.p_value < POOR_FIT_BELOW:
-        found, warnings = _without_slips(cell, drift, found)
+    found, warnings = _identified(cell, drift, sweeps)
     free = len(drift.parameters)
     if found.spectrum.rank < _CALIBRATED * free:
         raise InputError(
@@ -223,14 +229,30 @@ def calibrate(
             f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
             "to be a full calibration"
         )
-    outcome = start(drift, _linear(found, draws), sweeps, found.converged)
-    rows = len(found.problem.sweeps)
-    # The calibration's own innovation is its sum of squares against the prior.
-    squared = found.solution.sum_of_squares
-    outcome = replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=warnings + found.warnings)
+    measurement = _measurement(drift, found) if draws is None else None
+    draws = _draws_of(found) if draws is None else draws
+
+    def outcome_of(estimate: Estimate, measurement: Measurement | None) -> SessionOutcome:
+        rows = len(found.problem.sweeps)
+        # The calibration's own innovation is its sum of squares against the prior.
+        squared = found.solution.sum_of_squares
+        outcome = start(drift, estimate, sweeps, found.converged)
+        said = warnings + found.warnings
+        return replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, measurement=measurement)
+
+    usable = found.converged and len(draws) > 0
+    together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate
+    alone = solutions_of(found, draws) if usable else ()
     gauge = found.spectrum.null_share > GAUGE_SHARE
     status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
-    return outcome, status, ()
+    # Rows linearised at one point say nothing of a second solution.
+    first = outcome_of(together, None if alone else measurement)
+    return first, status, tuple((outcome_of(one.estimate, measurement), one.share) for one in alone)
+
+
+def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:
+    """The rows of a calibration as `calibrate` takes them in, for its outcome."""
+    return _measurement(drift, _identified(cell, drift, sweeps)[0])
 
 
 def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:
@@ -256,12 +278,23 @@ def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool
     )
 
 
-def _linear(found: Identification, draws: Floats | None) -> Estimate:
-    """The estimate that the filter starts from; the maximum with its Laplace covariance where there are no draws."""
-    if not found.converged:
-        return found.estimate
-    draws = independent_draws(found, _DRAWS) if draws is None else draws
-    return linear_start(found.estimate, draws, found.problem.sweeps) if len(draws) else found.estimate
+def _identified(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[Identification, tuple[str, ...]]:
+    """The calibration, slips of its fringe counts corrected, and warnings about them."""
+    found = identify(cell, sweeps, free=drift.parameters.names)
+    return _without_slips(cell, drift, found) if found.fit.p_value < POOR_FIT_BELOW else (found, ())
+
+
+def _measurement(drift: DriftModel, found: Identification) -> Measurement | None:
+    """The rows of a calibration by which a trajectory can begin at the prior; None where that is not normal."""
+    problem = found.problem
+    if not found.converged or problem.prior.others or problem.considered is not None:
+        return None
+    return SweepMeasurement(drift, problem.model, problem.rows, problem.target, problem.whitening)
+
+
+def _draws_of(found: Identification) -> Floats:
+    """Draws of the posterior; none where the fit did not converge."""
+    return independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
 
 
 def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:

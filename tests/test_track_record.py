@@ -91,9 +91,9 @@ def test_a_damaged_state_is_refused(saved, summary):
 
 def test_a_resumed_track_is_smoothed_like_a_whole_one(saved, whole):
     known, _ = resume(saved, CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
-    resumed = track(CELL, SWEEPS, known=known)
     with pytest.raises(ValueError, match="session 's1' comes without its measurement"):
-        smooth(resumed.drift, resumed.outcomes)
+        smooth(known.drift, known.outcomes)
+    resumed = track(CELL, SWEEPS, known=known)
     found, expected = smooth_track(resumed, SWEEPS), smooth(whole.drift, whole.outcomes)
     for one, other in zip(found.states, expected.states, strict=True):
         np.testing.assert_array_equal(one.mean, other.mean)

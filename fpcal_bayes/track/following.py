@@ -4,7 +4,8 @@ An update leaves the rows of its session linearised where the state was then. Wh
 state through a bend of the model, what that linearisation says of the place where the state ends is off, and the filter
 claims more than it knows. So after the second session, the fourth, the eighth, and so on, the state becomes the last
 one of the iterated smoother: all sessions linearised again where they lead together. As the intervals double, that
-costs a few smoothings' worth in all.
+costs a few smoothings' worth in all. After a jump was allowed for the state is wide again: then each of the next
+sessions is followed by a look, and the count begins anew.
 """
 
 from collections.abc import Sequence
@@ -17,8 +18,10 @@ from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.smoother import smooth, with_measurements
 from fpcal_bayes.track.step import SessionOutcome, take_in
 
-#: After this many sessions the state no longer moves far, and looking at all again would take long.
-_LAST_LOOK = 64
+#: So many sessions are looked at again, at most: what was before hardly moves the state any more.
+_MOST_SESSIONS = 64
+#: So many sessions after a jump each is followed by such a look.
+_AFTER_JUMP = 8
 
 
 def follow_sessions(
@@ -41,8 +44,18 @@ def follow_sessions(
     for part in parts[len(outcomes) :]:
         before = outcomes[-1]
         outcomes.append(take_in(drift, model, limits, before.state, before.monitor, part))
-        sessions = len(outcomes) - 1
-        if 1 < sessions <= _LAST_LOOK and sessions.bit_count() == 1:
+        if _is_due(outcomes):
             outcomes = with_measurements(drift, model, limits, outcomes, parts)
-            outcomes[-1] = replace(outcomes[-1], state=smooth(drift, outcomes).states[-1])
+            recent = outcomes[-_MOST_SESSIONS:]
+            if len(recent) < len(outcomes):
+                recent[0] = replace(recent[0], measurement=None)
+            outcomes[-1] = replace(outcomes[-1], state=smooth(drift, recent).states[-1])
     return outcomes
+
+
+def _is_due(outcomes: Sequence[SessionOutcome]) -> bool:
+    """Whether the sessions are to be looked at again."""
+    count = len(outcomes) - 1
+    alarms = [number for number, outcome in enumerate(outcomes) if outcome.jump.any()]
+    since = count - alarms[-1] if alarms else 0
+    return count > 1 and (count.bit_count() == 1 or 0 < since <= _AFTER_JUMP or since.bit_count() == 1)

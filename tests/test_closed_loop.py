@@ -10,12 +10,13 @@ from fpcal_bayes.control.tasks import task_path
 from fpcal_bayes.errors import InputError
 from fpcal_bayes.infer.task_error import peak_to_peak, task_errors
 from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.closed_loop import run_policy, task_peaks
 from fpcal_bayes.track.decision import Costs
 from fpcal_bayes.track.horizon import Goal
 from fpcal_bayes.track.policy import Policy
-from fpcal_bayes.track.tracker import calibrate
+from fpcal_bayes.track.tracker import calibrate, track
 
 MODEL = CavityModel.of(CELL)
 TRUTH, SWEEPS = campaign(3, sessions=8, hours=1.0)
@@ -48,6 +49,14 @@ def test_sessions_come_when_they_were_planned():
         assert decision.now.exceeds(0.05) <= 0.1 < decision.at_horizon.exceeds(0.05)
     peaks = task_peaks(MODEL, TRUTH, held(loop), ("circle",), np.arange(0.0, 6.0, 0.1))
     assert (peaks <= 0.05).mean() > 0.9
+
+
+def test_the_filter_is_that_of_a_track_of_the_same_sessions():
+    loop = run(Costs(most_sweeps=2, sigma=SIGMA))
+    found = track(CELL, join([SWEEPS.of_session("day0"), *loop.sweeps], file="campaign"))
+    for one, other in zip(loop.outcomes, found.outcomes, strict=True):
+        np.testing.assert_array_equal(one.state.mean, other.state.mean)
+        np.testing.assert_array_equal(one.state.covariance, other.state.covariance)
 
 
 def held(loop):

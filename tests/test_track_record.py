@@ -1,5 +1,6 @@
 """A track saved and taken up again."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,8 @@ from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.record import decisions_of, record_of, resume
 from fpcal_bayes.track.sessions import check_sessions
-from fpcal_bayes.track.smoother import smooth, smooth_track
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.track.smoother import smooth
+from fpcal_bayes.track.tracker import smooth_track, track
 
 LIMITS = Limits()
 SWEEPS = campaign(5, sessions=7, change=knock(np.random.default_rng(0)), changed=3)[1]
@@ -83,7 +84,7 @@ def test_a_state_of_another_cell_is_refused(saved):
         resume(saved, other, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
 
 
-@pytest.mark.parametrize("summary", ["[]", "{}", "not JSON", '{"sessions": [1], "status": [], "warnings": []}'])
+@pytest.mark.parametrize("summary", ["[]", "{}", "not JSON", '{"sessions": [1], "status": [], "solutions": 1}'])
 def test_a_damaged_state_is_refused(saved, summary):
     with pytest.raises(InputError, match="file: the saved track cannot be read"):
         resume(replace(saved, summary=summary), CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")
@@ -114,3 +115,13 @@ def test_decisions_are_saved_with_the_track():
     assert decisions_of(plain) == []
     for damaged in ("[]", "not JSON", '{"decisions": 3}', '{"decisions": [3]}'):
         assert decisions_of(replace(plain, summary=damaged)) == []
+
+
+def test_a_track_of_an_older_version_is_taken_in_anew(saved):
+    summary = json.loads(saved.summary)
+    del summary["solutions"]
+    known, note = resume(
+        replace(saved, summary=json.dumps(summary)), CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file"
+    )
+    assert known is None
+    assert note == "the track was saved by an older version: all sessions are taken in anew"

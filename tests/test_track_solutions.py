@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, plan
 
+from fpcal_bayes.infer.estimate_draws import independent_draws
+from fpcal_bayes.infer.identify import identify
 from fpcal_bayes.infer.planning.candidates import candidate_sweeps
 from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import join
@@ -77,3 +79,30 @@ def test_a_saved_track_is_not_taken_up_before_its_solutions_are_compared(told):
     assert SESSIONS < LOOKS
     assert known is None
     assert note == "its calibration has 2 solutions: all of its first sessions are taken in anew"
+
+
+def test_nothing_new_leaves_the_saved_track_as_it_is(told):
+    early = told.take(np.isin(told.session, ["day0", "s1"]))
+    saved = record_of(track(CELL, early), early, LIMITS)
+    known, note = resume(saved, CELL, DRIFT, LIMITS, check_sessions(early), "file")
+    assert note == ""
+    assert known.solutions == 2
+    assert len(known.outcomes) == 2
+
+
+def test_a_slip_that_nobody_noticed_takes_over_no_solution():
+    """It drags every solution away; the alarms of each are no evidence for another."""
+    sweeps = ambiguous(18)
+    slipped = np.flatnonzero(sweeps.session == "s1")[0]
+    dl = sweeps.dl.copy()
+    dl[slipped] -= CELL.wavelength / 2.0
+    found = track(CELL, sweeps.with_measurement(dl, sweeps.sigma))
+    assert found.solutions == 2
+    assert not any("which one holds" in text for text in found.outcomes[0].warnings)
+
+
+def test_draws_that_are_given_are_followed_as_they_are(told):
+    draws = independent_draws(identify(CELL, told.of_session("day0")), 500)
+    found = track(CELL, told, draws=draws)
+    assert found.solutions == 1
+    assert found.outcomes[0].measurement is None

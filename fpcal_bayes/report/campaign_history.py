@@ -9,8 +9,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.report.campaign_facts import CampaignFacts, state_at
-from fpcal_bayes.track.smoother import smooth_track
-from fpcal_bayes.track.tracker import Track
+from fpcal_bayes.track.tracker import Track, smooth_track
 
 Floats = NDArray[np.float64]
 

@@ -17,6 +17,8 @@ from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.study.base import Floats
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.following import looked_at_again
+from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.likely_terms import likely_terms
 from fpcal_bayes.track.step import SessionOutcome, take_in
 from fpcal_bayes.track.tracker import calibrate
@@ -162,6 +164,7 @@ Rule = Callable[[SessionOutcome, float, DriftingWeek], tuple[float, Sweeps | Non
 def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str]) -> Run:
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
     outcome, now, spent = week.calibration, 0.0, 0.0
+    outcomes, drift = [outcome], with_hidden_noise(setting.drift, setting.model, outcome.state)
     run = Run([], [], np.zeros((len(tasks), len(week.times))))
     while True:
         began = time.perf_counter()
@@ -180,7 +183,8 @@ def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str
         now = until
         if plan is not None:
             sweeps = setting.measured(plan, now, week.at(now), week.temperature(now), *week.seed, len(run.times) + 1)
-            outcome = take_in(setting.drift, setting.model, setting.limits, outcome.state, outcome.monitor, sweeps)
+            outcomes.append(take_in(drift, setting.model, setting.limits, outcome.state, outcome.monitor, sweeps))
+            outcome = outcomes[-1] = looked_at_again(drift, outcomes)
             run.times.append(now)
             run.sweeps.append(len(plan))
     run.decision_s = spent

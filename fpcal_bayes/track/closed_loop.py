@@ -5,7 +5,7 @@ afterwards, by the estimates that the controller held and a truth that is known 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.decision import Decision
 from fpcal_bayes.track.diagnosis import is_diagnosis
+from fpcal_bayes.track.following import looked_at_again
+from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.horizon import Forecast
 from fpcal_bayes.track.policy import Policy
 from fpcal_bayes.track.step import SessionOutcome, take_in
@@ -71,6 +73,7 @@ def run_policy(
     InputError
         If the tolerance cannot be met.
     """
+    policy = replace(policy, drift=with_hidden_noise(policy.drift, policy.model, start.state))
     outcomes = [start]
     measured: list[Sweeps] = []
     decisions: list[Decision] = []
@@ -89,6 +92,7 @@ def run_policy(
         assert decision.sweeps is not None
         taken = measure(decision.sweeps, now)
         outcomes.append(take_in(policy.drift, policy.model, policy.limits, last.state, last.monitor, taken))
+        outcomes[-1] = looked_at_again(policy.drift, outcomes)
         measured.append(taken)
         decisions.append(decision)
         if is_diagnosis(policy.drift, policy.model, last, outcomes[-1], taken, policy.limits):

@@ -139,7 +139,7 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     step = drift.transition(time_h - state.time_h, kelvin_between(state.temperature_c, temperature_c))
     filtered.predict(F=step.matrix, Q=step.noise, B=np.eye(drift.n_states), u=step.shift)
     known = state.temperature_c if np.isnan(temperature_c) else temperature_c
-    return State(time_h, filtered.x, _symmetric(filtered.P), known)
+    return State(time_h, filtered.x, symmetric(filtered.P), known)
 
 
 def kelvin_between(before: float, after: float) -> float:
@@ -194,7 +194,7 @@ def update(state: State, measurement: Measurement) -> Update:
     rows, derivatives = equivalent_rows(misfit, jacobian)
     filtered = kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
     filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
-    after = replace(state, mean=prior + filtered.x, covariance=_symmetric(filtered.P))
+    after = replace(state, mean=prior + filtered.x, covariance=symmetric(filtered.P))
     return Update(after, innovation, filtered.K, misfit, jacobian, converged)
 
 
@@ -226,6 +226,7 @@ def _factor(jacobian: Floats, covariance: Floats) -> Floats:
     return result
 
 
-def _symmetric(matrix: Floats) -> Floats:
+def symmetric(matrix: Floats) -> Floats:
+    """A matrix without the skew part that rounding leaves."""
     result: Floats = (matrix + matrix.T) / 2.0
     return result

@@ -5,7 +5,7 @@ state through a bend of the model, what that linearisation says of the place whe
 claims more than it knows. So after the second session, the fourth, the eighth, and so on, the state becomes the last
 one of the iterated smoother: all sessions linearised again where they lead together. As the intervals double, that
 costs a few smoothings' worth in all. After a jump was allowed for the state is wide again: then each of the next
-sessions is followed by a look, and the count begins anew.
+sessions is followed by a look, and a second count begins.
 """
 
 from collections.abc import Sequence
@@ -45,12 +45,30 @@ def follow_sessions(
         before = outcomes[-1]
         outcomes.append(take_in(drift, model, limits, before.state, before.monitor, part))
         if _is_due(outcomes):
-            outcomes = with_measurements(drift, model, limits, outcomes, parts)
-            recent = outcomes[-_MOST_SESSIONS:]
-            if len(recent) < len(outcomes):
-                recent[0] = replace(recent[0], measurement=None)
-            outcomes[-1] = replace(outcomes[-1], state=smooth(drift, recent).states[-1])
+            first = max(0, len(outcomes) - _MOST_SESSIONS)
+            outcomes[first:] = with_measurements(drift, model, limits, outcomes[first:], parts[first:])
+            outcomes[-1] = looked_at_again(drift, outcomes)
     return outcomes
+
+
+def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
+    """The last outcome; where a look is due, with the state to which the sessions lead together.
+
+    Parameters
+    ----------
+    drift
+        With its `hidden` noise.
+    outcomes
+        From the calibration on, with the measurements of the last sessions.
+    """
+    last = outcomes[-1]
+    if not _is_due(outcomes):
+        return last
+    recent = list(outcomes[-_MOST_SESSIONS:])
+    if len(recent) < len(outcomes):
+        recent[0] = replace(recent[0], measurement=None)
+    smoothed = smooth(drift, recent)
+    return replace(last, state=smoothed.states[-1]) if smoothed.converged else last
 
 
 def _is_due(outcomes: Sequence[SessionOutcome]) -> bool:

@@ -12,7 +12,8 @@ so that the covariance of T(x) dx over x ~ N(m, P) and dx ~ N(0, Q) is, to first
     Q + sum over columns s of the root of P of B(s) Q B(s)',    B(s) = T(m + s) - 1.
 
 The sum is the mixed term of a second-order filter (Jazwinski 1970, section 9.3). Its other terms, of P with itself,
-are no part of it: the start of the filter holds them already (see `linear_start`).
+are no part of it: the start of the filter holds them (see `linear_start`), and later sessions are linearised where they
+lead (see `following`).
 """
 
 from dataclasses import replace

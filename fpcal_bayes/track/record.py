@@ -108,6 +108,8 @@ def resume(
         track, hashes = _track(record, cell, drift)
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: the saved track cannot be read ({error}); give --anew to replace it") from error
+    if track is None:
+        return None, "the track was saved by an older version: all sessions are taken in anew"
     kept = 0
     for stated, part in zip(hashes, parts, strict=False):
         if stated != [str(part.session[0]), session_sha256(part)]:
@@ -116,10 +118,11 @@ def resume(
     if kept == 0:
         return None, "the first session is not that of the saved track: all sessions are taken in anew"
     reason = "" if kept == len(hashes) else f"sessions after {track.outcomes[kept - 1].session} are taken in anew"
-    if track.solutions > 1 and kept <= LOOKS:
+    nothing_new = kept == len(hashes) == len(parts)
+    if track.solutions > 1 and kept <= LOOKS and not nothing_new:
         return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
     outcomes = track.outcomes[:kept]
-    if json.loads(record.summary).get("from_prior", False):
+    if json.loads(record.summary)["from_prior"]:
         measurement = calibration_measurement(cell, drift, parts[0])
         outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
     return replace(track, outcomes=outcomes, resumed=kept), reason
@@ -139,8 +142,10 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
     }
 
 
-def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track, list[list[str]]]:
+def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
     summary = json.loads(record.summary)
+    if "sessions" in summary and "solutions" not in summary:
+        return None, []
     outcomes: list[SessionOutcome] = []
     at = 0
     for i, stated in enumerate(summary["sessions"]):
@@ -170,4 +175,4 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track, l
     hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]
     if len(record.mean) != len(outcomes) or record.mean.shape[1] != drift.n_states:
         raise ValueError("its arrays do not fit its sessions")
-    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary.get("solutions", 1))), hashes
+    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"])), hashes

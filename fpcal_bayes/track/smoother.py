@@ -10,7 +10,6 @@ under the prior before it, where they are known.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +18,15 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import State, kalman, kelvin_between
+from fpcal_bayes.track.filter import State, kalman, kelvin_between, symmetric
 from fpcal_bayes.track.measurement import Measurement, equivalent_rows
 from fpcal_bayes.track.step import SessionOutcome, take_in
-
-if TYPE_CHECKING:
-    from fpcal_bayes.track.tracker import Track
 
 Floats = NDArray[np.float64]
 
 #: The iteration ends when a step is shorter than this, in standard deviations of what drives the trajectory.
 _STEP_TOLERANCE = 1e-2
-_MOST_STEPS = 30
+_MOST_STEPS = 60
 _MOST_HALVINGS = 10
 #: What rounding may add to the sum of squares.
 _ROUNDING = 1e-9
@@ -46,10 +42,13 @@ class Smoothed:
         After each session, in order of time.
     gains
         By which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero.
+    converged
+        Whether the iteration came to rest.
     """
 
     states: tuple[State, ...]
     gains: Floats
+    converged: bool
 
     def change(self, number: int) -> tuple[Floats, Floats]:
         """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
@@ -72,15 +71,15 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     Raises
     ------
     ValueError
-        If the measurement of a session is missing: see `smooth_track`.
+        If the measurement of a session is missing: see `tracker.smooth_track`.
     """
     if len(outcomes) == 1:
-        return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)))
+        return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
     course = _Course.of(drift, outcomes)
     means = np.array([outcome.state.mean for outcome in outcomes]) - course.shifts
     covariances = np.array([outcome.state.covariance for outcome in outcomes])
     trajectory = course.smoothed(means, covariances)
-    cost = course.cost(trajectory)
+    cost, converged = course.cost(trajectory), False
     for _ in range(_MOST_STEPS):
         wanted = course.smoothed(*course.filtered(trajectory.means))
         step = wanted.less(trajectory)
@@ -96,32 +95,15 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
             break
         trajectory, cost = replace(trial, covariances=wanted.covariances, gains=wanted.gains), trial_cost
         if length < _STEP_TOLERANCE:
+            converged = True
             break
     states = tuple(
-        replace(outcome.state, mean=mean, covariance=(covariance + covariance.T) / 2.0)
+        replace(outcome.state, mean=mean, covariance=symmetric(covariance))
         for outcome, mean, covariance in zip(
             outcomes, trajectory.means + course.shifts, trajectory.covariances, strict=True
         )
     )
-    return Smoothed(states, trajectory.gains)
-
-
-def smooth_track(track: "Track", sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
-    """States after each session of a track given all sessions; see `smooth`.
-
-    Parameters
-    ----------
-    track
-        Also one that was taken up again.
-    sweeps
-        Of all its sessions.
-    limits
-        Of its tests, by default `Limits()`.
-    """
-    limits = Limits() if limits is None else limits
-    model = CavityModel.of(track.cell, track.drift.parameters)
-    parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
-    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+    return Smoothed(states, trajectory.gains, converged)
 
 
 def with_measurements(
@@ -235,7 +217,7 @@ class _Course:
                 rows, derivatives = equivalent_rows(misfit + jacobian @ point, jacobian)
                 filtered.dim_z = len(rows)
                 filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
-            state = replace(state, mean=filtered.x, covariance=(filtered.P + filtered.P.T) / 2.0)
+            state = replace(state, mean=filtered.x, covariance=symmetric(filtered.P))
             means.append(state.mean)
             covariances.append(state.covariance)
         return np.array(means), np.array(covariances)

@@ -45,10 +45,13 @@ class CalibrationSolution:
         The minimum, with the covariance that a linear filter starts from.
     share
         Of the posterior.
+    sum_of_squares
+        At the minimum.
     """
 
     estimate: Estimate
     share: float
+    sum_of_squares: float
 
 
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:
@@ -82,7 +85,7 @@ def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolut
         )
         if len(own) >= _DRAWS_PER_PARAMETER * problem.n_free:
             estimate = linear_start(estimate, own, problem.sweeps)
-        solutions.append(CalibrationSolution(estimate, len(own) / len(draws)))
+        solutions.append(CalibrationSolution(estimate, len(own) / len(draws), minimum.sum_of_squares))
     return tuple(solutions) if len(solutions) > 1 else ()
 
 
@@ -93,8 +96,8 @@ def likeliest(
     together: Sequence[SessionOutcome],
     starts: Sequence[tuple[SessionOutcome, float]],
     parts: Sequence[Sweeps],
-) -> SessionOutcome:
-    """The calibration to go on from: one of its solutions where the sessions tell, or all together.
+) -> list[SessionOutcome]:
+    """The course to go on with: that of one solution where the sessions tell, or that of all together.
 
     Parameters
     ----------
@@ -104,23 +107,36 @@ def likeliest(
         Outcome of the calibration and share of the posterior, one a solution.
     parts
         Sweeps of all sessions, in order of time.
+
+    Returns
+    -------
+    list of SessionOutcome
+        `together` as it is, or the first sessions from one solution.
     """
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]
     for start, _ in starts:
         own = with_hidden_noise(drift, model, start.state)
         courses.append(follow_sessions(own, model, limits, [start], looks))
-    # What nobody expected, such as a knock, is no evidence for anyone.
-    expected = [any(o.verdict == "as-modelled" for o in outcomes) for outcomes in zip(*courses, strict=True)]
-    told = np.array([[o.log_likelihood for o in course[1:]] for course in courses]).reshape(len(courses), -1)
-    evidence = np.log([1.0, *(share for _, share in starts)]) + told[:, np.array(expected[1:], dtype=bool)].sum(axis=1)
+    evidence = np.log([1.0, *(share for _, share in starts)])
+    counted = [outcomes for outcomes in zip(*(course[1:] for course in courses), strict=True) if _is_evidence(outcomes)]
+    for outcomes in counted:
+        evidence += [outcome.log_likelihood for outcome in outcomes]
     best = int(np.argmax(evidence))
     lead = evidence[best] - np.delete(evidence, best).max()
-    if best == 0 or lead < _DECISIVE:
-        return together[0]
-    chosen = starts[best - 1][0]
+    # What fits no solution, such as a slip that nobody noticed, drags the wrong ones along: the right one holds.
+    holds = all(outcomes[best].verdict == "as-modelled" for outcomes in counted)
+    if best == 0 or lead < _DECISIVE or not holds:
+        return list(together)
+    chosen = courses[best]
     text = (
         f"of its {len(starts)} solutions the later sessions show which one holds (odds e^{lead:.0f}): all sessions are "
         "followed from this one"
     )
-    return replace(chosen, warnings=(*chosen.warnings, text))
+    return [replace(chosen[0], warnings=(*chosen[0].warnings, text)), *chosen[1:]]
+
+
+def _is_evidence(outcomes: Sequence[SessionOutcome]) -> bool:
+    """Whether outcomes of one session may be compared: of the same rows, and expected by some of the courses."""
+    same = len({(outcome.n_sweeps, outcome.warnings) for outcome in outcomes}) == 1
+    return same and any(outcome.verdict == "as-modelled" for outcome in outcomes)

@@ -47,8 +47,8 @@ class SessionOutcome:
     monitor
         Memory of the tests after it.
     measurement
-        The rows as they were taken in, signs decided and slips corrected; None if none were, or if the outcome is
-        read from a file.
+        The rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read
+        from a file, or if a calibration cannot be linearised again (see `tracker.calibrate`).
     """
 
     session: str

@@ -26,6 +26,7 @@ from fpcal_bayes.track.likely_terms import likely_drift
 from fpcal_bayes.track.linear_start import linear_start
 from fpcal_bayes.track.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.track.sessions import check_sessions, mean_temperature
+from fpcal_bayes.track.smoother import Smoothed, smooth, with_measurements
 from fpcal_bayes.track.solutions import likeliest, solutions_of
 from fpcal_bayes.track.step import SessionOutcome
 
@@ -163,7 +164,8 @@ def track(
     known
         An earlier track of the first sessions, which are not taken in again.
     calibration
-        What the first session told, in place of its identification.
+        What the first session told, in place of its identification. Its rows are then not linearised again with those
+        of later sessions.
     draws
         Of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they are
         made (see `linear_start`).
@@ -193,11 +195,28 @@ def track(
     hidden = with_hidden_noise(drift, model, first.state)
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
-        chosen = likeliest(drift, model, limits, outcomes, starts, parts)
-        if chosen is not first:
-            hidden = with_hidden_noise(drift, model, chosen.state)
-            outcomes = follow_sessions(hidden, model, limits, [chosen], parts)
+        course = likeliest(drift, model, limits, outcomes, starts, parts)
+        hidden = with_hidden_noise(drift, model, course[0].state)
+        outcomes = follow_sessions(hidden, model, limits, course, parts)
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
+
+
+def smooth_track(track: Track, sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
+    """States after each session of a track given all sessions; see `smooth`.
+
+    Parameters
+    ----------
+    track
+        Also one that was taken up again.
+    sweeps
+        Of all its sessions.
+    limits
+        Of its tests, by default `Limits()`.
+    """
+    limits = Limits() if limits is None else limits
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
+    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
 
 
 def calibrate(
@@ -229,25 +248,30 @@ def calibrate(
             f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
             "to be a full calibration"
         )
-    measurement = _measurement(drift, found) if draws is None else None
+    given = draws is not None
+    measurement = None if given else _measurement(drift, found)
     draws = _draws_of(found) if draws is None else draws
 
-    def outcome_of(estimate: Estimate, measurement: Measurement | None) -> SessionOutcome:
+    def outcome_of(estimate: Estimate, squared: float, measurement: Measurement | None) -> SessionOutcome:
         rows = len(found.problem.sweeps)
         # The calibration's own innovation is its sum of squares against the prior.
-        squared = found.solution.sum_of_squares
         outcome = start(drift, estimate, sweeps, found.converged)
         said = warnings + found.warnings
         return replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, measurement=measurement)
 
     usable = found.converged and len(draws) > 0
     together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate
-    alone = solutions_of(found, draws) if usable else ()
+    # Draws that are given say themselves what they hold.
+    alone = solutions_of(found, draws) if usable and not given else ()
     gauge = found.spectrum.null_share > GAUGE_SHARE
     status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
     # Rows linearised at one point say nothing of a second solution.
-    first = outcome_of(together, None if alone else measurement)
-    return first, status, tuple((outcome_of(one.estimate, measurement), one.share) for one in alone)
+    first = outcome_of(together, found.solution.sum_of_squares, None if alone else measurement)
+    return (
+        first,
+        status,
+        tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
+    )
 
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:

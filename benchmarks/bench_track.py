@@ -15,6 +15,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.filter import predict, update
+from fpcal_bayes.track.following import follow_sessions
 from fpcal_bayes.track.measurement import SweepMeasurement
 from fpcal_bayes.track.smoother import smooth
 from fpcal_bayes.track.step import take_in
@@ -46,6 +47,13 @@ def test_one_session(benchmark: Any, sweeps: Sweeps, week: Track, number: int) -
     model = CavityModel.of(CELL)
     found = benchmark(take_in, DRIFT, model, Limits(), before.state, before.monitor, part)
     assert np.isfinite(found.nis)
+
+
+def test_session_with_a_look_at_16(benchmark: Any, sweeps: Sweeps, week: Track) -> None:
+    """The sixteenth session, after which all are linearised again together."""
+    parts = [sweeps.of_session(outcome.session) for outcome in week.outcomes[:17]]
+    known, model = week.outcomes[:16], CavityModel.of(CELL)
+    assert len(benchmark(follow_sessions, week.drift, model, Limits(), known, parts)) == 17
 
 
 def test_week_of_24_sessions(benchmark: Any, sweeps: Sweeps) -> None:

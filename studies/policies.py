@@ -28,6 +28,8 @@ from fpcal_bayes.track.consistency import Limits
 from fpcal_bayes.track.decision import Costs
 from fpcal_bayes.track.diagnosis import is_diagnosis
 from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.track.following import looked_at_again
+from fpcal_bayes.track.hidden_noise import with_hidden_noise
 from fpcal_bayes.track.horizon import Forecast, Goal
 from fpcal_bayes.track.likely_terms import likely_terms
 from fpcal_bayes.track.policy import Policy
@@ -125,6 +127,7 @@ Told = Callable[[SessionOutcome, SessionOutcome, Sweeps], None]
 def follow(week: Week, rule: Rule, tasks: tuple[str, ...]) -> Run:
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
     outcome, now, told = week.calibration, 0.0, getattr(rule, "told", None)
+    outcomes, drift = [outcome], with_hidden_noise(week.drift, MODEL, outcome.state)
     run = Run([], [], np.zeros((len(tasks), len(week.times))))
     while True:
         began = time.process_time()
@@ -145,7 +148,8 @@ def follow(week: Week, rule: Rule, tasks: tuple[str, ...]) -> Run:
         if plan is not None:
             sweeps = week.measured(plan, now, len(run.times) + 1)
             before = outcome
-            outcome = take_in(week.drift, MODEL, LIMITS, before.state, before.monitor, sweeps)
+            outcomes.append(take_in(drift, MODEL, LIMITS, before.state, before.monitor, sweeps))
+            outcome = outcomes[-1] = looked_at_again(drift, outcomes)
             if told is not None:
                 told(before, outcome, sweeps)
             run.times.append(now)

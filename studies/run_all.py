@@ -33,7 +33,7 @@ STUDIES = (
     ("posterior_sbc.py", "--replicates", "4", "-o", str(OUTPUT / "posterior_sbc.json")),
     ("planning.py", "accuracy", "--numbers", "12", "--draws", "16", "--truths", "20", "--variations", "5"),
     ("tracking.py", "--weeks", "10"),
-    ("policies.py", "--weeks", "2"),
+    ("policies.py", "--weeks", "20", "--levels", "0.13"),
 )
 _LONGEST_S = 600
 

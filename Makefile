@@ -5,8 +5,7 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-# Python compiles what it imports; compiling all that is installed takes a minute more.
-PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
 # One thread a process: the tests and the benchmarks share out the cores themselves.
 export OMP_NUM_THREADS := 1

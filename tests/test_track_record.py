@@ -125,3 +125,10 @@ def test_a_track_of_an_older_version_is_taken_in_anew(saved):
     )
     assert known is None
     assert note == "the track was saved by an older version: all sessions are taken in anew"
+
+
+def test_a_state_that_does_not_say_how_it_began_is_refused(saved):
+    summary = json.loads(saved.summary)
+    del summary["from_prior"]
+    with pytest.raises(InputError, match="file: the saved track cannot be read"):
+        resume(replace(saved, summary=json.dumps(summary)), CELL, DRIFT, LIMITS, check_sessions(SWEEPS), "file")

@@ -26,11 +26,10 @@ from fpcal_bayes.infer.planning.candidates import candidate_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.track.drift import DriftModel
 from fpcal_bayes.track.filter import State
+from fpcal_bayes.track.linear_start import N_SWEEPS, SIGMA
 
 Floats = NDArray[np.float64]
 
-#: Random sweeps that stand for what will be asked of the model, and the weight of each, as its sigma in um.
-_N_SWEEPS, _SIGMA = 200, 0.005
 #: Combinations known better than this, in prior standard deviations, turn the geometry by nothing that matters.
 _LEAST_SD = 1e-3
 
@@ -52,13 +51,13 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
     """
     n = drift.n_parameters
     try:
-        asked = candidate_sweeps(model.cell, n=_N_SWEEPS, rng=np.random.default_rng(0))
+        asked = candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
     except InputError:
         return drift
     rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
 
     def seen(mean: Floats) -> Floats:
-        jacobian: Floats = model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / _SIGMA
+        jacobian: Floats = model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
         return jacobian
 
     # What no row tells keeps its direction: one row each, of its prior's size.

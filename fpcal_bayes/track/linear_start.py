@@ -21,7 +21,7 @@ from fpcal_bayes.model.estimate import Estimate
 Floats = NDArray[np.float64]
 
 #: Random sweeps that stand for what will be asked of the model, and the weight of each, as its sigma in um.
-_N_SWEEPS, _SIGMA = 200, 0.005
+N_SWEEPS, SIGMA = 200, 0.005
 #: Added variance of each direction, as a share of the prior's: rounding.
 _JITTER = 1e-18
 
@@ -46,14 +46,14 @@ def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
     sd = parameters.prior_sd
-    random = candidate_sweeps(estimate.cell, n=_N_SWEEPS, rng=np.random.default_rng(0))
+    random = candidate_sweeps(estimate.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
     # Where no row tells a direction, the parameters themselves do: one row each, of their prior's size.
     jacobians, changes = [np.eye(len(sd))], [(draws - estimate.values) / sd]
     for asked in (random, sweeps.take(sweeps.kind != "path")):
         rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
         predicted, jacobian = model.predict_with_jacobian(estimate.values, rows)
-        jacobians.append(jacobian * sd / _SIGMA)
-        changes.append((model.predict(draws, rows) - predicted) / _SIGMA)
+        jacobians.append(jacobian * sd / SIGMA)
+        changes.append((model.predict(draws, rows) - predicted) / SIGMA)
     moved = np.linalg.lstsq(np.vstack(jacobians), np.hstack(changes).T, rcond=None)[0].T
     covariance = moved.T @ moved / len(moved) + _JITTER * np.eye(len(sd))
     return replace(estimate, covariance=covariance * np.outer(sd, sd))

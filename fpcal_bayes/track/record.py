@@ -106,6 +106,7 @@ def resume(
         return None, "the drift sizes or limits are no longer those of the saved track: all sessions are taken in anew"
     try:
         track, hashes = _track(record, cell, drift)
+        from_prior = track is not None and bool(json.loads(record.summary)["from_prior"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: the saved track cannot be read ({error}); give --anew to replace it") from error
     if track is None:
@@ -122,7 +123,7 @@ def resume(
     if track.solutions > 1 and kept <= LOOKS and not nothing_new:
         return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
     outcomes = track.outcomes[:kept]
-    if json.loads(record.summary)["from_prior"]:
+    if from_prior:
         measurement = calibration_measurement(cell, drift, parts[0])
         outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
     return replace(track, outcomes=outcomes, resumed=kept), reason

@@ -6,16 +6,17 @@ import lmfit
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.least_squares import minimise
-from fpcal_bayes.infer.observe import observe
-from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.minimise import minimise
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.observability.observe import observe
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,10 @@ from conftest import Timer
 from numpy.testing import assert_allclose
 from pinocchio_cell import PinocchioCell
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel, Rows
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 
 SWEEPS = Path(__file__).parent.parent / "tests" / "data" / "case_a.csv"
 

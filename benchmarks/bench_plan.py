@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps
-from fpcal_bayes.infer.planning.choose import choose_sweeps
-from fpcal_bayes.infer.planning.ground import prior_ground
-from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
-from fpcal_bayes.infer.planning.rows import sweep_rows
+from fpcal_bayes.infer.design.candidates import candidate_sweeps
+from fpcal_bayes.infer.design.exchange import choose_sweeps
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings
+from fpcal_bayes.infer.design.problem import prior_ground
+from fpcal_bayes.infer.design.rows import sweep_rows
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 #: Processor seconds that a plan of ten may take; it runs on one core.

@@ -28,12 +28,12 @@ from jax_model import changes_in_jax
 from rich.console import Console
 from scipy import linalg
 
-from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
-from fpcal_bayes.measure.sweep_files import read_sweeps
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.tables import plain_table
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.report.fit import plain_table
 
 SWEEPS = Path(__file__).parent.parent / "tests" / "data" / "case_a.csv"
 #: Effective draws a second, and how many times those of NUTS.

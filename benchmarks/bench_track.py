@@ -13,13 +13,12 @@ from track_fixtures import CELL, DRIFT, campaign
 
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.filter import predict, update
-from fpcal_bayes.track.following import follow_sessions
-from fpcal_bayes.track.measurement import SweepMeasurement
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.step import take_in
-from fpcal_bayes.track.tracker import Track, track
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.filter import predict, update
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.session import take_in
+from fpcal_bayes.tracking.smoother import follow_sessions, smooth
+from fpcal_bayes.tracking.tracker import Track, track
 
 
 @pytest.fixture(scope="module")

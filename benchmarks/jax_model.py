@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fpcal_bayes.infer.identify import Identification
+from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.model.parameters import EXTRINSICS
 
 jax.config.update("jax_enable_x64", True)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio
 
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 class PinocchioCell:

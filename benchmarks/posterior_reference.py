@@ -23,14 +23,14 @@ import numpy as np
 from jax_model import changes_in_jax
 from rich.console import Console
 
-from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.tables import plain_table
+from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.study.base import drawn_truth
-from fpcal_bayes.study.posterior_ranks import PROTOCOLS, sbc_plan
+from fpcal_bayes.study.sbc import PROTOCOLS, sbc_plan
 
 #: Allowed differences: of means and quantiles in standard deviations, of standard deviations as a share.
 MEAN, SD, QUANTILE = 0.06, 0.05, 0.12

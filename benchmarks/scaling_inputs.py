@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell import Cell, Joint, make_parameters
+from fpcal_bayes.model.cell.cell import Cell, make_parameters
+from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
+from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005
 

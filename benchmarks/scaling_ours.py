@@ -8,25 +8,25 @@ import numpy as np
 from measuring import Point, timed
 from scaling_inputs import SIGMA, drawn_near, measured, random_poses, random_sweeps, sessions, wide_cell
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.least_squares import minimise
-from fpcal_bayes.infer.observe import observe
-from fpcal_bayes.infer.planning.ground import prior_ground
-from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
-from fpcal_bayes.infer.posterior.atlas import Atlas
+from fpcal_bayes.fringes.ingest import ingest
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings
+from fpcal_bayes.infer.design.problem import prior_ground
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.minimise import minimise
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.observability.observe import observe
+from fpcal_bayes.infer.posterior.proposal import Atlas
 from fpcal_bayes.infer.posterior.sample import make_target
-from fpcal_bayes.infer.problem import Problem
-from fpcal_bayes.measure.ingest import ingest
+from fpcal_bayes.io.csv import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.recorder import record_sweeps
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import write_csv
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.report.campaign_page import write_campaign_report
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.report.campaign.page import write_campaign_report
+from fpcal_bayes.simulator.recorder import record_sweeps
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.tracker import track
 
 #: Proposals of a step of the sampler.
 PROPOSALS = 32

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import generate
 
-from fpcal_bayes import __version__
+from fpcal_bayes.core.version import __version__
 
 project = "fpcal_bayes"
 author = "fpcal_bayes developers"

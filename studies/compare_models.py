@@ -21,12 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from fpcal_bayes.infer.compare import Comparison, ModelResult, compare, parse_models
+from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult, compare, parse_models
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.tables import plain_table
+from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005
 PATHS = ("axis", "perpendicular")

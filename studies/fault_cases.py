@@ -12,9 +12,9 @@ import numpy as np
 from scipy.io import savemat
 
 from fpcal_bayes.cli.main import main as fpcal
-from fpcal_bayes.measure.sweep_files import read_sweeps
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.resources import data_file
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.study.coverage import Coverage
 from fpcal_bayes.study.runner import run_alone
 from fpcal_bayes.study.store import StudyStore

@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 
 from fpcal_bayes.cli.main import main as fpcal
-from fpcal_bayes.files import file_sha256
+from fpcal_bayes.core.files import file_sha256
 
 #: No command of these studies takes so long, in s.
 DEADLINE = 300.0

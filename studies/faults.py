@@ -250,7 +250,7 @@ class Injector:
         before_step = int(self.random.integers(500))
 
         def prepare() -> None:
-            from fpcal_bayes.track import sessions
+            from fpcal_bayes.tracking import sessions
 
             once = chain(repeat(timedelta(0), before_step), repeat(steps[0]))
             looks = once if case.name == "study" else iter(steps)

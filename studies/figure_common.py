@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.control.tasks import Task
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.motion.tasks import Task
+from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005
 #: Visibility of the fringes: bare fibre and mirror, coupling as in the paper's Fig 1.

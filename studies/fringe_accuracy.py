@@ -12,16 +12,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpcal_bayes.measure.fringes.reading import Reading
-from fpcal_bayes.measure.ingest import Ingested, ingest
+from fpcal_bayes.fringes.count import Reading
+from fpcal_bayes.fringes.ingest import Ingested, ingest
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.recorder import record_sweeps
-from fpcal_bayes.measure.recorder_settings import RecorderSettings
-from fpcal_bayes.measure.rig import noise_free
-from fpcal_bayes.measure.trace_index import TraceIndex
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.optics import RecorderSettings
+from fpcal_bayes.simulator.recorder import record_sweeps
+from fpcal_bayes.simulator.sweeps import noise_free
 
 #: What is worse than an eighth of a wavelength is a wrong count.
 WRONG_COUNT = 0.195

@@ -18,25 +18,23 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.files import write_json
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps
-from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
-from fpcal_bayes.infer.planning.ground import Ground, estimate_ground, prior_ground
-from fpcal_bayes.infer.planning.limits import SweepLimits
-from fpcal_bayes.infer.planning.order import in_short_order
-from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
-from fpcal_bayes.infer.planning.rows import read_often
+from fpcal_bayes.core.files import write_json
+from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, in_short_order
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
+from fpcal_bayes.infer.design.rows import read_often
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import write_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_files import write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.report.plan_figure import draw_accuracy, draw_plan
-from fpcal_bayes.report.week_figure import save_figure
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.plan import draw_accuracy, draw_plan
+from fpcal_bayes.report.week import save_figure
+from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.study.planning import compare, largest_errors
-from fpcal_bayes.track.aged import aged
+from fpcal_bayes.tracking.drift import aged
 
 SIGMA = 0.005
 #: Standard deviations or errors by task in um, one a truth.

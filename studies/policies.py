@@ -15,26 +15,25 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.files import write_json
-from fpcal_bayes.infer.task_error import peak_to_peak, task_errors
+from fpcal_bayes.core.files import write_json
+from fpcal_bayes.decision.decision import Costs
+from fpcal_bayes.decision.diagnosis import is_diagnosis
+from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.policy import Policy
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.decision import Costs
-from fpcal_bayes.track.diagnosis import is_diagnosis
-from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.following import looked_at_again
-from fpcal_bayes.track.hidden_noise import with_hidden_noise
-from fpcal_bayes.track.horizon import Forecast, Goal
-from fpcal_bayes.track.likely_terms import likely_terms
-from fpcal_bayes.track.policy import Policy
-from fpcal_bayes.track.step import SessionOutcome, take_in
-from fpcal_bayes.track.tracker import calibrate
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.drift import DriftModel, likely_terms
+from fpcal_bayes.tracking.session import SessionOutcome, take_in
+from fpcal_bayes.tracking.smoother import looked_at_again
+from fpcal_bayes.tracking.start import with_hidden_noise
+from fpcal_bayes.tracking.tracker import calibrate
 
 HOURS = 192.0
 #: Steps of the truth and of the looks at the error, in hours.

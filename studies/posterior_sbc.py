@@ -24,11 +24,21 @@ import numpy as np
 from rich.console import Console
 from scipy import stats
 
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.tables import plain_table
-from fpcal_bayes.study.posterior_ranks import PROTOCOLS, Replicate, quantities, ranks_of
-from fpcal_bayes.study.posterior_ranks import sbc_plan as plan
-from fpcal_bayes.study.rank_tests import COVERAGES, FAMILY_WISE, RANKED, Verdict, judge, least_p
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.study.sbc import (
+    COVERAGES,
+    FAMILY_WISE,
+    PROTOCOLS,
+    RANKED,
+    Replicate,
+    Verdict,
+    judge,
+    least_p,
+    quantities,
+    ranks_of,
+)
+from fpcal_bayes.study.sbc import sbc_plan as plan
 
 SIGMA = 0.005
 

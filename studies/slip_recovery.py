@@ -10,14 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.console import Console
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior.output import slip_probabilities, summarise
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.netcdf import slip_probabilities, summarise
 from fpcal_bayes.infer.posterior.sample import sample
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.report.tables import plain_table
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005
 

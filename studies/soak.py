@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from fault_child import Child, meaning
 
-from fpcal_bayes.measure.campaign import read_campaign
+from fpcal_bayes.io.campaign import read_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweep_csv import write_csv
 from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 DAYS = 7

@@ -9,11 +9,11 @@ import numpy as np
 from figure_common import SIGMA, Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.week import SESSIONS
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.study.paper_week import SESSIONS
 
 
 def main() -> None:

@@ -13,8 +13,8 @@ import time
 
 import numpy as np
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
-from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.study.coverage import SHARES, Coverage
 
 

@@ -13,21 +13,22 @@ from functools import cache
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.infer.task_error import task_rows
+from fpcal_bayes.decision.decision import Costs
+from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.policy import Policy
+from fpcal_bayes.infer.tasks.error import task_rows
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import PROTOCOLS
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.track.decision import Costs
-from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import State, predict
-from fpcal_bayes.track.horizon import Forecast, Goal
-from fpcal_bayes.track.policy import Policy
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.tracker import Track, calibrate, track
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State, predict
+from fpcal_bayes.tracking.smoother import smooth
+from fpcal_bayes.tracking.tracker import Track, calibrate, track
 
 HOURS = 192.0
 #: What a reference that judges all tasks together may err by, in um.

@@ -20,9 +20,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, Joint, load_cell, make_parameters
+from fpcal_bayes.model.cell.cell import Cell, make_parameters
+from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
 
 DATA = Path(__file__).parent / "data"

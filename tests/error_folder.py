@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.measure.campaign import Campaign, write_campaign
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import write_csv
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.resources import data_file
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 def fill(folder: Path) -> None:

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
 

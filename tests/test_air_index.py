@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.air_index import air_index, ciddor
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.model.air_index import air_index, ciddor
 
 # Table 1, dry air, and Table 3, moist air, at 633 nm: temperature, pressure in hPa, humidity, 1e8 (n - 1).
 # One entry of Table 3 (40 C, 800 hPa) is misprinted by 100 in the paper and is left out.

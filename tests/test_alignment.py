@@ -8,20 +8,22 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.alignment import DIRECTION, align
-from fpcal_bayes.measure.fringe_amplitude import Amplitudes, fringe_amplitudes, tilting
-from fpcal_bayes.measure.ingest import Ingested, ingest
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.fringes.alignment import DIRECTION, align
+from fpcal_bayes.fringes.amplitude import Amplitudes, fringe_amplitudes, tilting
+from fpcal_bayes.fringes.ingest import Ingested, ingest
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.recordings import write_index
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.recorder import record_sweeps
-from fpcal_bayes.measure.recorder_settings import RecorderSettings
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.trace_index import TraceIndex, write_index
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import fibre_in_world, optical_axis
-from fpcal_bayes.model.estimate import Estimate, read_estimate
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.simulator.optics import RecorderSettings
+from fpcal_bayes.simulator.recorder import record_sweeps
 
 DEG = np.pi / 180.0
 #: Tilts about either axis at four nodes.

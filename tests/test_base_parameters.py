@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.base_parameters import BaseParameter, base_parameters
-from fpcal_bayes.infer.observability import spectrum_of
-from fpcal_bayes.infer.observe import whitened_jacobian
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.infer.observability.measures import BaseParameter, base_parameters
+from fpcal_bayes.infer.observability.observe import whitened_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 
 CELLS = {opd: load_cell(opd=opd) for opd in ("axis", "perpendicular")}
 

@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 

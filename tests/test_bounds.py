@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from fpcal_bayes.infer.bounds import bounds_of
-from fpcal_bayes.infer.observability import spectrum_of
-from fpcal_bayes.infer.observe import whitened_jacobian
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.infer.observability.measures import bounds_of
+from fpcal_bayes.infer.observability.observe import whitened_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 

@@ -7,19 +7,19 @@ import pytest
 from numpy.testing import assert_allclose
 from task_fixtures import paper_values
 
-from fpcal_bayes.control.tasks import Task, task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.budget import Budget, Conditions, budget_of
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.problem import Problem
-from fpcal_bayes.infer.task_error import linear_task_sd, task_errors, task_jacobian
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.tasks.budget import Budget, Conditions, budget_of
+from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import noise_free, simulate
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.motion.tasks import Task, task_path
+from fpcal_bayes.simulator.sweeps import noise_free, simulate
 
 EXACT = Conditions(wavelength_ppm=0.0, temperature_k=0.0, pressure_hpa=0.0, resolution=np.zeros(6))
 

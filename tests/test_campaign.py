@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 import fpcal_bayes
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps, write_sweeps
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import read_csv, write_csv
-from fpcal_bayes.measure.sweep_files import is_campaign_file, read_sweeps, write_sweeps
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"

@@ -9,24 +9,24 @@ import pytest
 from browser import CHROMIUM, browser
 from page_reader import Reader
 
+from fpcal_bayes.analysis.campaign import gather
+from fpcal_bayes.analysis.history import history, outlooks, residuals
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.infer.task_prediction import predict_from_covariance
-from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.infer.tasks.prediction import predict_from_covariance
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import write_csv
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report import campaign_figures as figures
 from fpcal_bayes.report import observe_figures
-from fpcal_bayes.report.campaign_data import outlook_chart, track_chart
-from fpcal_bayes.report.campaign_facts import gather
-from fpcal_bayes.report.campaign_history import history, outlooks, residuals
-from fpcal_bayes.report.campaign_log import log_table
-from fpcal_bayes.report.campaign_page import campaign_html
-from fpcal_bayes.report.campaign_words import standing, verdict
-from fpcal_bayes.track.horizon import Goal
+from fpcal_bayes.report.campaign import figures
+from fpcal_bayes.report.campaign.charts import log_table, outlook_chart, track_chart
+from fpcal_bayes.report.campaign.page import campaign_html
+from fpcal_bayes.report.campaign.words import standing, verdict
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 ODD = '<script>alert("&")</script> $x_{$ [red] \u4e2d'

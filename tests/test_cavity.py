@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 def test_vector_puts_free_values_among_the_held(femto: Cell) -> None:

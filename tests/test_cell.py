@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell, ControllerAxis, check_joints, describe, load_cell
-from fpcal_bayes.model.cell_toml import _CONTROLLER_UNITS
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.io.cell import _CONTROLLER_UNITS, load_cell
+from fpcal_bayes.model.cell.cell import Cell, check_joints, describe
+from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.model.parameters import EXTRINSICS
-from fpcal_bayes.resources import data_file
 
 INTRINSICS = (
     *("alpha_2", "theta_2", "alpha_3", "theta_3", "beta_4", "alpha_4", "d_4", "theta_4"),

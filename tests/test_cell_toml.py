@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.resources import data_file
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.io.cell import load_cell
 
 TEXT = data_file("femto-st.toml").read_text()
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from numpy.testing import assert_allclose
 
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
 
 

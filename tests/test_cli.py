@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
-from fpcal_bayes import __version__
 from fpcal_bayes.cli.main import main, make_parser
-from fpcal_bayes.files import file_sha256
-from fpcal_bayes.infer import least_squares
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.resources import data_file
+from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.fit import minimise as least_squares
+from fpcal_bayes.io.cell import load_cell
 
 DATA = Path(__file__).parent / "data"
 CASE_A = DATA / "case_a.csv"

@@ -10,8 +10,8 @@ from test_cli import error_lines
 from test_task_prediction import write_posterior
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.control.tasks import TASKS
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import TASKS
 
 CASE_A = DATA / "case_a.csv"
 HEADER = "x_um,y_um,z_um,rx_deg,ry_deg,rz_deg\n"

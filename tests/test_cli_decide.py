@@ -9,10 +9,10 @@ import pytest
 from track_fixtures import CELL, campaign, step_of_beta_4
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.files import file_sha256
-from fpcal_bayes.measure.campaign import read_campaign
-from fpcal_bayes.measure.sweep_files import read_sweeps, write_sweeps
-from fpcal_bayes.model.estimate import read_estimate
+from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.io.campaign import read_campaign
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
 
 _, SWEEPS = campaign(3, sessions=1)
 UTC = [f"2024-05-01T{6 + int(hour):02d}:30:00Z" for hour in SWEEPS.time_h]

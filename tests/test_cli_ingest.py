@@ -10,14 +10,15 @@ import pytest
 from trace_fixtures import record_all
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.files import write_json
-from fpcal_bayes.measure.campaign import read_campaign, write_campaign
+from fpcal_bayes.core.files import write_json
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.recordings import write_index
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweep_csv import read_csv
-from fpcal_bayes.measure.trace_index import TraceIndex, write_index
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from fpcal_bayes.cli.main import main
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweep_csv import write_csv
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 CASE_A = str(Path(__file__).parent / "data" / "case_a.csv")

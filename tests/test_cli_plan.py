@@ -9,8 +9,8 @@ from conftest import DATA
 from test_cli import error_lines
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.measure.sweep_files import read_sweeps
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.cell.cell import Cell
 
 CASE_A = DATA / "case_a.csv"
 QUICK = ("--draws", 4, "--candidates", 60)

@@ -10,10 +10,10 @@ import pytest
 from track_fixtures import CELL, campaign, knock
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.files import file_sha256
-from fpcal_bayes.measure.campaign import read_campaign
-from fpcal_bayes.measure.sweep_files import write_sweeps
-from fpcal_bayes.model.estimate import read_estimate
+from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.io.campaign import read_campaign
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import write_sweeps
 
 TRUTH, SWEEPS = campaign(5, sessions=4, change=knock(np.random.default_rng(0)), changed=3)
 
@@ -70,7 +70,7 @@ def test_a_campaign_file_keeps_the_states(capsys):
     saved = read_campaign(file, CELL)
     assert saved.track.mean.shape == (3, 21)
     sweeps = SWEEPS.take(np.isin(SWEEPS.session, ["day0", "s1", "s2", "s3"]))
-    from fpcal_bayes.measure.campaign import write_campaign
+    from fpcal_bayes.io.campaign import write_campaign
 
     write_campaign(file, replace(saved, sweeps=sweeps), CELL)
     assert main(["track", file]) == 0
@@ -155,8 +155,8 @@ def test_watching_takes_in_each_new_session(monkeypatch, capsys):
 
 
 def test_posterior_draws_to_start_from(capsys):
-    from fpcal_bayes.infer.identify import identify
-    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
+    from fpcal_bayes.infer.fit.identify import identify
+    from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
     from fpcal_bayes.infer.posterior.sample import sample
 
     file = written("week.csv", "s1")

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, campaign
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.task_error import peak_to_peak, task_errors
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.decision.closed_loop import run_policy, task_peaks
+from fpcal_bayes.decision.decision import Costs
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.decision.policy import Policy
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.closed_loop import run_policy, task_peaks
-from fpcal_bayes.track.decision import Costs
-from fpcal_bayes.track.horizon import Goal
-from fpcal_bayes.track.policy import Policy
-from fpcal_bayes.track.tracker import calibrate, track
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.tracker import calibrate, track
 
 MODEL = CavityModel.of(CELL)
 TRUTH, SWEEPS = campaign(3, sessions=8, hours=1.0)

@@ -9,20 +9,20 @@ from scipy import stats
 from test_cli import error_lines, refused
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer import compare as compare_module
-from fpcal_bayes.infer import least_squares
-from fpcal_bayes.infer.compare import Comparison, Difference, ModelResult, ModelSpec, compare, parse_models
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit import minimise as least_squares
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior import compare as compare_module
 from fpcal_bayes.infer.posterior import leave_out
+from fpcal_bayes.infer.posterior.compare import Comparison, Difference, ModelResult, ModelSpec, compare, parse_models
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, rows_given_others, without_row
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_files import read_sweeps
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.report.compare_tables import compare_table
+from fpcal_bayes.report.posterior import compare_table
+from fpcal_bayes.simulator.sweeps import simulate
 
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 BOTH = "opd=axis,opd=perpendicular"

@@ -9,16 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fpcal_bayes.model.compiled import compiled, drop_stale, needs_compilation
-from fpcal_bayes.model.kernel import is_angle
+from fpcal_bayes.model.kernels.compile import compiled, drop_stale, needs_compilation
+from fpcal_bayes.model.kernels.lengths import is_angle
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
 
 PROGRAM = """
 import numpy as np
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.model.compiled import needs_compilation
-from fpcal_bayes.model.kernel import batch_lengths
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.model.kernels.compile import needs_compilation
+from fpcal_bayes.model.kernels.lengths import batch_lengths
 before = needs_compilation(batch_lengths)
 model = CavityModel.of(load_cell())
 rows = model.pose_rows(np.zeros((1, 6)))

@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 from task_fixtures import paper_estimate
 
-from fpcal_bayes.control.controller import Controller, interpolate
-from fpcal_bayes.control.validity import StaleEstimateWarning, hours_of_estimate, read_now, stale_text
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.motion.controller import Controller, interpolate
+from fpcal_bayes.motion.validity import StaleEstimateWarning, hours_of_estimate, read_now, stale_text
 
 
 @pytest.fixture

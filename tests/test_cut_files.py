@@ -5,17 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from fpcal_bayes.control.path_csv import read_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import require_line_end
-from fpcal_bayes.infer.posterior.output import write_netcdf
-from fpcal_bayes.measure.campaign import Campaign, write_campaign
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_line_end
+from fpcal_bayes.infer.posterior.netcdf import write_netcdf
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.task_paths import read_path
+from fpcal_bayes.io.traces import read_scan
+from fpcal_bayes.io.truth import read_truth
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import read_csv, write_csv
-from fpcal_bayes.measure.trace import read_scan
-from fpcal_bayes.measure.truth import paper_truth, read_truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 PATH = "x_um,y_um,z_um,rx_deg,ry_deg,rz_deg\n0,0,0,0,0,0\n20,0,10,0,0,12.5\n"

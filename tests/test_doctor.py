@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fpcal_bayes.analysis.doctor import examine
 from fpcal_bayes.cli.main import main
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import write_csv
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.doctor import examine
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 #: What is said of the paper's sweeps, good as they are.

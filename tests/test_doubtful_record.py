@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.doubtful_record import DoubtfulRecord, get_doubtful, put_doubtful
-from fpcal_bayes.measure.hdf5_access import reading, writing
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.campaign import get_doubtful, put_doubtful
+from fpcal_bayes.io.hdf5 import reading, writing
+from fpcal_bayes.measure.campaign import DoubtfulRecord
 
 RECORD = DoubtfulRecord(
     session=np.array(["a", "a", "b"]),

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.model.drift_sizes import DriftSize
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
 
 WHOLE = (Path(__file__).parents[1] / "data" / "femto-st.toml").read_text().split("[extrinsic.drift]")[0]
 TEXT = "\n".join(line for line in WHOLE.splitlines() if not line.startswith("drift = "))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fpcal_bayes.errors import InputError, located
+from fpcal_bayes.core.errors import InputError, located
 
 
 @pytest.mark.parametrize("message", ["two\nlines", "tab\tand  spaces", "odd\u2028separators\x85here", "\r\nends\r\n"])

@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import write_json
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import write_json
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.model.estimate import SCHEMA, Estimate, read_estimate
+from fpcal_bayes.model.estimate import SCHEMA, Estimate
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 

@@ -9,16 +9,15 @@ import pytest
 from conftest import DATA
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.estimate_draws import draws_content, independent_draws, read_estimate_draws
-from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.task_source import read_knowledge
+from fpcal_bayes.infer.tasks.source import draws_content, independent_draws, read_estimate_draws, read_knowledge
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_files import read_sweeps
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 FREE = CELL.free

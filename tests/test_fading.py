@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from fpcal_bayes.measure.fringes.fading import fading_priors
-from fpcal_bayes.measure.interferometer import mirror_amplitude, mirror_views
+from fpcal_bayes.fringes.fading import fading_priors
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.interferometer import mirror_amplitude, mirror_views
 
 
 def test_the_truths_fading_is_expected(femto: Cell) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from toy_study import ToyStudy
 
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.study.runner import run_alone
 from fpcal_bayes.study.store import StudyStore, packed
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.measure.fibre_coupling import coupling, mirror_coupling
+from fpcal_bayes.model.interferometer import coupling, mirror_coupling
 
 LIGHT = 1.56
 WAVE_NUMBER = 2.0 * np.pi / LIGHT

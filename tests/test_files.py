@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from fpcal_bayes import files
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core import files
+from fpcal_bayes.core.errors import InputError
 
 
 def test_content_is_what_was_written(tmp_path: Path) -> None:

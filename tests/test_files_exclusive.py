@@ -7,13 +7,13 @@ import sys
 import pytest
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import exclusive, write_text
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import exclusive, write_text
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from fpcal_bayes.files import exclusive
+from fpcal_bayes.core.files import exclusive
 with exclusive(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -79,7 +79,7 @@ def test_track_does_not_overwrite_what_another_program_put_there(tmp_path, capsy
     for file, seed in ((path, "0"), (other, "1")):
         assert main(["simulate", "-o", str(file), "--seed", seed, "--quiet"]) == 0
     expected = other.read_bytes()
-    from fpcal_bayes.track import record
+    from fpcal_bayes.tracking import record
 
     real = record.record_of
 

@@ -3,10 +3,10 @@
 import numpy as np
 from trace_fixtures import irradiance
 
-from fpcal_bayes.measure.fringes.course import Course, legendre
-from fpcal_bayes.measure.fringes.reader import Recorded, read_traces
-from fpcal_bayes.measure.fringes.samples import Samples
-from fpcal_bayes.report.fringe_figures import draw_sweep
+from fpcal_bayes.fringes.profile import Course, legendre
+from fpcal_bayes.fringes.reader import Recorded, read_traces
+from fpcal_bayes.fringes.samples import Samples
+from fpcal_bayes.report.fringes import draw_sweep
 
 
 def samples() -> Samples:

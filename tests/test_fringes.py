@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 from trace_fixtures import irradiance, record
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.fringes.course import Course, end_weights, estimated_courses, legendre, prior_courses
-from fpcal_bayes.measure.fringes.fit import CALM, fit_course
-from fpcal_bayes.measure.fringes.reader import Recorded, estimate_witness, read_traces
-from fpcal_bayes.measure.fringes.reading import Reading
-from fpcal_bayes.measure.fringes.samples import Samples, fault, lay_out
-from fpcal_bayes.measure.fringes.search import find_courses
-from fpcal_bayes.measure.fringes.verdict import Witness, decide
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.fringes.count import Reading, Witness, decide
+from fpcal_bayes.fringes.fit import CALM, fit_course
+from fpcal_bayes.fringes.profile import Course, end_weights, estimated_courses, legendre, prior_courses
+from fpcal_bayes.fringes.reader import Recorded, estimate_witness, read_traces
+from fpcal_bayes.fringes.samples import Samples, fault, lay_out
+from fpcal_bayes.fringes.search import find_courses
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.trace import Trace
+from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
 LIGHT = 1.56

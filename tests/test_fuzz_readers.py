@@ -6,16 +6,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
-from fpcal_bayes.measure.hdf5_access import SIGNATURE
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.hdf5 import SIGNATURE
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.truth import read_truth
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_csv import read_csv, write_csv
-from fpcal_bayes.measure.sweep_files import read_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import paper_truth, read_truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 EXAMPLES = settings(max_examples=400, deadline=None)

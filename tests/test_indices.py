@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.indices import indices_of
-from fpcal_bayes.infer.observability import spectrum_of
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.infer.observability.measures import indices_of
 
 
 def test_indices_of_a_case_by_hand():

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.information import REDUNDANT_BITS, cumulative_bits, gain_of, information_of
-from fpcal_bayes.infer.observe import whitened_jacobian
+from fpcal_bayes.infer.observability.information import REDUNDANT_BITS, cumulative_bits, gain_of, information_of
+from fpcal_bayes.infer.observability.observe import whitened_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 MODEL = CavityModel.of(CELL)

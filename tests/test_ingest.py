@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from trace_fixtures import record_all, scan
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
-from fpcal_bayes.measure.ingest import IngestSettings, ingest
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.fringes.ingest import IngestSettings, ingest
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import check_sweeps
-from fpcal_bayes.measure.trace import Trace
-from fpcal_bayes.measure.trace_index import TraceIndex
+from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
 

@@ -8,10 +8,10 @@ from conftest import RandomCell, random_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.measure.interferometer import fringe, mirror_amplitude, mirror_views, read_out, reflected
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.optics import Interferometer
+from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.interferometer import fringe, mirror_amplitude, mirror_views, read_out, reflected
 
 OPTICS = Interferometer(1.56)
 

@@ -7,11 +7,14 @@ import pytest
 from conftest import DATA
 from numpy.testing import assert_allclose
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import Cell, Joint, load_cell, make_parameters
-from fpcal_bayes.model.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, InverseModel
+from fpcal_bayes.model.cell.cell import Cell, make_parameters
+from fpcal_bayes.model.cell.joints import Joint
+from fpcal_bayes.model.inverse import InverseModel
+from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR
 
 
 def some_cell(kinds: str, travel: float = 200.0, turn: float = np.pi) -> Cell:

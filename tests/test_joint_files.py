@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 from scipy.io import loadmat
 from task_fixtures import paper_values
 
-from fpcal_bayes.control.joint_files import write_joints
-from fpcal_bayes.control.tasks import Task, task_path
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.joint_paths import write_joints
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import Task, task_path
 
 OCTAVE = shutil.which("octave-cli")
 
@@ -34,7 +34,7 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
 
 def test_csv(task: Task, tmp_path: Path) -> None:
     sd = np.linspace(1e-3, 2e-3, 7)
-    write_joints(tmp_path / "joints.csv", task, sd)
+    write_joints(tmp_path / "joints.csv", task.cell, task.q, task.status, sd, task=task.name)
     header, rows = read_csv(tmp_path / "joints.csv")
     assert header == ["q1_um", "q2_um", "q3_um", "q4_deg", "q5_deg", "q6_deg", "status", "predicted_sd_nm"]
     assert [row[6] for row in rows] == task.status.tolist()
@@ -48,8 +48,8 @@ def test_csv(task: Task, tmp_path: Path) -> None:
 def test_mat_holds_what_the_csv_holds(task: Task, tmp_path: Path) -> None:
     sd = np.full(7, 1e-3)
     sd[2] = np.nan
-    write_joints(tmp_path / "joints.csv", task, sd)
-    write_joints(tmp_path / "joints.mat", task, sd)
+    write_joints(tmp_path / "joints.csv", task.cell, task.q, task.status, sd, task=task.name)
+    write_joints(tmp_path / "joints.mat", task.cell, task.q, task.status, sd, task=task.name)
     content = loadmat(tmp_path / "joints.mat")
     header, rows = read_csv(tmp_path / "joints.csv")
     for i, name in enumerate(header[:6]):
@@ -64,7 +64,7 @@ def test_mat_holds_what_the_csv_holds(task: Task, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(OCTAVE is None, reason="octave-cli is not installed (apt-get install octave)")
 def test_octave_reads_the_mat_file(task: Task, tmp_path: Path) -> None:
-    write_joints(tmp_path / "joints.mat", task, np.full(7, 1e-3))
+    write_joints(tmp_path / "joints.mat", task.cell, task.q, task.status, np.full(7, 1e-3), task=task.name)
     script = (
         "load('joints.mat'); fprintf('%.17g\\n', q'); fprintf('%.17g\\n', q4_deg); "
         "fprintf('%d %s\\n', numel(status), status{1}); fprintf('%s\\n', task); disp(size(predicted_sd_nm))"
@@ -84,6 +84,6 @@ def test_octave_reads_the_mat_file(task: Task, tmp_path: Path) -> None:
 
 def test_other_suffixes_are_refused(task: Task, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"joints.txt: expected a file name that ends in .csv or .mat"):
-        write_joints(tmp_path / "joints.txt", task, np.zeros(7))
+        write_joints(tmp_path / "joints.txt", task.cell, task.q, task.status, np.zeros(7), task=task.name)
     with pytest.raises(InputError, match="does not exist"):
-        write_joints(tmp_path / "none" / "joints.mat", task, np.zeros(7))
+        write_joints(tmp_path / "none" / "joints.mat", task.cell, task.q, task.status, np.zeros(7), task=task.name)

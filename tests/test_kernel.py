@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.model.kernel import LANES
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.kernels.lengths import LANES
 from fpcal_bayes.model.parameters import EXTRINSICS
 
 BATCHES = (1, 2, LANES - 1, LANES, LANES + 1, 2 * LANES + 2)

@@ -8,11 +8,12 @@ from conftest import RandomCell, ReferenceCase, random_cells
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.model.kernel import STRIDE
-from fpcal_bayes.model.kernel_jacobian import derivative_columns
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.kernels.jacobian import derivative_columns
+from fpcal_bayes.model.kernels.lengths import STRIDE
 
 STEP = 1e-30
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from fpcal_bayes.infer import least_squares
-from fpcal_bayes.infer.least_squares import DECREMENT_TOLERANCE, gauss_newton, minimise, newton_step, polished
-from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.fit import minimise as least_squares
+from fpcal_bayes.infer.fit.minimise import DECREMENT_TOLERANCE, gauss_newton, minimise, newton_step, polished
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweep_csv import read_csv
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"

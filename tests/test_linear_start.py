@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, campaign
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.infer.estimate_draws import independent_draws
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.task_error import task_rows
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.tasks.error import task_rows
+from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.linear_start import linear_start
-from fpcal_bayes.track.tracker import calibrate
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.tracking.start import linear_start
+from fpcal_bayes.tracking.tracker import calibrate
 
 MODEL = CavityModel.of(CELL)
 SWEEPS = campaign(4, sessions=0)[1]

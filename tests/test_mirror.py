@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.least_squares import minimise
-from fpcal_bayes.infer.mirror import mirror_images
-from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.infer.fit.minimise import minimise, mirror_images
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 FREE = CELL.free
@@ -81,7 +81,7 @@ def test_other_data(cell, midpoints, rows):
 
 
 def test_considered_unknowns_are_left_where_they_are():
-    from fpcal_bayes.infer.problem import Considered
+    from fpcal_bayes.infer.fit.problem import Considered
 
     sweeps = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=2)
     free, held = CELL.select("intrinsic"), CELL.select("extrinsic")

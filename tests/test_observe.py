@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.observability import spectrum_of
-from fpcal_bayes.infer.observe import observe, whitened_jacobian
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.infer.observability.observe import observe, whitened_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.report.observe_html import write_observe_html
-from fpcal_bayes.report.observe_text import print_observability
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.observe import print_observability, write_observe_html
 
 CELLS = {opd: load_cell(opd=opd) for opd in ("axis", "perpendicular")}
 CELL = CELLS["axis"]
@@ -209,12 +209,12 @@ def test_bad_arguments_are_refused():
 _WHOLE_TRACES = """
 import resource
 import numpy as np
-from fpcal_bayes.infer.observe import observe
+from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.io.cell import load_cell
 
 cell, points = load_cell(), 400
 plan = paper_protocol(cell)

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from page_reader import Reader
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.information import Information
-from fpcal_bayes.infer.observe import Observability, observe
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.observability.information import Information
+from fpcal_bayes.infer.observability.observe import Observability, observe
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.report import observe_figures as figures
 from fpcal_bayes.report import svg
-from fpcal_bayes.report.observe_html import observe_html, write_observe_html
+from fpcal_bayes.report.observe import observe_html, write_observe_html
 
 CELL = load_cell()
 ODD = '<script>alert("&")</script> $x_{$ [red] --> \u4e2d'

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fpcal_bayes.infer.observe import Observability, observe
-from fpcal_bayes.infer.profile import Profile
+from fpcal_bayes.infer.observability.observe import Observability, observe
+from fpcal_bayes.infer.observability.profile import Profile
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report import observe_words as words
-from fpcal_bayes.report.observe_text import print_observability
+from fpcal_bayes.report import observe as words
+from fpcal_bayes.report.observe import print_observability
 
 CELL = load_cell()
 

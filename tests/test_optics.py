@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell, load_cell
-from fpcal_bayes.model.optics import Interferometer
-from fpcal_bayes.resources import data_file
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.optics import Interferometer
 
 TEXT = data_file("femto-st.toml").read_text(encoding="utf-8")
 

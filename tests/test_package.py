@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import fpcal_bayes
-from fpcal_bayes.notebook import html_table
+from fpcal_bayes.core.notebook import html_table
 
 NOTEBOOK = Path(__file__).parent.parent / "docs" / "how-to" / "notebook.md"
 

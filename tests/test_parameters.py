@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell, load_cell, make_parameters
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.model.cell.cell import Cell, make_parameters
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, Parameter, ParameterSet, model_size
 
 

@@ -5,23 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.kernel_phase import follow_phase
-from fpcal_bayes.infer.path_check import PathCheck, PathError, check_path, measure_path, starts_flat
-from fpcal_bayes.infer.path_curve import splines
-from fpcal_bayes.infer.path_rows import check_rows
-from fpcal_bayes.measure.path_trace import PathTrace
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.fringes.kernels import follow_phase
+from fpcal_bayes.fringes.path_check import PathCheck, PathError, check_path, check_rows, measure_path, starts_flat
+from fpcal_bayes.fringes.path_curve import splines
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.recorder import record_path
-from fpcal_bayes.measure.recorder_settings import HARD, RecorderSettings
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.measure.traces import PathTrace
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.report.check_text import check_content, check_sentences, check_warnings
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.report.check import check_content, check_sentences, check_warnings
+from fpcal_bayes.simulator.optics import HARD, RecorderSettings
+from fpcal_bayes.simulator.recorder import record_path
+from fpcal_bayes.simulator.sweeps import simulate
 
 #: Fewer samples than the default: the tests are about the method.
 SHORT = RecorderSettings(rate_hz=50.0)

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.joint_path import read_joint_path
-from fpcal_bayes.measure.path_trace import PathTrace, path_columns, read_path_trace, write_path_trace
-from fpcal_bayes.measure.truth import paper_truth, read_truth
-from fpcal_bayes.measure.truth_file import write_truth
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.joint_paths import read_joint_path
+from fpcal_bayes.io.traces import path_columns, read_path_trace, write_path_trace
+from fpcal_bayes.io.truth import read_truth, write_truth
+from fpcal_bayes.measure.traces import PathTrace
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cell.cell import Cell
 
 PARTS = np.repeat([True, False, True], [10, 20, 9])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fpcal_bayes.report.plan_figure import draw_accuracy
+from fpcal_bayes.report.plan import draw_accuracy
 
 
 def test_accuracy_against_the_number_of_sweeps() -> None:

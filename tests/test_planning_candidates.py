@@ -6,13 +6,13 @@ from conftest import DATA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps, neighbours, reverses
-from fpcal_bayes.infer.planning.limits import SweepLimits, controllers
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps, controllers, neighbours, reverses
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 
 CELL = load_cell()
 

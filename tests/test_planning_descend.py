@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from test_planning_design import KEYS, random_case
 
-from fpcal_bayes.infer.planning.candidates import can_be_followed, candidate_sweeps
-from fpcal_bayes.infer.planning.choose import reference_of
-from fpcal_bayes.infer.planning.criteria import criterion_by_name
-from fpcal_bayes.infer.planning.descend import descend
-from fpcal_bayes.infer.planning.design import Design
-from fpcal_bayes.infer.planning.ground import Ground, prior_ground
-from fpcal_bayes.infer.planning.limits import SweepLimits, controllers
-from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
+from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, controllers
+from fpcal_bayes.infer.design.criteria import criterion_by_name
+from fpcal_bayes.infer.design.descend import descend
+from fpcal_bayes.infer.design.exchange import reference_of
+from fpcal_bayes.infer.design.information import Design
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings
+from fpcal_bayes.infer.design.problem import Ground, prior_ground
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 
 CELL = load_cell()
 LIMITS = SweepLimits(tilt=np.radians(3.0))
@@ -69,7 +69,7 @@ def test_descent_is_better_and_keeps_to_the_limits(ground: Ground, several: bool
 
 
 def test_a_large_plan_descends_in_parts(ground: Ground, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fpcal_bayes.infer.planning.descend._TOGETHER", 2)
+    monkeypatch.setattr("fpcal_bayes.infer.design.descend._TOGETHER", 2)
     search = planner(ground)
     sweeps = candidate_sweeps(CELL, n=5, rng=np.random.default_rng(2), limits=LIMITS)
     found = descend(sweeps, search.judge, CavityModel.of(CELL), CELL.free.nominal, LIMITS, iterations=4)

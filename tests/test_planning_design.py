@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.planning.criteria import CRITERIA, criterion_by_name
-from fpcal_bayes.infer.planning.design import Design, covariance_root
-from fpcal_bayes.infer.planning.exchange import exchange, greedy, most_useful_first
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.design.criteria import CRITERIA, criterion_by_name
+from fpcal_bayes.infer.design.exchange import exchange, greedy, most_useful_first
+from fpcal_bayes.infer.design.information import Design, covariance_root
 
 KEYS = sorted(CRITERIA)
 

@@ -6,12 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps
-from fpcal_bayes.infer.planning.limits import SweepLimits
-from fpcal_bayes.infer.planning.order import duration, in_short_order
-from fpcal_bayes.infer.planning.rows import sweep_rows
+from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
+from fpcal_bayes.infer.design.plan import duration, in_short_order
+from fpcal_bayes.infer.design.rows import sweep_rows
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 
 CELL, LIMITS = load_cell(), SweepLimits()
 

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from task_fixtures import paper_estimate
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps
-from fpcal_bayes.infer.planning.choose import choose_sweeps
-from fpcal_bayes.infer.planning.goals import goals_of
-from fpcal_bayes.infer.planning.ground import Ground, estimate_ground, prior_ground
-from fpcal_bayes.infer.planning.plan import Planner, PlanSettings
-from fpcal_bayes.infer.planning.rows import read_often, sweep_rows
-from fpcal_bayes.infer.planning.shortfall import shortfalls
-from fpcal_bayes.infer.task_error import linear_task_sd, task_errors, task_jacobian
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.design.candidates import candidate_sweeps
+from fpcal_bayes.infer.design.exchange import choose_sweeps
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, shortfalls
+from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground
+from fpcal_bayes.infer.design.rows import read_often, sweep_rows
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.simulator.sweeps import simulate
 
 SMALL = PlanSettings(n_candidates=150, variations=8, iterations=5, share=4)
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.observe import whitened_jacobian
-from fpcal_bayes.infer.planning.rows import read_often, sweep_rows
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.design.rows import read_often, sweep_rows
+from fpcal_bayes.infer.observability.observe import whitened_jacobian
 from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol
 from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 @pytest.mark.parametrize("repeatability", [0.0, 1e-3])

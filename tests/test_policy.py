@@ -10,21 +10,21 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, campaign
 
-from fpcal_bayes.control.tasks import find_task
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.task_error import peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.decision.decision import Costs, expected_after
+from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
+from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.policy import Policy, decide_track, valid_until
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.drift_sizes import DriftSize
-from fpcal_bayes.track.consistency import Limits, Monitor, extend, findings
-from fpcal_bayes.track.decision import Costs, expected_after
-from fpcal_bayes.track.diagnosis import last_diagnosis, most_power, session_power, watched
-from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import Innovation, State, update
-from fpcal_bayes.track.horizon import Forecast, Goal
-from fpcal_bayes.track.measurement import SweepMeasurement
-from fpcal_bayes.track.policy import Policy, decide_track, valid_until
-from fpcal_bayes.track.tracker import calibrate, track
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.tracker import calibrate, track
 
 MODEL = CavityModel.of(CELL)
 GOAL = Goal(0.05)

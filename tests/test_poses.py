@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.model.poses import group_poses
+from fpcal_bayes.model.cavity import group_poses
+from fpcal_bayes.model.cell.cell import Cell
 
 
 @given(random_cells(n_poses=6), st.lists(st.integers(0, 5), min_size=1, max_size=20))

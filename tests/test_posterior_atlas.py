@@ -4,8 +4,7 @@ from numpy.testing import assert_allclose
 from scipy import special
 from toy_targets import LinearTarget, TwistedTarget
 
-from fpcal_bayes.infer.posterior.atlas import Atlas
-from fpcal_bayes.infer.posterior.chart import Solved
+from fpcal_bayes.infer.posterior.proposal import Atlas, Solved
 
 BIMODAL = {"bend": 1.0, "apart": 3.0, "tilt": 0.3}
 

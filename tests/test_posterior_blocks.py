@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 
 
 def a_block(seed: int) -> Block:

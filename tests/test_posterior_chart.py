@@ -3,12 +3,12 @@ import pytest
 from numpy.testing import assert_allclose
 from toy_targets import CubicTarget, LinearTarget, ToyTarget, TwistedTarget
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior.chart import Chart
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.proposal import Chart
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 @pytest.fixture(scope="module", params=["paper", "midpoints"])

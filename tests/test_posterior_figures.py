@@ -8,14 +8,14 @@ import pytest
 from test_cli import refused
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.posterior import sample as sample_module
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
-from fpcal_bayes.infer.posterior.output import data_tree
+from fpcal_bayes.infer.posterior.netcdf import data_tree
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.measure.sweep_files import read_sweeps
-from fpcal_bayes.report import posterior_figures as figures
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.report import posterior as figures
 
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 NAMES = {"ranks.png", "prior-posterior.png", "residuals.png", "pareto-k.png", "pairs.png"}

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.student import DOF, StudentProblem, StudentTangent, bend, log_peak, robust_minimum
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD
 from fpcal_bayes.infer.posterior.sample import make_target, sample
-from fpcal_bayes.infer.student import DOF, StudentProblem, StudentTangent, bend, log_peak, robust_minimum
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 NAMES = ("beta_wf", "x_wf")

@@ -3,10 +3,9 @@ import pytest
 from arviz_stats.base import array_stats
 from toy_targets import LinearTarget, TwistedTarget, run_moves
 
-from fpcal_bayes.infer.posterior import move_local
-from fpcal_bayes.infer.posterior.atlas import Atlas
-from fpcal_bayes.infer.posterior.move_local import LocalMove
-from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
+from fpcal_bayes.infer.posterior import moves as move_local
+from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
+from fpcal_bayes.infer.posterior.proposal import Atlas
 
 N_WALKERS = 256
 TARGETS = [LinearTarget(5), LinearTarget(20), TwistedTarget(5), TwistedTarget(20)]

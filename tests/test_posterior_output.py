@@ -6,13 +6,13 @@ import pytest
 from conftest import DATA
 from numpy.testing import assert_allclose
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior.output import content, data_tree, summarise, write_netcdf
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.netcdf import content, data_tree, summarise, write_netcdf
 from fpcal_bayes.infer.posterior.sample import Posterior, sample
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.measure.sweep_files import read_sweeps
 from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.simulator.sweeps import simulate
 
 GROUPS = {"posterior", "prior", "sample_stats", "log_likelihood", "posterior_predictive", "observed_data"}
 
@@ -129,7 +129,7 @@ class TestRows:
         assert_allclose(noise.T @ noise / len(noise), correlation, rtol=0, atol=7 / np.sqrt(len(noise)))
 
     def test_long_runs_are_thinned(self, posterior, monkeypatch):
-        monkeypatch.setattr("fpcal_bayes.infer.posterior.output._KEPT_CELLS", 128 * 69 * 10)
+        monkeypatch.setattr("fpcal_bayes.infer.posterior.netcdf._KEPT_CELLS", 128 * 69 * 10)
         thin = data_tree(posterior, seed=3, command="")
         n_draws = thin["posterior"].sizes["draw"]
         assert n_draws == posterior.points.shape[1]

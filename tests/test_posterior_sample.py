@@ -5,15 +5,16 @@ import pytest
 from conftest import DATA
 from numpy.testing import assert_allclose
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior import sample as sample_module
-from fpcal_bayes.infer.posterior.blocks import BlockStore
+from fpcal_bayes.infer.posterior.checkpoint import BlockStore
 from fpcal_bayes.infer.posterior.sample import BLOCK_STEPS, Posterior, identity, sample
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import single_sweep
-from fpcal_bayes.measure.sweep_files import read_sweeps
 from fpcal_bayes.measure.sweeps import join
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 
 DRAWS = 300
 

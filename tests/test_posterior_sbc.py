@@ -5,7 +5,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fpcal_bayes.study.posterior_ranks import TASK
+from fpcal_bayes.study.sbc import TASK
 
 
 @pytest.fixture(scope="module")

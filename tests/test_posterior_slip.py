@@ -8,17 +8,17 @@ import pytest
 from scipy import special, stats
 from test_slips import slipped_sweeps
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.covariance import group_blocks
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior.output import slip_probabilities, summarise
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.noise import group_blocks
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, find_slips
+from fpcal_bayes.infer.posterior.netcdf import slip_probabilities, summarise
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target_slip import LOGIT_MEAN, LOGIT_SD, SlipTarget
-from fpcal_bayes.infer.slips import MOST_HALF_WAVES, find_slips
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 @pytest.fixture(scope="module")

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.prior import Prior
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.priors import LogNormal, TruncatedNormal, Uniform
+from fpcal_bayes.simulator.sweeps import simulate
 
 DEG = np.pi / 180
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.model.priors import LogNormal, TruncatedNormal, Uniform
 
 HALF_NORMAL = TruncatedNormal(2.0, 3.0, 2.0, np.inf)

@@ -3,16 +3,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.covariance import whitening_of
-from fpcal_bayes.infer.least_squares import gauss_newton
-from fpcal_bayes.infer.problem import Considered, Problem
+from fpcal_bayes.infer.fit.minimise import gauss_newton
+from fpcal_bayes.infer.fit.noise import whitening_of
+from fpcal_bayes.infer.fit.problem import Considered, Problem
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 SHAKY = replace(

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.bounds import bounds_of
-from fpcal_bayes.infer.identify import Identification, identify
-from fpcal_bayes.infer.profile import profile
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.observability.measures import bounds_of
+from fpcal_bayes.infer.observability.profile import profile
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 TRUTH = paper_truth(CELL).at(0.0)

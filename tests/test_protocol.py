@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv
 from fpcal_bayes.measure.protocol import add_midpoints, mark_signs, paper_protocol, protocol_by_name, single_sweep
-from fpcal_bayes.measure.sweep_csv import read_csv
-from fpcal_bayes.model.cell import load_cell
 from fpcal_bayes.model.parameters import Parameter, ParameterSet
 
 CELL = load_cell()

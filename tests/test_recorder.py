@@ -5,19 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.interferometer import fringe, mirror_views
-from fpcal_bayes.measure.optical_rig import OpticalRig
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
-from fpcal_bayes.measure.recorder import record_path, record_sweeps, reference_joint
-from fpcal_bayes.measure.recorder_settings import HARD, RecorderSettings
-from fpcal_bayes.measure.rig import noise_free
+from fpcal_bayes.measure.recordings import check_index
 from fpcal_bayes.measure.sweeps import join
-from fpcal_bayes.measure.trace import Trace
-from fpcal_bayes.measure.trace_index import check_index
+from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.interferometer import fringe, mirror_views
+from fpcal_bayes.simulator.optics import HARD, OpticalRig, RecorderSettings
+from fpcal_bayes.simulator.recorder import record_path, record_sweeps, reference_joint
+from fpcal_bayes.simulator.sweeps import noise_free
 
 CLEAN = RecorderSettings(envelope_change=0.0, offset_drift=0.0, noise=0.0)
 

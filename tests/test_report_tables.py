@@ -8,12 +8,12 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from fpcal_bayes.infer.identify import Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv
 from fpcal_bayes.measure.protocol import mark_signs
-from fpcal_bayes.measure.sweep_csv import read_csv
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.report.tables import fit_lines, number, parameter_table, plain_table, reflection_lines, truth_table
+from fpcal_bayes.report.fit import fit_lines, number, parameter_table, plain_table, reflection_lines, truth_table
 
 CELL = load_cell()
 

@@ -8,12 +8,18 @@ from rich.console import Console
 from rich.table import Table
 from task_fixtures import paper_estimate
 
-from fpcal_bayes.control.tasks import task_path
-from fpcal_bayes.infer.budget import budget_of
-from fpcal_bayes.infer.task_prediction import TaskPrediction, predict_from_covariance
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.report.budget_tables import budget_content, budget_table, correlation_lines
-from fpcal_bayes.report.task_tables import prediction_content, prediction_table, reach_warnings
+from fpcal_bayes.infer.tasks.budget import budget_of
+from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.report.tasks import (
+    budget_content,
+    budget_table,
+    correlation_lines,
+    prediction_content,
+    prediction_table,
+    reach_warnings,
+)
 
 
 def text_of(table: Table) -> str:

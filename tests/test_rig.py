@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import mark_signs, paper_protocol, single_sweep
-from fpcal_bayes.measure.rig import noise_free, simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import noise_free, simulate
 
 CELL = load_cell()
 TRUTH = paper_truth(CELL)

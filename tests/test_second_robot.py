@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fpcal_bayes.analysis.campaign import gather
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.control.tasks import find_task
-from fpcal_bayes.measure.sweep_csv import read_csv, write_csv
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.sweeps import join
-from fpcal_bayes.measure.truth import read_truth
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.model.estimate import read_estimate
-from fpcal_bayes.report.campaign_facts import gather
-from fpcal_bayes.report.campaign_words import verdict
-from fpcal_bayes.track.horizon import Goal
+from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.report.campaign.words import verdict
 
 DATA = Path(__file__).parent / "data"
 FILE = DATA / "xyz-theta-tilts.toml"

@@ -3,15 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer import signs as signs_module
-from fpcal_bayes.infer.identify import Identification, identify
-from fpcal_bayes.infer.signs import DOUBTFUL
+from fpcal_bayes.infer.fit import signs as signs_module
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.fit.signs import DOUBTFUL
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import mark_signs, paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()
 FREE = CELL.free

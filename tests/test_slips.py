@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.slips import find_slips
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 def slipped_sweeps(cell: Cell, seed: int, n_slips: int) -> tuple[Sweeps, Sweeps, np.ndarray]:

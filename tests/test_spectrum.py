@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpcal_bayes.infer.observability import spectrum_of, statuses
+from fpcal_bayes.infer.fit.spectrum import spectrum_of, statuses
 
 
 def with_spectrum(values: list[float], n_rows: int, seed: int = 0) -> np.ndarray:

@@ -5,19 +5,17 @@ import pickle
 import numpy as np
 import pytest
 
-from fpcal_bayes.control.tasks import TASKS
-from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.study import posterior_ranks
+from fpcal_bayes.motion.tasks import TASKS
+from fpcal_bayes.study import sbc as posterior_ranks
 from fpcal_bayes.study.base import sweeps_sha256
 from fpcal_bayes.study.coverage import METHODS, SHARES, Coverage, summarise
+from fpcal_bayes.study.drifting_week import Setting, simulate_week
 from fpcal_bayes.study.planning import Planning
-from fpcal_bayes.study.policy import DEFAULT_POLICIES, Policies
-from fpcal_bayes.study.policy_rules import rules
-from fpcal_bayes.study.policy_week import Setting, simulate_week
-from fpcal_bayes.study.posterior_ranks import PosteriorRanks, Replicate, quantities
-from fpcal_bayes.study.rank_tests import RANKED
-from fpcal_bayes.track.horizon import Goal
+from fpcal_bayes.study.policies import DEFAULT_POLICIES, Policies, rules
+from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, Replicate, quantities
 
 
 def studies(cell):

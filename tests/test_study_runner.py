@@ -7,9 +7,9 @@ import sys
 import pytest
 from toy_study import ToyStudy
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import file_sha256
-from fpcal_bayes.study import cluster as cluster_module
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.study import runner as cluster_module
 from fpcal_bayes.study.runner import Progress, run_alone, run_on_cluster
 from fpcal_bayes.study.store import StudyStore
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from toy_study import ToyStudy
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import file_sha256
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.study.runner import run_alone
 from fpcal_bayes.study.store import StudyStore, packed
 

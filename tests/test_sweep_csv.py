@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.sweep_csv import read_csv, write_csv
-from fpcal_bayes.measure.sweep_files import read_sweeps, write_sweeps
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.model.cell import load_cell
 
 CELL = load_cell()
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"

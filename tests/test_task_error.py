@@ -7,18 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 from task_fixtures import paper_estimate, paper_values
 
-from fpcal_bayes.control.tasks import TASKS, follow_offsets, task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.task_error import (
-    angular_errors,
-    linear_task_sd,
-    peak_to_peak,
-    task_errors,
-    task_jacobian,
-)
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.tasks.error import angular_errors, linear_task_sd, peak_to_peak, task_errors, task_jacobian
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import TASKS, follow_offsets, task_path
 
 
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])

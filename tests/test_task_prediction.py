@@ -9,19 +9,18 @@ import pytest
 from numpy.testing import assert_allclose
 from task_fixtures import paper_estimate
 
-from fpcal_bayes.control.tasks import TASKS, task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.estimate_draws import independent_draws
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.posterior_file import read_posterior
-from fpcal_bayes.infer.task_error import linear_task_sd, peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.infer.task_prediction import predict_from_covariance, predict_from_draws
-from fpcal_bayes.infer.task_source import Knowledge, read_knowledge
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.netcdf import read_posterior
+from fpcal_bayes.infer.tasks.error import linear_task_sd, peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.infer.tasks.prediction import predict_from_covariance, predict_from_draws
+from fpcal_bayes.infer.tasks.source import Knowledge, independent_draws, read_knowledge
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import TASKS, task_path
+from fpcal_bayes.simulator.sweeps import simulate
 
 
 def write_posterior(path: Path, cell: Cell, values: np.ndarray, **attributes: object) -> None:

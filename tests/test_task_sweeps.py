@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from track_fixtures import CELL
 
-from fpcal_bayes.control.tasks import task_path
+from fpcal_bayes.decision.policy import task_sweeps
 from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.task_sweeps import task_sweeps
+from fpcal_bayes.motion.tasks import task_path
 
 MODEL = CavityModel.of(CELL)
 TRUTH = paper_truth(CELL).at(0.0)

@@ -7,13 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 from task_fixtures import paper_values
 
-from fpcal_bayes.control.path_csv import read_path
-from fpcal_bayes.control.placement import Placement
-from fpcal_bayes.control.tasks import TASKS, find_task, follow_offsets, task_path, user_path
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.placement import Placement
+from fpcal_bayes.motion.tasks import TASKS, find_task, follow_offsets, task_path, user_path
 
 HEADER = "x_um,y_um,z_um,rx_deg,ry_deg,rz_deg\n"
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.trace import Trace, WavelengthScan, read_scan, read_trace, unscaled, write_scan, write_trace
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.traces import read_scan, read_trace, unscaled, write_scan, write_trace
+from fpcal_bayes.measure.traces import Trace, WavelengthScan
 
 HEADER = "t_s,joint,irradiance_v\n"
 

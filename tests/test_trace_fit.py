@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.kernel_traces import trace_grams
-from fpcal_bayes.infer.trace_fit import fit_traces
-from fpcal_bayes.infer.trace_samples import NODES, TraceSamples
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.traces.fit import fit_traces
+from fpcal_bayes.infer.traces.kernels import trace_grams
+from fpcal_bayes.infer.traces.samples import NODES, TraceSamples
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
-from fpcal_bayes.measure.recorder import record_sweeps
-from fpcal_bayes.measure.recorder_settings import HARD, RecorderSettings
-from fpcal_bayes.measure.rig import noise_free, simulate
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.simulator.optics import HARD, RecorderSettings
+from fpcal_bayes.simulator.recorder import record_sweeps
+from fpcal_bayes.simulator.sweeps import noise_free, simulate
 
 #: A tenth of the default rate: still more than three samples a fringe.
 SHORT = RecorderSettings(rate_hz=20.0)

@@ -10,13 +10,14 @@ import pytest
 from scipy.io import savemat
 from trace_fixtures import record_all, scan
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.recordings import read_index, write_index
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.trace import Trace
-from fpcal_bayes.measure.trace_index import TraceIndex, read_index, write_index
+from fpcal_bayes.measure.recordings import TraceIndex
+from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.track.aged import aged
+from fpcal_bayes.tracking.drift import aged
 
 
 def test_a_random_walk_adds_its_variance(femto: Cell) -> None:

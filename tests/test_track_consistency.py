@@ -7,11 +7,11 @@ import pytest
 from scipy import stats
 from track_fixtures import CELL, DRIFT, campaign, knock, step_of_beta_4
 
-from fpcal_bayes.measure.rig import simulate
-from fpcal_bayes.track.consistency import Limits, Monitor, extend, findings
-from fpcal_bayes.track.filter import Innovation, State, update
-from fpcal_bayes.track.measurement import LinearMeasurement
-from fpcal_bayes.track.tracker import innovation_bounds, track
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
+from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.measurement import LinearMeasurement
+from fpcal_bayes.tracking.tracker import innovation_bounds, track
 
 
 def verdicts(seed: int, **settings) -> list[str]:

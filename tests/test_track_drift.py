@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from track_fixtures import CELL, DRIFT
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.drift_sizes import DriftSize
-from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.tracking.drift import DriftModel
 
 DEG = np.pi / 180.0
 

@@ -10,16 +10,16 @@ from scipy import stats
 from statsmodels.tsa.statespace.mlemodel import MLEModel
 from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.drift_sizes import DriftSize
-from fpcal_bayes.track import measurement as rows_taken_in
-from fpcal_bayes.track.consistency import Monitor
-from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.filter import State, inflate, predict, update
-from fpcal_bayes.track.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.step import SessionOutcome
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.tracking import measurement as rows_taken_in
+from fpcal_bayes.tracking.alarms import Monitor
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State, inflate, predict, update
+from fpcal_bayes.tracking.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.smoother import smooth
 
 EXTRINSIC = CELL.select("extrinsic")
 KNOWN = {"walk": 1.0, "rate_sd": 0.5, "bounded_sd": 0.7, "bounded_hours": 9.0, "temperature": 0.3}
@@ -257,7 +257,7 @@ def test_a_jump_widens_what_it_names():
 
 def test_rows_that_share_a_reading_are_whitened_together():
     from fpcal_bayes.measure.protocol import add_midpoints
-    from fpcal_bayes.measure.rig import simulate
+    from fpcal_bayes.simulator.sweeps import simulate
 
     truth, sweeps = campaign(4, sessions=1, count=3)
     both = simulate(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)

@@ -5,13 +5,14 @@ from track_fixtures import CELL, DRIFT, campaign, knock
 
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track import following, smoother
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.record import record_of, resume
-from fpcal_bayes.track.sessions import check_sessions
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.step import take_in
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.tracking import smoother
+from fpcal_bayes.tracking import smoother as following
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.record import record_of, resume
+from fpcal_bayes.tracking.session import take_in
+from fpcal_bayes.tracking.sessions import check_sessions
+from fpcal_bayes.tracking.smoother import smooth
+from fpcal_bayes.tracking.tracker import track
 
 LIMITS = Limits()
 MODEL = CavityModel.of(CELL)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, campaign, plan
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.filter import State
-from fpcal_bayes.track.hidden_noise import with_hidden_noise
+from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.start import with_hidden_noise
 
 MODEL = CavityModel.of(CELL)
 FOUND = identify(CELL, campaign(4, sessions=0)[1]).estimate

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.track.likely_terms import likely_drift, likely_terms
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.drift import likely_drift, likely_terms
+from fpcal_bayes.tracking.tracker import track
 
 TRUTH, SWEEPS = campaign(3, sessions=18, hours=4.0, count=4)
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, campaign, knock
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.record import decisions_of, record_of, resume
-from fpcal_bayes.track.sessions import check_sessions
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.tracker import smooth_track, track
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.measure.campaign import Campaign
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.record import decisions_of, record_of, resume
+from fpcal_bayes.tracking.sessions import check_sessions
+from fpcal_bayes.tracking.smoother import smooth
+from fpcal_bayes.tracking.tracker import smooth_track, track
 
 LIMITS = Limits()
 SWEEPS = campaign(5, sessions=7, change=knock(np.random.default_rng(0)), changed=3)[1]

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
-from fpcal_bayes.infer.identify import identify
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import add_midpoints
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track import measurement as rows_taken_in
-from fpcal_bayes.track.corrections import correct_slips
-from fpcal_bayes.track.filter import Innovation, State, predict
-from fpcal_bayes.track.measurement import SweepMeasurement
-from fpcal_bayes.track.row_changes import FewRows, ManyRows, row_changes
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking import measurement as rows_taken_in
+from fpcal_bayes.tracking.corrections import FewRows, ManyRows, correct_slips, row_changes
+from fpcal_bayes.tracking.filter import Innovation, State, predict
+from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 HALF_WAVE = CELL.wavelength / 2.0
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, campaign
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.measure.sweeps import join
-from fpcal_bayes.track.sessions import check_sessions, hours_of, session_sha256
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.tracking.sessions import check_sessions, hours_of, session_sha256
+from fpcal_bayes.tracking.tracker import track
 
 SWEEPS = campaign(0, sessions=3)[1]
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, campaign
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.track.fit_sizes import fit_sizes, maximise, profile_interval
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.tracking.fit_sizes import fit_sizes, maximise, profile_interval
 
 
 def walk_likelihood(increments: np.ndarray):

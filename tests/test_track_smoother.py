@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from track_fixtures import CELL, campaign, knock
 
-from fpcal_bayes.track.smoother import smooth
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.tracking.smoother import smooth
+from fpcal_bayes.tracking.tracker import track
 
 
 def root_of(matrix: np.ndarray) -> np.ndarray:

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, plan
 
-from fpcal_bayes.infer.estimate_draws import independent_draws
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.planning.candidates import candidate_sweeps
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.infer.design.candidates import candidate_sweeps
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.record import record_of, resume
-from fpcal_bayes.track.sessions import check_sessions
-from fpcal_bayes.track.solutions import LOOKS
-from fpcal_bayes.track.tracker import calibrate, track
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.record import record_of, resume
+from fpcal_bayes.tracking.sessions import check_sessions
+from fpcal_bayes.tracking.solutions import LOOKS
+from fpcal_bayes.tracking.tracker import calibrate, track
 
 SESSIONS = 6
 LIMITS = Limits()

@@ -5,21 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fpcal_bayes.track.stale import stale_measurement
 from track_fixtures import CELL, DRIFT, SIGMA, campaign, knock, plan, step_of_beta_4
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.track import measurement as rows_taken_in
-from fpcal_bayes.track.consistency import Limits
-from fpcal_bayes.track.filter import State, predict, update
-from fpcal_bayes.track.measurement import SweepMeasurement
-from fpcal_bayes.track.stale import stale_measurement
-from fpcal_bayes.track.step import take_in
-from fpcal_bayes.track.tracker import track
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking import measurement as rows_taken_in
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.filter import State, predict, update
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.session import take_in
+from fpcal_bayes.tracking.tracker import track
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.measure.truth import Truth, TruthRecord, paper_tables, paper_truth, read_truth
-from fpcal_bayes.model.cell import load_cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import paper_tables
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.truth import read_truth
+from fpcal_bayes.measure.truth import Truth, TruthRecord, paper_truth
 from fpcal_bayes.model.parameters import ParameterSet
 
 CELL = load_cell()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trace_fixtures import scan
 
-from fpcal_bayes.measure.air_index import ciddor
-from fpcal_bayes.measure.wavelength_scan import expected_lengths, read_wavelength_scan
+from fpcal_bayes.fringes.wavelength_scan import expected_lengths, read_wavelength_scan
+from fpcal_bayes.model.air_index import ciddor
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 def test_lengths_err_as_they_say_and_far_below_an_eighth_wavelength() -> None:

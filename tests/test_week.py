@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.measure.campaign import read_campaign
-from fpcal_bayes.measure.path_trace import read_path_trace
+from fpcal_bayes.io.campaign import read_campaign
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.traces import read_path_trace
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.model.estimate import read_estimate
-from fpcal_bayes.track.drift import DriftModel
-from fpcal_bayes.track.record import decisions_of
-from fpcal_bayes.week import SESSIONS, identify_session, measure_week, week_truth
-from fpcal_bayes.week_circle import CHECK_HOURS
+from fpcal_bayes.study.paper_week import CHECK_HOURS, SESSIONS, identify_session, measure_week, week_truth
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.record import decisions_of
 
 pytestmark = pytest.mark.slow
 

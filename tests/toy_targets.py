@@ -8,7 +8,7 @@ from typing import Any
 import emcee
 import numpy as np
 
-from fpcal_bayes.infer.posterior.atlas import Atlas
+from fpcal_bayes.infer.posterior.proposal import Atlas
 from fpcal_bayes.infer.posterior.target import half_squares
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.trace import Trace, WavelengthScan
-from fpcal_bayes.measure.trace_index import TraceIndex
+from fpcal_bayes.measure.traces import Trace, WavelengthScan
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 
 
 def bent(random: np.random.Generator, u: np.ndarray, size: float) -> np.ndarray:

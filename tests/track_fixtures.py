@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell import load_cell
-from fpcal_bayes.track.drift import DriftModel
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.drift import DriftModel
 
 CELL = load_cell()
 DRIFT = DriftModel.of(CELL)

@@ -4,7 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.common import (
+import numpy as np
+
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -15,20 +17,20 @@ from fpcal_bayes.cli.common import (
     positive,
     seed,
     share,
-    warm_up,
     warn,
     write_result,
 )
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-    from fpcal_bayes.infer.path_check import PathError
-    from fpcal_bayes.measure.path_trace import PathTrace
+    from fpcal_bayes.fringes.path_check import PathError
+    from fpcal_bayes.measure.traces import PathTrace
     from fpcal_bayes.model.estimate import Estimate
+
 
 _EPILOG = """\
 TRACE is a CSV with the columns part,t_s,q1_um .. q6_deg,irradiance_v. Lines of part `reference` come first: the robot
@@ -80,12 +82,12 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.estimate_draws import read_estimate_draws
-    from fpcal_bayes.infer.path_check import check_path, measure_path
-    from fpcal_bayes.measure.path_trace import read_path_trace
+    from fpcal_bayes.fringes.path_check import check_path, measure_path
+    from fpcal_bayes.infer.tasks.source import read_estimate_draws
+    from fpcal_bayes.io.estimate import read_estimate
+    from fpcal_bayes.io.traces import read_path_trace
     from fpcal_bayes.model.cavity import CavityModel
-    from fpcal_bayes.model.estimate import read_estimate
-    from fpcal_bayes.report.check_text import check_content, check_sentences, check_warnings
+    from fpcal_bayes.report.check import check_content, check_sentences, check_warnings
 
     cell = cell_of(options)
     if options.output is None and options.points is not None:
@@ -128,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _index(options: argparse.Namespace, cell: Cell) -> float:
     """Refractive index of the air."""
-    from fpcal_bayes.measure.air_index import ciddor
+    from fpcal_bayes.model.air_index import ciddor
 
     air = (options.temperature_c, options.pressure_hpa, options.humidity_pct)
     if all(value is None for value in air):
@@ -142,7 +144,7 @@ def _drift(options: argparse.Namespace, cell: Cell, estimate: "Estimate") -> "ND
     """Covariance of the drift from the time of the estimate to that of the check."""
     import numpy as np
 
-    from fpcal_bayes.track.drift import DriftModel
+    from fpcal_bayes.tracking.drift import DriftModel
 
     if options.time_h is None or not cell.drift:
         return None
@@ -160,8 +162,8 @@ def _drift(options: argparse.Namespace, cell: Cell, estimate: "Estimate") -> "ND
 def _write_rows(
     options: argparse.Namespace, cell: Cell, estimate: "Estimate", trace: "PathTrace", measured: "PathError"
 ) -> None:
-    from fpcal_bayes.infer.path_rows import check_rows
-    from fpcal_bayes.measure.sweep_files import write_sweeps
+    from fpcal_bayes.fringes.path_check import check_rows
+    from fpcal_bayes.io.sweeps import write_sweeps
 
     time_h = estimate.time_h if options.time_h is None else options.time_h
     rows = check_rows(

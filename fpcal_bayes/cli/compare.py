@@ -5,7 +5,7 @@ import sys
 
 from rich.console import Console
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -14,10 +14,10 @@ from fpcal_bayes.cli.common import (
     console,
     count,
     seed,
-    warm_up,
     warn,
     write_result,
 )
+from fpcal_bayes.infer.fit.kernels import warm_up
 
 _EPILOG = """\
 Models stand between commas, settings of one model between plus signs: `opd=axis,opd=perpendicular`, or
@@ -44,9 +44,9 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.compare import compare, parse_models
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.report.compare_tables import compare_table
+    from fpcal_bayes.infer.posterior.compare import compare, parse_models
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.report.posterior import compare_table
 
     cell = cell_of(options)
     check_output(options.json, options.file)

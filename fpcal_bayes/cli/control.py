@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -13,11 +13,11 @@ from fpcal_bayes.cli.common import (
     console,
     count,
     positive,
-    warm_up,
     warn,
     write_result,
 )
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 
 _EPILOG = """\
 TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, or a PATH.csv with the columns x_um,y_um,z_um,rx_deg,ry_deg,rz_deg
@@ -55,9 +55,9 @@ def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None
 
 def warm_up_inverse(cell: Cell) -> None:
     """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
-    from fpcal_bayes.model.compiled import needs_compilation
     from fpcal_bayes.model.inverse import InverseModel
-    from fpcal_bayes.model.kernel_inverse import batch_inverse
+    from fpcal_bayes.model.kernels.compile import needs_compilation
+    from fpcal_bayes.model.kernels.inverse import batch_inverse
 
     inverse = InverseModel(cell)
     warm_up(cell)
@@ -71,10 +71,10 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     import numpy as np
 
-    from fpcal_bayes.control.joint_files import check_suffix, write_joints
-    from fpcal_bayes.control.validity import read_now, stale_text
-    from fpcal_bayes.infer.task_source import read_knowledge
-    from fpcal_bayes.report.task_tables import prediction_content, prediction_table, reach_warnings
+    from fpcal_bayes.infer.tasks.source import read_knowledge
+    from fpcal_bayes.io.joint_paths import check_suffix, write_joints
+    from fpcal_bayes.motion.validity import read_now, stale_text
+    from fpcal_bayes.report.tasks import prediction_content, prediction_table, reach_warnings
 
     cell = cell_of(options)
     check_suffix(options.output)
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)
     sd[task.ok] = prediction.sd
-    write_joints(options.output, task, sd)
+    write_joints(options.output, cell, task.q, task.status, sd, task=task.name)
 
     warnings = reach_warnings(task) + ([] if stale is None else [stale])
     console(options).print(

@@ -3,22 +3,23 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.analysis.campaign import follow
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
+    add_goal,
     add_json,
     cell_of,
     check_output,
     console,
     count,
+    goal_of,
     positive,
     warn,
     write_result,
 )
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.follow import follow
-from fpcal_bayes.cli.goal import add_goal, goal_of
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 
 _EPILOG = """\
 hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
@@ -63,12 +64,18 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     import numpy as np
 
-    from fpcal_bayes.measure.sweep_csv import write_csv
-    from fpcal_bayes.report.decide_text import decision_content, decision_sentence, outlook_table, sweep_table
-    from fpcal_bayes.report.track_text import time_text, verdict_lines
-    from fpcal_bayes.track.decision import Costs
-    from fpcal_bayes.track.policy import decide_track, valid_until
-    from fpcal_bayes.track.sessions import hours_now
+    from fpcal_bayes.decision.decision import Costs
+    from fpcal_bayes.decision.policy import decide_track, valid_until
+    from fpcal_bayes.io.csv import write_csv
+    from fpcal_bayes.report.track import (
+        decision_content,
+        decision_sentence,
+        outlook_table,
+        sweep_table,
+        time_text,
+        verdict_lines,
+    )
+    from fpcal_bayes.tracking.sessions import hours_now
 
     cell = cell_of(options)
     for output in (options.output, options.json):

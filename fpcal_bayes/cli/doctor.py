@@ -2,16 +2,8 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import (
-    Commands,
-    add_command,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    warm_up,
-    write_result,
-)
+from fpcal_bayes.cli.options import Commands, add_command, add_json, cell_of, check_output, console, write_result
+from fpcal_bayes.infer.fit.kernels import warm_up
 
 _EPILOG = """\
 problem: results are wrong or cannot be had; doubt: they may be; note: good to know. Each finding comes with what to do.
@@ -32,8 +24,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from rich.markup import escape
 
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.report.doctor import examine
+    from fpcal_bayes.analysis.doctor import examine
+    from fpcal_bayes.io.sweeps import read_sweeps
 
     cell = cell_of(options)
     check_output(options.json, options.file)

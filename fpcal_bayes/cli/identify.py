@@ -2,7 +2,7 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -11,11 +11,11 @@ from fpcal_bayes.cli.common import (
     check_output,
     console,
     prior_of,
-    warm_up,
     warn,
     with_source,
     write_result,
 )
+from fpcal_bayes.infer.fit.kernels import warm_up
 
 _EPILOG = """\
 --free takes groups and names, for example `--free extrinsic` or `--free all,gain_4`. Parameters that are not free are
@@ -40,11 +40,11 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.estimate_draws import draws_content
-    from fpcal_bayes.infer.identify import identify
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.model.estimate import read_estimate
-    from fpcal_bayes.report.tables import fit_lines, parameter_table
+    from fpcal_bayes.infer.fit.identify import identify
+    from fpcal_bayes.infer.tasks.source import draws_content
+    from fpcal_bayes.io.estimate import read_estimate
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.report.fit import fit_lines, parameter_table
 
     cell = cell_of(options)
     check_output(options.json, options.file, options.start, options.prior)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -15,19 +15,21 @@ from fpcal_bayes.cli.common import (
     console,
     count,
     positive,
-    warm_up,
     warn,
     write_result,
 )
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.model.estimate import Estimate, read_estimate
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
 
 if TYPE_CHECKING:
-    from fpcal_bayes.measure.alignment import Alignment
-    from fpcal_bayes.measure.ingest import Ingested
-    from fpcal_bayes.measure.trace_index import TraceIndex
-    from fpcal_bayes.measure.wavelength_scan import ScanReading
+    from fpcal_bayes.fringes.alignment import Alignment
+    from fpcal_bayes.fringes.ingest import Ingested
+    from fpcal_bayes.fringes.wavelength_scan import ScanReading
+    from fpcal_bayes.measure.recordings import TraceIndex
+
 
 _EPILOG = """\
 INDEX is a CSV with a row for each sweep: session,time_h,label,q1_start_um,..,q6_end_deg,trace, where trace is a CSV
@@ -74,9 +76,9 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.measure.ingest import IngestSettings, ingest
-    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES
-    from fpcal_bayes.measure.trace_index import read_index
+    from fpcal_bayes.fringes.ingest import IngestSettings, ingest
+    from fpcal_bayes.io.recordings import read_index
+    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 
     cell = cell_of(options)
     if options.output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
@@ -113,8 +115,8 @@ def run(options: argparse.Namespace) -> int:
 def _announce() -> None:
     import sys
 
-    from fpcal_bayes.measure.fringes.kernel_fit import fit_signal
-    from fpcal_bayes.model.compiled import needs_compilation
+    from fpcal_bayes.fringes.kernels import fit_signal
+    from fpcal_bayes.model.kernels.compile import needs_compilation
 
     if needs_compilation(fit_signal):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
@@ -123,8 +125,9 @@ def _announce() -> None:
 def _write(options: argparse.Namespace, found: "Ingested", index: "TraceIndex", cell: Cell) -> None:
     from dataclasses import replace
 
-    from fpcal_bayes.measure.campaign import Campaign, write_campaign
-    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES, write_sweeps
+    from fpcal_bayes.io.campaign import write_campaign
+    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
+    from fpcal_bayes.measure.campaign import Campaign
 
     if options.output.suffix.lower() in HDF5_SUFFIXES:
         extras = [
@@ -144,9 +147,9 @@ def _write(options: argparse.Namespace, found: "Ingested", index: "TraceIndex", 
 
 def _align(cell: Cell, found: "Ingested", index: "TraceIndex", estimate: Estimate | None) -> "Alignment":
     """The fibre's direction, near `estimate` or near what the sweeps of the first session identify."""
-    from fpcal_bayes.infer.identify import identify
-    from fpcal_bayes.measure.alignment import align
-    from fpcal_bayes.measure.fringe_amplitude import fringe_amplitudes
+    from fpcal_bayes.fringes.alignment import align
+    from fpcal_bayes.fringes.amplitude import fringe_amplitudes
+    from fpcal_bayes.infer.fit.identify import identify
 
     amplitudes = fringe_amplitudes(cell, index.sweeps, found)
     if estimate is None:
@@ -157,7 +160,7 @@ def _align(cell: Cell, found: "Ingested", index: "TraceIndex", estimate: Estimat
 
 
 def _write_alignment(options: argparse.Namespace, found: "Alignment", index: "TraceIndex") -> None:
-    from fpcal_bayes.files import file_sha256
+    from fpcal_bayes.core.files import file_sha256
 
     data = {
         "file": Path(options.index).name,
@@ -183,9 +186,9 @@ def _draw(folder: Path, found: "Ingested", index: "TraceIndex", cell: Cell) -> i
     drawn = [i for i in found.doubtful.recording.tolist() if found.readings[i] is not None]
     if not drawn:
         return 0
-    from fpcal_bayes.files import make_folder, replacing
-    from fpcal_bayes.measure.trace_index import moving_joint
-    from fpcal_bayes.report.fringe_figures import draw_sweep
+    from fpcal_bayes.core.files import make_folder, replacing
+    from fpcal_bayes.measure.recordings import moving_joint
+    from fpcal_bayes.report.fringes import draw_sweep
 
     make_folder(folder)
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
@@ -204,7 +207,7 @@ def _draw(folder: Path, found: "Ingested", index: "TraceIndex", cell: Cell) -> i
 
 def _content(found: "Ingested", index: "TraceIndex", cell: Cell) -> dict[str, Any]:
     """The JSON: every recording, used or not."""
-    from fpcal_bayes.measure.trace_index import moving_joint
+    from fpcal_bayes.measure.recordings import moving_joint
 
     sweeps = index.sweeps
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from fpcal_bayes import __version__
 from fpcal_bayes.cli import (
     check,
     compare,
@@ -25,7 +24,8 @@ from fpcal_bayes.cli import (
     track,
     week,
 )
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.version import __version__
 
 #: In the order of the work.
 _COMMANDS = (

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -12,10 +12,10 @@ from fpcal_bayes.cli.common import (
     console,
     positive,
     share,
-    warm_up,
     warn,
     write_result,
 )
+from fpcal_bayes.infer.fit.kernels import warm_up
 
 _EPILOG = """\
 FILE may be a plan, without dl_um and sigma_um: the analysis then averages over the prior. Measured sweeps are analysed
@@ -48,10 +48,9 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.observe import observe
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.report.observe_html import write_observe_html
-    from fpcal_bayes.report.observe_text import print_observability
+    from fpcal_bayes.infer.observability.observe import observe
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.report.observe import print_observability, write_observe_html
 
     cell = cell_of(options)
     check_output(options.json, options.file, options.candidates)

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -19,15 +20,15 @@ from fpcal_bayes.cli.common import (
     warn,
     write_result,
 )
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.model.cell.cell import Cell
 
 if TYPE_CHECKING:
-    from fpcal_bayes.infer.planning.ground import Ground
-    from fpcal_bayes.infer.planning.limits import SweepLimits
-    from fpcal_bayes.infer.planning.plan import PlanSettings
+    from fpcal_bayes.infer.design.candidates import SweepLimits
+    from fpcal_bayes.infer.design.plan import PlanSettings
+    from fpcal_bayes.infer.design.problem import Ground
     from fpcal_bayes.measure.sweeps import Sweeps
+
 
 _EPILOG = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -96,12 +97,10 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.planning.order import duration, in_short_order
-    from fpcal_bayes.infer.planning.plan import Planner
-    from fpcal_bayes.infer.planning.rows import read_often
-    from fpcal_bayes.infer.planning.shortfall import shortfalls
-    from fpcal_bayes.measure.sweep_files import write_sweeps
-    from fpcal_bayes.report.plan_tables import accuracy_table, plan_content, sweeps_table
+    from fpcal_bayes.infer.design.plan import Planner, duration, in_short_order, shortfalls
+    from fpcal_bayes.infer.design.rows import read_often
+    from fpcal_bayes.io.sweeps import write_sweeps
+    from fpcal_bayes.report.plan import accuracy_table, plan_content, sweeps_table
 
     cell = cell_of(options)
     if options.n is None and options.reach is None:
@@ -138,8 +137,8 @@ def run(options: argparse.Namespace) -> int:
     if options.rows is not None:
         write_sweeps(options.rows, read_often(ordered, readings), cell)
     if options.figure is not None:
-        from fpcal_bayes.report.plan_figure import draw_plan
-        from fpcal_bayes.report.week_figure import save_figure
+        from fpcal_bayes.report.plan import draw_plan
+        from fpcal_bayes.report.week import save_figure
 
         save_figure(draw_plan(cell, ordered), options.figure)
     out = console(options)
@@ -155,10 +154,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> "tuple[Ground, Ground]":
     """What the plan is made on, and what it is judged on."""
-    from fpcal_bayes.infer.planning.ground import estimate_ground, measured_estimate, prior_ground
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.model.estimate import read_estimate
-    from fpcal_bayes.track.aged import aged
+    from fpcal_bayes.infer.design.problem import estimate_ground, measured_estimate, prior_ground
+    from fpcal_bayes.io.estimate import read_estimate
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.tracking.drift import aged
 
     sigma, common = options.sigma_nm * 1e-3, {"tasks": tasks, "radius": options.radius_um}
     first: Sweeps | None = None
@@ -235,7 +234,7 @@ def _targets(text: str | None) -> dict[str, float]:
 
 
 def _tasks(options: argparse.Namespace, targets: dict[str, float]) -> list[str]:
-    from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
+    from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
 
     if options.tasks is None:
         return list(targets) if targets else list(DEFAULT_TASKS)
@@ -246,7 +245,7 @@ def _tasks(options: argparse.Namespace, targets: dict[str, float]) -> list[str]:
 
 
 def _settings(options: argparse.Namespace) -> "PlanSettings":
-    from fpcal_bayes.infer.planning.plan import PlanSettings
+    from fpcal_bayes.infer.design.plan import PlanSettings
 
     readings = options.readings or (2 if options.midpoints else 1)
     return PlanSettings(
@@ -265,7 +264,7 @@ def _settings(options: argparse.Namespace) -> "PlanSettings":
 def _limits(options: argparse.Namespace) -> "SweepLimits":
     from math import radians
 
-    from fpcal_bayes.infer.planning.limits import SweepLimits
+    from fpcal_bayes.infer.design.candidates import SweepLimits
 
     given = {
         "tilt": None if options.max_tilt_deg is None else radians(options.max_tilt_deg),
@@ -294,7 +293,7 @@ def _record(options: argparse.Namespace, settings: "PlanSettings") -> dict[str, 
 
 def _check_suffixes(options: argparse.Namespace) -> None:
     """Refuse names of files that cannot be written, before any work is done."""
-    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES
+    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 
     for path in (options.output, options.rows):
         if path is not None and path.suffix.lower() not in (".csv", *HDF5_SUFFIXES):

@@ -4,20 +4,21 @@ import argparse
 import shlex
 from pathlib import Path
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
+    add_goal,
     add_json,
     cell_of,
     check_output,
     console,
-    warm_up,
+    goal_of,
     write_result,
 )
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.goal import add_goal, goal_of
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 
 _EPILOG = """\
 The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
@@ -45,8 +46,8 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.report.campaign_page import write_campaign_report
-    from fpcal_bayes.report.campaign_words import standing, verdict
+    from fpcal_bayes.report.campaign.page import write_campaign_report
+    from fpcal_bayes.report.campaign.words import standing, verdict
 
     cell = cell_of(options)
     for output in (options.output, options.json):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -19,17 +19,18 @@ from fpcal_bayes.cli.common import (
     count,
     prior_of,
     seed,
-    warm_up,
     warn,
     with_source,
     write_result,
 )
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import make_folder
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 
 if TYPE_CHECKING:
     from fpcal_bayes.infer.posterior.sample import Posterior
+
 
 _EPILOG = """\
 Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
@@ -66,12 +67,12 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.identify import identify
-    from fpcal_bayes.infer.posterior.blocks import BlockStore
-    from fpcal_bayes.infer.posterior.output import content, data_tree, slip_probabilities, write_netcdf
+    from fpcal_bayes.infer.fit.identify import identify
+    from fpcal_bayes.infer.posterior.checkpoint import BlockStore
+    from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
     from fpcal_bayes.infer.posterior.sample import identity, sample
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.report.posterior_tables import posterior_table
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.report.posterior import posterior_table
 
     cell = cell_of(options)
     check_output(options.output, options.file, options.prior)
@@ -172,7 +173,7 @@ def _pairs(options: argparse.Namespace, cell: Cell) -> list[str] | None:
 
 def _write_plots(posterior: "Posterior", tree: Any, options: argparse.Namespace, pairs: list[str] | None) -> None:
     from fpcal_bayes.infer.posterior.leave_out import leave_one_out
-    from fpcal_bayes.report.posterior_figures import write_posterior_figures
+    from fpcal_bayes.report.posterior import write_posterior_figures
 
     loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
     for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):

@@ -5,23 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.common import (
-    Commands,
-    add_command,
-    cell_of,
-    check_output,
-    console,
-    positive,
-    seed,
-    warm_up,
-)
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.cli.options import Commands, add_command, cell_of, check_output, console, positive, seed
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 
 if TYPE_CHECKING:
-    from fpcal_bayes.measure.recorder_settings import RecorderSettings
     from fpcal_bayes.measure.sweeps import Sweeps
     from fpcal_bayes.measure.truth import Truth
+    from fpcal_bayes.simulator.optics import RecorderSettings
+
 
 _EPILOG = """\
 The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
@@ -70,9 +63,10 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.io.truth import read_truth
     from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.measure.truth import paper_truth, read_truth
+    from fpcal_bayes.measure.truth import paper_truth
 
     cell = cell_of(options)
     _check_options(options)
@@ -106,7 +100,7 @@ def _check_options(options: argparse.Namespace) -> None:
 
 
 def _settings(options: argparse.Namespace) -> "RecorderSettings":
-    from fpcal_bayes.measure.recorder_settings import HARD, RecorderSettings
+    from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 
     settings = HARD if options.disturbances == "hard" else RecorderSettings()
     return replace(settings, samples_per_fringe=options.samples_per_fringe)
@@ -114,9 +108,10 @@ def _settings(options: argparse.Namespace) -> "RecorderSettings":
 
 def _measure(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps", protocol: str) -> int:
     """Changes of length with Gaussian noise."""
-    from fpcal_bayes.measure.campaign import Campaign, write_campaign
-    from fpcal_bayes.measure.rig import simulate
-    from fpcal_bayes.measure.sweep_files import HDF5_SUFFIXES, write_sweeps
+    from fpcal_bayes.io.campaign import write_campaign
+    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
+    from fpcal_bayes.measure.campaign import Campaign
+    from fpcal_bayes.simulator.sweeps import simulate
 
     warm_up(cell)
     sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
@@ -135,9 +130,9 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Swe
 
 def _record(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps") -> int:
     """Traces of sweeps, with an index."""
-    from fpcal_bayes.measure.recorder import check_recordable, record_sweeps
-    from fpcal_bayes.measure.trace_index import write_index
-    from fpcal_bayes.measure.truth_file import write_truth
+    from fpcal_bayes.io.recordings import write_index
+    from fpcal_bayes.io.truth import write_truth
+    from fpcal_bayes.simulator.recorder import check_recordable, record_sweeps
 
     check_recordable(plan)
     warm_up(cell)
@@ -155,9 +150,9 @@ def _record(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Swee
 
 def _record_path(options: argparse.Namespace, cell: Cell, truth: "Truth") -> int:
     """The trace of one path."""
-    from fpcal_bayes.measure.joint_path import read_joint_path
-    from fpcal_bayes.measure.path_trace import write_path_trace
-    from fpcal_bayes.measure.recorder import record_path
+    from fpcal_bayes.io.joint_paths import read_joint_path
+    from fpcal_bayes.io.traces import write_path_trace
+    from fpcal_bayes.simulator.recorder import record_path
 
     if options.output.suffix.lower() != ".csv":
         raise InputError(f"{options.output}: expected a file name that ends in .csv")

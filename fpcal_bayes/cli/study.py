@@ -11,31 +11,33 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
+    add_goal,
     add_json,
     cell_of,
     check_output,
     console,
     count,
+    goal_of,
     positive,
     seed,
-    warm_up,
     warn,
     write_result,
 )
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.goal import add_goal, goal_of
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.model.cell import Cell
+    from fpcal_bayes.model.cell.cell import Cell
     from fpcal_bayes.study.base import Study, Summary
     from fpcal_bayes.study.runner import Progress
+
 
 _EPILOG = """\
 coverage  does the truth lie in the predicted bands of each task?
@@ -135,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(summary: "Summary", out: Console) -> None:
-    from fpcal_bayes.report.tables import plain_table
+    from fpcal_bayes.report.fit import plain_table
 
     if summary.rows:
         table = plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])
@@ -148,8 +150,8 @@ def _print(summary: "Summary", out: Console) -> None:
 
 def _sweeps_of(options: argparse.Namespace, cell: "Cell") -> "Sweeps":
     """The sweeps that ``--protocol`` names, as a plan."""
+    from fpcal_bayes.io.sweeps import read_sweeps
     from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
-    from fpcal_bayes.measure.sweep_files import read_sweeps
 
     if options.protocol in PROTOCOLS:
         return protocol_by_name(options.protocol, cell)
@@ -173,8 +175,7 @@ def _coverage(options: argparse.Namespace, cell: "Cell") -> "Study":
 
 
 def _sbc(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.study.posterior_ranks import PosteriorRanks, sbc_plan
-    from fpcal_bayes.study.rank_tests import RANKED
+    from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, sbc_plan
 
     if options.draws <= RANKED:
         raise InputError(f"--draws {options.draws}: expected more than {RANKED}, among which the truth is ranked")
@@ -185,9 +186,8 @@ def _sbc(options: argparse.Namespace, cell: "Cell") -> "Study":
 
 
 def _policy(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.study.policy import DEFAULT_POLICIES, Policies
-    from fpcal_bayes.study.policy_rules import rules
-    from fpcal_bayes.study.policy_week import Setting
+    from fpcal_bayes.study.drifting_week import Setting
+    from fpcal_bayes.study.policies import DEFAULT_POLICIES, Policies, rules
 
     goal = goal_of(options)
     chosen = tuple(options.policies.split(";")) if options.policies else DEFAULT_POLICIES
@@ -208,8 +208,8 @@ def _policy(options: argparse.Namespace, cell: "Cell") -> "Study":
 
 
 def _plan(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.infer.planning.rows import read_often
-    from fpcal_bayes.measure.sweep_files import read_sweeps
+    from fpcal_bayes.infer.design.rows import read_often
+    from fpcal_bayes.io.sweeps import read_sweeps
     from fpcal_bayes.study.planning import Planning
 
     if options.plan is None:

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.cli.control import add_task_options, warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
     add_json,
@@ -16,8 +17,7 @@ from fpcal_bayes.cli.common import (
     warn,
     write_result,
 )
-from fpcal_bayes.cli.control import add_task_options, warm_up_inverse
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 
 _EPILOG = """\
 TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, all of these (the default), or a PATH.csv (see fpcal control).
@@ -52,12 +52,18 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.control.tasks import TASKS
-    from fpcal_bayes.infer.budget import budget_of
-    from fpcal_bayes.infer.task_source import read_knowledge
-    from fpcal_bayes.measure.sweep_files import read_sweeps
-    from fpcal_bayes.report.budget_tables import budget_content, budget_table, correlation_lines
-    from fpcal_bayes.report.task_tables import prediction_content, prediction_table, reach_warnings
+    from fpcal_bayes.infer.tasks.budget import budget_of
+    from fpcal_bayes.infer.tasks.source import read_knowledge
+    from fpcal_bayes.io.sweeps import read_sweeps
+    from fpcal_bayes.motion.tasks import TASKS
+    from fpcal_bayes.report.tasks import (
+        budget_content,
+        budget_table,
+        correlation_lines,
+        prediction_content,
+        prediction_table,
+        reach_warnings,
+    )
 
     cell = cell_of(options)
     check_output(options.json, options.file, options.task, options.estimate, options.sweeps)

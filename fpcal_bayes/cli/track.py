@@ -8,25 +8,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fpcal_bayes.cli.common import (
+from fpcal_bayes.analysis.campaign import follow
+from fpcal_bayes.cli.control import warm_up_inverse
+from fpcal_bayes.cli.options import (
     Commands,
     add_command,
+    add_goal,
     add_json,
     cell_of,
     check_output,
     console,
+    goal_of,
     positive,
     warn,
     write_result,
 )
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.follow import follow
-from fpcal_bayes.cli.goal import add_goal, goal_of
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fpcal_bayes.track.horizon import Goal
-    from fpcal_bayes.track.tracker import Track
+    from fpcal_bayes.decision.forecast import Goal
+    from fpcal_bayes.tracking.tracker import Track
+
 
 _EPILOG = """\
 The first session of CAMPAIGN is the full calibration, the following ones update it: any number of sweeps, at any time.
@@ -95,13 +97,13 @@ def _stamp(file: str) -> tuple[int, int] | None:
 
 def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
-    from fpcal_bayes.files import exclusive, file_sha256
-    from fpcal_bayes.measure.campaign import write_campaign
-    from fpcal_bayes.measure.sweep_files import is_campaign_file
-    from fpcal_bayes.report.tables import parameter_table
-    from fpcal_bayes.report.track_text import session_table, time_text, verdict_lines
-    from fpcal_bayes.track.consistency import Limits
-    from fpcal_bayes.track.record import decisions_of, record_of
+    from fpcal_bayes.core.files import exclusive, file_sha256
+    from fpcal_bayes.io.campaign import write_campaign
+    from fpcal_bayes.io.sweeps import is_campaign_file
+    from fpcal_bayes.report.fit import parameter_table
+    from fpcal_bayes.report.track import session_table, time_text, verdict_lines
+    from fpcal_bayes.tracking.alarms import Limits
+    from fpcal_bayes.tracking.record import decisions_of, record_of
 
     cell = cell_of(options)
     for output in (options.estimate, options.json):
@@ -152,7 +154,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
 
 def _valid_until(found: "Track", goal: "Goal", *, asked: bool) -> tuple[float | None, list[str]]:
     """Until when the estimate holds, in hours, or None and why it cannot be said."""
-    from fpcal_bayes.track.policy import valid_until
+    from fpcal_bayes.decision.policy import valid_until
 
     try:
         warm_up_inverse(found.cell)

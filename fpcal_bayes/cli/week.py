@@ -8,29 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from fpcal_bayes.cli.common import (
-    Commands,
-    add_command,
-    cell_of,
-    console,
-    positive,
-    seed,
-    warm_up,
-    warn,
-)
 from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.files import make_folder, write_json, write_text
+from fpcal_bayes.cli.options import Commands, add_command, cell_of, console, positive, seed, warn
+from fpcal_bayes.core.files import make_folder, write_json, write_text
+from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.model.estimate import SCHEMA
 
 if TYPE_CHECKING:
-    from fpcal_bayes.infer.identify import Identification
+    from fpcal_bayes.infer.fit.identify import Identification
     from fpcal_bayes.infer.posterior.sample import Posterior
     from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.model.cell import Cell
-    from fpcal_bayes.track.tracker import Track
-    from fpcal_bayes.week import Week
-    from fpcal_bayes.week_circle import Circle
-    from fpcal_bayes.week_courses import Followed
+    from fpcal_bayes.model.cell.cell import Cell
+    from fpcal_bayes.study.paper_scenarios import Followed
+    from fpcal_bayes.study.paper_week import Circle, Week
+    from fpcal_bayes.tracking.tracker import Track
+
 
 _EPILOG = """\
 The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
@@ -66,9 +58,15 @@ def add_parser(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from fpcal_bayes.infer.posterior.sample import sample
-    from fpcal_bayes.week import SESSIONS, Week, identify_session, measure_week
-    from fpcal_bayes.week_circle import check_circles, renewed_circles
-    from fpcal_bayes.week_courses import follow_week
+    from fpcal_bayes.study.paper_scenarios import follow_week
+    from fpcal_bayes.study.paper_week import (
+        SESSIONS,
+        Week,
+        check_circles,
+        identify_session,
+        measure_week,
+        renewed_circles,
+    )
 
     cell = cell_of(options)
     make_folder(options.output)
@@ -129,11 +127,12 @@ def _write_data(options: argparse.Namespace, cell: "Cell", week: "Week", followe
     """Both campaigns, and an estimate JSON a session."""
     from dataclasses import replace
 
-    from fpcal_bayes.measure.campaign import Campaign, read_campaign, write_campaign
-    from fpcal_bayes.track.consistency import Limits
-    from fpcal_bayes.track.policy import valid_until
-    from fpcal_bayes.track.record import record_of
-    from fpcal_bayes.week_courses import decision_log
+    from fpcal_bayes.decision.policy import valid_until
+    from fpcal_bayes.io.campaign import read_campaign, write_campaign
+    from fpcal_bayes.measure.campaign import Campaign
+    from fpcal_bayes.study.paper_scenarios import decision_log
+    from fpcal_bayes.tracking.alarms import Limits
+    from fpcal_bayes.tracking.record import record_of
 
     folder: Path = options.output
     contents = {
@@ -167,7 +166,7 @@ def _write_page(options: argparse.Namespace, cell: "Cell", sampled: bool, comman
     """The report of the paper's protocol, as `fpcal report` writes it."""
     if not options.page:
         return
-    from fpcal_bayes.report.campaign_page import write_campaign_report
+    from fpcal_bayes.report.campaign.page import write_campaign_report
 
     folder: Path = options.output
     posterior = folder / "posterior.nc" if sampled else None
@@ -175,7 +174,7 @@ def _write_page(options: argparse.Namespace, cell: "Cell", sampled: bool, comman
 
 
 def _write_circles(folder: Path, cell: "Cell", checks: "list[Circle]", renewed: "list[Circle]") -> None:
-    from fpcal_bayes.measure.path_trace import write_path_trace
+    from fpcal_bayes.io.traces import write_path_trace
 
     make_folder(folder / "circles")
     for circle in [*checks, *renewed]:
@@ -185,9 +184,7 @@ def _write_circles(folder: Path, cell: "Cell", checks: "list[Circle]", renewed: 
 def _write_figures(
     folder: Path, week: "Week", followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]"
 ) -> None:
-    from fpcal_bayes.report.week_circle_figure import draw_circles
-    from fpcal_bayes.report.week_course_figure import draw_courses
-    from fpcal_bayes.report.week_figure import draw_week, save_figure
+    from fpcal_bayes.report.week import draw_circles, draw_courses, draw_week, save_figure
 
     save_figure(draw_week(week, followed), folder / "extrinsics.svg")
     save_figure(draw_circles(checks, renewed), folder / "circles.svg")
@@ -195,7 +192,7 @@ def _write_figures(
 
 
 def _write_posterior(options: argparse.Namespace, posterior: "Posterior | None", command: str) -> None:
-    from fpcal_bayes.infer.posterior.output import data_tree, write_netcdf
+    from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
 
     if posterior is not None:
         tree = data_tree(posterior, seed=options.seed, command=command)
@@ -204,8 +201,8 @@ def _write_posterior(options: argparse.Namespace, posterior: "Posterior | None",
 
 def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
     """Print each session's parameters beside the truth, as the paper's tables have them."""
-    from fpcal_bayes.report.tables import fit_lines, reflection_lines, truth_table
-    from fpcal_bayes.week import SESSIONS
+    from fpcal_bayes.report.fit import fit_lines, reflection_lines, truth_table
+    from fpcal_bayes.study.paper_week import SESSIONS
 
     for session in SESSIONS:
         result = week.identifications[session.name]
@@ -222,8 +219,8 @@ def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
 
 def print_courses(followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]", out: Console) -> None:
     """Print the circles, and what each way through the week held and cost."""
-    from fpcal_bayes.report.track_text import verdict_lines
-    from fpcal_bayes.report.week_text import circle_table, course_table
+    from fpcal_bayes.report.track import verdict_lines
+    from fpcal_bayes.report.week import circle_table, course_table
 
     tolerance = followed.goal.tolerance
     out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
@@ -237,7 +234,7 @@ def print_courses(followed: "Followed", checks: "list[Circle]", renewed: "list[C
 
 def print_posterior(posterior: "Posterior | None", out: Console) -> None:
     """Print the posterior of day 0, or what it fails by."""
-    from fpcal_bayes.report.posterior_tables import posterior_table
+    from fpcal_bayes.report.posterior import posterior_table
 
     if posterior is None:
         out.print("Posterior of day 0: not sampled, since its maximum was not found")

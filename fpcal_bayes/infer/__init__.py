@@ -1,1 +1,1 @@
-"""Inference: from sweeps to estimates, and what the sweeps can tell."""
+"""What the data say: fit, observability, posterior, task errors, and the design of sweeps."""

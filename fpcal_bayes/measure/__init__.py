@@ -1,1 +1,1 @@
-"""Measurements: sweeps, protocols, campaign files, a simulated cell."""
+"""What was measured, in memory: sweeps, traces, truths and campaigns."""

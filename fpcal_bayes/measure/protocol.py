@@ -5,15 +5,13 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import paper_tables
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
-from fpcal_bayes.measure.truth import paper_tables
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import tool_pose
-
-Floats = NDArray[np.float64]
 
 #: Half the side of the cube of nodes, in um; the paper does not print it.
 NODE_HALF_SIDE = 150.0

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.errors import InputError, located
-from fpcal_bayes.model.cell import Cell, check_joints
-from fpcal_bayes.notebook import html_table
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.notebook import html_table
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell, check_joints
 
-Floats = NDArray[np.float64]
 Texts = NDArray[np.str_]
 
 KINDS = ("sweep", "absolute", "path")

@@ -1,21 +1,15 @@
 """The true parameters of a simulated cell through time."""
 
-import math
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import read_text, require_line_end
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import paper_tables
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.resources import data_file
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,11 +94,6 @@ class Truth:
         return cls(parameters, record.times_h, parameters.to_internal(record.values))
 
 
-def paper_tables() -> dict[str, Any]:
-    """Tables of Bettahar et al., as ``data/bettahar.toml`` holds them, in um and deg."""
-    return tomllib.loads(data_file("bettahar.toml").read_text(encoding="utf-8"))
-
-
 def paper_truth(cell: Cell) -> Truth:
     """What the paper's full identifications found, as the truth of a simulated cell.
 
@@ -122,59 +111,6 @@ def paper_truth(cell: Cell) -> Truth:
     return _truth(cell, epochs, "the paper's truth")
 
 
-def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth from a TOML file.
-
-    Parameters
-    ----------
-    path
-        Either a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each
-        with ``time_h`` and a table ``[epoch.parameters]``. Values in um, deg or ppm; in each of these tables what is
-        not named is nominal.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not TOML, or holds anything else; the message names the key.
-    """
-    path = Path(path)
-    try:
-        text = read_text(path)
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from error
-    except (RecursionError, ValueError) as error:
-        # A ValueError that is not an InputError: a number with thousands of digits.
-        raise error if isinstance(error, InputError) else InputError(f"{path}: not a truth ({error})") from error
-    _check_keys(path, table, "", {"parameters", "epoch"})
-    if ("parameters" in table) == ("epoch" in table):
-        raise InputError(f"{path}: key parameters: expected either a table [parameters] or several [[epoch]]")
-    if "parameters" in table:
-        epochs = [(0.0, _values(path, table["parameters"], "parameters", cell))]
-    else:
-        epochs = _epochs(path, table, cell)
-    if text[-1:].isdigit():
-        require_line_end(path, text)
-    return _truth(cell, epochs, str(path))
-
-
-def _epochs(path: Path, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
-    """Time in hours and values of each epoch."""
-    epochs: list[tuple[float, dict[str, float]]] = []
-    if not isinstance(table["epoch"], list) or not table["epoch"]:
-        raise InputError(f"{path}: key epoch: expected one or more tables [[epoch]]")
-    for number, entry in enumerate(table["epoch"], 1):
-        place = f"epoch {number}"
-        if not isinstance(entry, dict):
-            raise InputError(f"{path}: key {place}: expected a table")
-        _check_keys(path, entry, place, {"time_h", "parameters"})
-        time = _number(path, entry.get("time_h"), f"{place}.time_h")
-        if epochs and time <= epochs[-1][0]:
-            raise InputError(f"{path}: key {place}.time_h: expected more than {epochs[-1][0]:g} h, found {time:g}")
-        epochs.append((time, _values(path, entry.get("parameters"), f"{place}.parameters", cell)))
-    return epochs
-
-
 def _truth(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:
     named = {name for _, values in epochs for name in values}
     for name in sorted(named):
@@ -184,26 +120,3 @@ def _truth(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str)
     parameters = ParameterSet(p for p in cell.parameters if p.name in free | named)
     values = np.array([parameters.from_mapping(shown) for _, shown in epochs])
     return Truth(parameters, np.array([time for time, _ in epochs]), values)
-
-
-def _values(path: Path, table: Any, place: str, cell: Cell) -> dict[str, float]:
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: key {place}: expected a table of values by parameter name")
-    _check_keys(path, table, place, set(cell.parameters.names), shown=set(cell.free.names))
-    return {name: _number(path, value, f"{place}.{name}") for name, value in table.items()}
-
-
-def _check_keys(path: Path, table: dict[str, Any], place: str, known: set[str], shown: set[str] | None = None) -> None:
-    for key in table:
-        if key not in known:
-            at = f"{place}.{key}" if place else key
-            raise InputError(f"{path}: key {at}: unknown, expected one of {', '.join(sorted(shown or known))}")
-
-
-def _number(path: Path, value: Any, place: str) -> float:
-    try:
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-            return float(value)
-    except OverflowError:
-        pass
-    raise InputError(f"{path}: key {place}: expected a finite number, found {str(value)[:40]!r}")

@@ -1,6 +1,6 @@
 """The direct geometric model (DGM) as 4x4 transforms, written to be read.
 
-The compiled kernels in `fpcal_bayes.model.kernel` compute the same cavity lengths faster; tests hold them to this.
+The compiled kernels in `fpcal_bayes.model.kernels` compute the same cavity lengths faster; tests hold them to this.
 All functions also take complex model vectors, so that derivatives can be checked by complex steps.
 """
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
 
 Matrix = NDArray[Any]

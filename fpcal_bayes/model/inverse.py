@@ -13,22 +13,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.model.kernel import GAIN, STRIDE
-from fpcal_bayes.model.kernel_inverse import (
-    OK,
-    OUT_OF_REACH,
-    SATURATED,
-    SINGULAR,
-    batch_inverse,
-)
-from fpcal_bayes.model.kernel_pose import batch_tool_poses, first_bad_pose
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
+from fpcal_bayes.model.kernels.lengths import GAIN, STRIDE
+from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
 
 __all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: A rotation matrix may miss orthonormality by this: what survives a file with seven digits.
 ROTATION_TOLERANCE = 1e-6

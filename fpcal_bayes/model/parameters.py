@@ -8,7 +8,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.model.priors import Marginal
 
 Kind = Literal["intrinsic", "extrinsic"]

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.errors import InputError
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
 
 _LOG_ROOT_TWO_PI = 0.5 * float(np.log(2.0 * np.pi))
 

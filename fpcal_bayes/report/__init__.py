@@ -1,1 +1,1 @@
-"""Tables, figures and pages for people."""
+"""Words, tables and figures; computes nothing."""

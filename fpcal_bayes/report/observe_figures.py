@@ -2,14 +2,12 @@
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.infer.observability import Status
-from fpcal_bayes.infer.observe import Observability
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.spectrum import Status
+from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.report.svg import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
-
-Floats = NDArray[np.float64]
 
 # Hatches and markers tell the same as colours in grey print.
 _STATUS: dict[Status, tuple[str, str]] = {

@@ -1,1 +1,1 @@
-"""Studies: thousands of independent replicates of one question, on this machine or on a cluster."""
+"""Questions that need many replicates, on this machine or on a cluster, and the paper's week."""

@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.files import content_sha256
-from fpcal_bayes.infer.prior import Prior
+from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell import Cell
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.model.cell.cell import Cell
 
 #: Replicates, one a row, by the name of what they give: shape (n_replicates, *shape of the value).
 Results = Mapping[str, Floats]

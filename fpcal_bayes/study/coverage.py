@@ -12,15 +12,16 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.control.tasks import TASKS, Task, task_path
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.estimate_draws import independent_draws
-from fpcal_bayes.infer.identify import Identification, identify
-from fpcal_bayes.infer.task_error import peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.measure.rig import simulate
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.study.base import Floats, Results, Study, Summary, drawn_truth, sweeps_sha256
+from fpcal_bayes.motion.tasks import TASKS, Task, task_path
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 METHODS = ("draws", "covariance")
 SHARES = (0.5, 0.8, 0.95)

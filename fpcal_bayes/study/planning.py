@@ -8,18 +8,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fpcal_bayes.control.tasks import find_task
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.infer.identify import identify
-from fpcal_bayes.infer.planning.goals import DEFAULT_TASKS
-from fpcal_bayes.infer.task_error import task_errors
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
+from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.tasks.error import task_errors
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.rig import simulate
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell
-from fpcal_bayes.study.base import Floats, Results, Study, Summary, drawn_truth, sweeps_sha256
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 #: Points of each path.
 _POINTS = 31

@@ -19,11 +19,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes import __version__
-from fpcal_bayes.errors import InputError
-from fpcal_bayes.files import content_sha256, exclusive, replacing
-from fpcal_bayes.measure.hdf5_access import put_text, reading, writing
-from fpcal_bayes.study.base import Floats, Study
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import content_sha256, exclusive, replacing
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.version import __version__
+from fpcal_bayes.io.hdf5 import put_text, reading, writing
+from fpcal_bayes.study.base import Study
 
 SCHEMA = "fpcal-study"
 SCHEMA_VERSION = 1

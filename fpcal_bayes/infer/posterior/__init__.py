@@ -1,1 +1,1 @@
-"""Sampling the posterior: exact, converged, resumable."""
+"""Sampling the posterior: exact, converged, resumable; and comparison of models."""

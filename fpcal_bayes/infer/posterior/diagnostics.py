@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from fpcal_bayes.core.typing import Floats
 
 MOST_RHAT = 1.01
 LEAST_LENGTH = 50

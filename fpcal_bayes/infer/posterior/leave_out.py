@@ -9,18 +9,14 @@ in its own charts, and the ratio of both normalising constants is taken by bridg
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.infer.identify import Identification
-from fpcal_bayes.infer.least_squares import minimise, solution_rank
-from fpcal_bayes.infer.mirror import distinct_minima
-from fpcal_bayes.infer.posterior.atlas import Atlas
+from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.fit.minimise import distinct_minima, minimise, solution_rank
+from fpcal_bayes.infer.posterior.proposal import Atlas
 from fpcal_bayes.infer.posterior.sample import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _MOST_K = 0.7
 #: Proposals to a posterior without one row, and draws of the whole posterior that are set against them.

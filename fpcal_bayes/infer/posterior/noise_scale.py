@@ -8,13 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-from fpcal_bayes.infer.least_squares import Solution, minimise
-from fpcal_bayes.infer.problem import Problem
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.problem import Problem
 
 #: Prior of the factor: between a quarter and four times the stated noise with 95 %.
 LOG_SD = float(np.log(2.0))

@@ -7,27 +7,22 @@ from typing import Literal
 
 import emcee
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes import __version__
-from fpcal_bayes.files import content_sha256
-from fpcal_bayes.infer.identify import Identification
-from fpcal_bayes.infer.least_squares import Solution, minimise
-from fpcal_bayes.infer.mirror import all_minima
-from fpcal_bayes.infer.posterior.atlas import Atlas
-from fpcal_bayes.infer.posterior.blocks import Block, BlockStore, random_from_numbers, random_to_numbers
+from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.fit.slips import Slips, find_slips
+from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
+from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
-from fpcal_bayes.infer.posterior.learn import learn_charts
-from fpcal_bayes.infer.posterior.move_local import LocalMove
-from fpcal_bayes.infer.posterior.move_rto import RandomiseThenOptimiseMove
+from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
+from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
-from fpcal_bayes.infer.problem import Problem
-from fpcal_bayes.infer.slips import Slips, find_slips
-from fpcal_bayes.infer.student import DOF, StudentProblem, robust_minimum
-
-Floats = NDArray[np.float64]
 
 N_ENSEMBLES = 4
 N_WALKERS = 32

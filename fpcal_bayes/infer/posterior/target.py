@@ -4,13 +4,11 @@ import copy
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.fit.student import StudentTangent, bend, log_peak
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale, factors
-from fpcal_bayes.infer.problem import Problem
-from fpcal_bayes.infer.student import StudentTangent, bend, log_peak
-
-Floats = NDArray[np.float64]
 
 #: A row of unknown sign this near to zero, in standard deviations, is proposed for both signs at once.
 _NEAR_ZERO = 3.0

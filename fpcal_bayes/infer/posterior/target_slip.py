@@ -6,17 +6,15 @@ logit eps = mean + sd u and u standard normal.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.errors import located
-from fpcal_bayes.infer.covariance import Batch
-from fpcal_bayes.infer.posterior.kernel_slip import slip_sums
+from fpcal_bayes.core.errors import located
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Batch
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, Slips
+from fpcal_bayes.infer.posterior.kernels import slip_sums
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
-from fpcal_bayes.infer.slips import MOST_HALF_WAVES, Slips
-
-Floats = NDArray[np.float64]
 
 #: Prior of eps: half of it below 4.7 %, 95 % between 0.5 and 34 %.
 LOGIT_MEAN, LOGIT_SD = -3.0, 1.2

@@ -1,0 +1,239 @@
+"""What is wrong or weak in a campaign, finding by finding, each with what to do about it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.analysis.doctor_fit import session_fits
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
+
+Severity = Literal["problem", "doubt", "note"]
+
+_MOST_NAMED = 6
+#: Share of a joint's range within which a pose counts as standing at its limit.
+_AT_LIMIT = 0.01
+#: Repeated sweeps that tell the noise, at least.
+_LEAST_REPEATS = 4
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a reader of the campaign should know.
+
+    Attributes
+    ----------
+    severity
+        ``problem``: results are wrong or cannot be had; ``doubt``: they may be; ``note``: good to know.
+    kind
+        A short name, the same for all findings of a kind.
+    where
+        Session, or empty for the whole file.
+    what, remedy
+        In words.
+    """
+
+    severity: Severity
+    kind: str
+    where: str
+    what: str
+    remedy: str
+
+    def content(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "severity": self.severity,
+            "kind": self.kind,
+            "session": self.where,
+            "what": self.what,
+            "remedy": self.remedy,
+        }
+
+
+def examine(sweeps: Sweeps, cell: Cell) -> list[Finding]:
+    """Look a campaign over.
+
+    Parameters
+    ----------
+    sweeps
+        Of all sessions, measured or planned.
+    cell
+        The cell that was or will be measured.
+
+    Returns
+    -------
+    list of Finding
+        Problems first; none if there is nothing to say.
+    """
+    found = [*_times(sweeps), *_rows(sweeps, cell)]
+    if sweeps.measured:
+        found += [*_repeats(sweeps, cell), *_fits(sweeps, cell)]
+    else:
+        found += _plan(sweeps, cell)
+    ranks: dict[Severity, int] = {"problem": 0, "doubt": 1, "note": 2}
+    return sorted(found, key=lambda finding: ranks[finding.severity])
+
+
+def named(names: Sequence[str]) -> str:
+    """Names in a row, the first few of them."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more
+
+
+def row_names(sweeps: Sweeps, chosen: NDArray[np.bool_]) -> str:
+    """Labels of some rows, or their lines where they have no label."""
+    picked = np.flatnonzero(chosen)
+    return named([str(sweeps.label[i]) or f"row {sweeps.rows[i]}" for i in picked])
+
+
+def _times(sweeps: Sweeps) -> Iterator[Finding]:
+    """Times of the sessions."""
+    from fpcal_bayes.tracking.drift import HOURS_PER_DAY
+    from fpcal_bayes.tracking.sessions import check_sessions
+
+    names = sweeps.sessions
+    times = {name: sweeps.time_h[sweeps.session == name] for name in names}
+    if len(names) > 1 and len({float(t.max()) for t in times.values()}) == 1:
+        yield Finding(
+            "problem", "times", "", f"all {len(names)} sessions stand at the same time, {sweeps.time_h[0]:g} h",
+            "write the hours since the first session into time_h: drift cannot be followed without them",
+        )  # fmt: skip
+    elif sweeps.measured:
+        try:
+            check_sessions(sweeps, now_h=None)
+        except InputError as error:
+            yield Finding(
+                "problem", "sessions", "", str(error),
+                "correct time_h, or give the rows of each session one name of their own; fpcal track refuses the file",
+            )  # fmt: skip
+    order = list(dict.fromkeys(sweeps.session.tolist()))
+    if order != list(names):
+        yield Finding(
+            "note", "order", "", f"sessions stand in another order in the file ({named(order)}) than in time",
+            "nothing, if the times are right: they count, not the order",
+        )  # fmt: skip
+    clocks = sweeps.utc != ""
+    if clocks.any() and not clocks.all():
+        yield Finding(
+            "doubt", "clock", "", f"{int((~clocks).sum())} of {len(sweeps)} rows have no clock time (utc)",
+            "give every session's last row a utc, or none",
+        )  # fmt: skip
+    known = ~np.isnan(sweeps.temperature_c)
+    if known.any() and not known.all():
+        yield Finding(
+            "note", "temperature", "", f"{int((~known).sum())} of {len(sweeps)} rows have no temperature",
+            "log it for every session if the cell's drift depends on it; sessions without it count as unchanged",
+        )  # fmt: skip
+    for before, after in pairwise(names):
+        gap = float(times[after].min() - times[before].max())
+        if gap > 7 * HOURS_PER_DAY:
+            yield Finding(
+                "note", "gap", after, f"{gap / HOURS_PER_DAY:.1f} days without a measurement before it",
+                "expect a wide prediction; a full calibration is safer than a few sweeps",
+            )  # fmt: skip
+
+
+def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
+    """Single rows: twice the same, at limits, without sign, joints that never move."""
+    unsigned = ~sweeps.signed & ~sweeps.absolute
+    if unsigned.any():
+        yield Finding(
+            "note", "unsigned", "",
+            f"{int(unsigned.sum())} of {len(sweeps)} rows have no sign: {row_names(sweeps, unsigned)}",
+            "none is needed if the fit decides them all; a wavelength scan before and after a sweep gives the sign",
+        )  # fmt: skip
+    paths = sweeps.kind == "path"
+    if paths.any():
+        yield Finding(
+            "note", "paths", "", f"{int(paths.sum())} rows of kind path are not used in any identification",
+            "nothing: they serve fpcal check",
+        )  # fmt: skip
+    for name in sweeps.sessions:
+        part = sweeps.of_session(name)
+        keys = [tuple(row) for row in np.column_stack([part.q_start, part.q_end, part.dl]).tolist()]
+        again = np.array([keys.index(key) < i and part.kind[i] == "sweep" for i, key in enumerate(keys)])
+        if part.measured and again.any():
+            yield Finding(
+                "problem", "duplicates", name, f"rows measured twice to the last digit: {row_names(part, again)}",
+                "delete the copies: a reading that counts twice makes the result look better than it is",
+            )  # fmt: skip
+    moved = (sweeps.q_start != sweeps.q_end).any(axis=0)
+    joints = [column.split("_")[0] for column in cell.joint_columns]
+    still = [joint for joint, moves in zip(joints, moved, strict=True) if not moves]
+    if still:
+        yield Finding(
+            "doubt", "still", "", f"no sweep moves {named(still)}",
+            "add sweeps of these joints: their parameters stay at the prior",
+        )  # fmt: skip
+    reach = np.vstack([sweeps.q_start, sweeps.q_end])
+    bounded = np.isfinite(cell.high - cell.low)
+    low, high = np.where(bounded, cell.low, -1e300), np.where(bounded, cell.high, 1e300)
+    margin = np.where(bounded, _AT_LIMIT * (high - low), 0.0)
+    close = (reach > high - margin) | (reach < low + margin)
+    at = [joint for joint, near in zip(joints, close.any(axis=0), strict=True) if near]
+    if at:
+        yield Finding(
+            "note", "limits", "", f"poses stand at the limit of {named(at)}",
+            "see that the stage reached them: one that saturates reports a pose that it does not have",
+        )  # fmt: skip
+
+
+def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
+    """The noise that sweeps measured more than once show, against the stated one."""
+    from fpcal_bayes.infer.fit.goodness import chi2_tail
+
+    for name in sweeps.sessions:
+        part = sweeps.of_session(name)
+        part = part.take((part.kind == "sweep") & part.signed & (part.group == ""))
+        places: dict[tuple[float, ...], list[int]] = {}
+        for i, key in enumerate(map(tuple, np.hstack([part.q_start, part.q_end]).tolist())):
+            places.setdefault(key, []).append(i)
+        squares, free = 0.0, 0
+        for rows in places.values():
+            weighed = part.dl[rows] / part.sigma[rows]
+            if len(set(part.dl[rows].tolist())) == len(rows) > 1:
+                squares += float(((weighed - weighed.mean()) ** 2).sum())
+                free += len(rows) - 1
+        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
+            yield Finding(
+                "problem", "sigma", name,
+                f"sweeps measured again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
+                "raise sigma_um by this factor, or find what moves between the repeats",
+            )  # fmt: skip
+    half_wave = 0.5 * cell.wavelength
+    wide = sweeps.sigma > half_wave / 4
+    if wide.any():
+        yield Finding(
+            "doubt", "sigma", "", f"{int(wide.sum())} rows have a sigma_um above an eighth of a wavelength",
+            "read the fraction of the fringe, not whole fringes only: fpcal ingest does",
+        )  # fmt: skip
+    fine = sweeps.sigma < 1e-5
+    if fine.any():
+        yield Finding(
+            "doubt", "sigma", "", f"{int(fine.sum())} rows have a sigma_um below 0.01 nm",
+            "check the unit: sigma_um is in um",
+        )  # fmt: skip
+
+
+def _fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
+    for severity, kind, where, what, remedy in session_fits(sweeps, cell):
+        yield Finding(severity, kind, where, what, remedy)
+
+
+def _plan(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
+    """What a plan will not show."""
+    from fpcal_bayes.infer.observability.observe import observe
+
+    yield Finding(
+        "note", "plan", "", "the file is a plan: nothing is measured yet",
+        "measure it; fpcal observe says in full what it will tell",
+    )  # fmt: skip
+    for name in sweeps.sessions:
+        for gauge in observe(cell, sweeps.of_session(name)).gauges:
+            if gauge.layer != "model":
+                yield Finding("doubt", "rank", name, gauge.explanation, gauge.remedy)

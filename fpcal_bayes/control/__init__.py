@@ -1,1 +1,0 @@
-"""Where the joints must go: tasks, and the controller."""

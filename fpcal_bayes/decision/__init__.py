@@ -1,0 +1,1 @@
+"""Hold, re-identify or recalibrate."""

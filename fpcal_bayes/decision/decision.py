@@ -1,0 +1,300 @@
+"""Whether to measure now: hold, re-identify with a few sweeps, or calibrate in full."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.decision.forecast import Forecast, Outlook
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.tracking.filter import Innovation, State
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+
+Action = Literal["hold", "extrinsic", "full"]
+#: Sweeps for a state at the time of the session, at most so many, the most useful first.
+Chooser = Callable[[Forecast, State, int], Sweeps]
+
+#: Times at which the running cost of a session is compared.
+_COST_STEPS = 40
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What measuring costs, and how it is done.
+
+    Attributes
+    ----------
+    minutes_per_sweep, minutes_per_session
+        Time that a session takes: for each sweep, and once.
+    out_of_tolerance
+        Minutes of measuring that an hour out of tolerance is worth, or None: then the goal's level holds.
+    least_sweeps, most_sweeps
+        Of a session with few sweeps. One sweep looks at one direction of the tasks and trusts the drift sizes for the
+        others; as many as the tasks have directions (two for a circle) trust them less and cost more.
+    sigma
+        Standard deviation of each change of cavity length, in um.
+    horizon_h
+        How far ahead is looked, in hours.
+    diagnosis_h
+        Longest time between two sessions that can show a change of the robot itself, in hours, or None: no matter.
+    diagnosis_sweeps
+        Sweeps of such a session.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range.
+    """
+
+    minutes_per_sweep: float = 2.0
+    minutes_per_session: float = 0.0
+    out_of_tolerance: float | None = None
+    least_sweeps: int = 1
+    most_sweeps: int = 6
+    sigma: float = 0.005
+    horizon_h: float = 24.0
+    diagnosis_h: float | None = None
+    diagnosis_sweeps: int = 8
+
+    def __post_init__(self) -> None:
+        choices = [value for value in (self.out_of_tolerance, self.diagnosis_h) if value is not None]
+        counts = (self.least_sweeps, self.most_sweeps, self.diagnosis_sweeps)
+        positive = (self.minutes_per_sweep, self.sigma, self.horizon_h, *choices, *counts)
+        if not (np.isfinite(positive).all() and min(positive) > 0 and 0 <= self.minutes_per_session < np.inf):
+            raise InputError("costs: expected times, sigma, horizon and number of sweeps above zero")
+        if self.least_sweeps > self.most_sweeps:
+            raise InputError(f"costs: at least {self.least_sweeps} sweeps, expected no more than {self.most_sweeps}")
+
+    def minutes(self, n_sweeps: int) -> float:
+        """How long a session of so many sweeps takes."""
+        return self.minutes_per_session + n_sweeps * self.minutes_per_sweep
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do, and what follows from it.
+
+    Attributes
+    ----------
+    action
+        ``hold``: measure nothing before `hold_hours` have passed; ``extrinsic``: measure `sweeps` now; ``full``:
+        calibrate in full now.
+    now_h
+        Time of the decision in hours since the campaign began.
+    hold_hours
+        Hours from now until something is to be measured; zero if now.
+    level
+        Probability of being out of tolerance that is accepted.
+    sweeps
+        To be measured now; no rows if nothing is.
+    minutes
+        How long that takes.
+    then_hours
+        Hours that the tolerance is expected to hold after it, up to the horizon.
+    now, at_horizon, after
+        Error of the tasks now, at the horizon if nothing is measured, and after what is recommended (for ``hold``, at
+        its end).
+    reason
+        In words.
+    """
+
+    action: Action
+    now_h: float
+    hold_hours: float
+    level: float
+    sweeps: Sweeps | None
+    minutes: float
+    then_hours: float
+    now: Outlook
+    at_horizon: Outlook
+    after: Outlook
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Session:
+    """A session that may be measured now."""
+
+    sweeps: Sweeps
+    minutes: float
+    state: State
+    outlook: Outlook
+    hours: float
+
+
+def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
+    """The state expected after measuring a plan at the time of `state`, to first order.
+
+    Parameters
+    ----------
+    plan
+        Sweeps; measurements in it are not looked at.
+    sigma
+        Standard deviation of each change of cavity length, in um.
+
+    Returns
+    -------
+    State
+        With the mean of the prediction, which the estimate of the controller follows.
+    """
+    planned = plan.with_measurement(np.zeros(len(plan)), sigma)
+    measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
+    misfit, jacobian = measurement.linearise(state.mean)
+    innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)
+    seen = innovation.whiten(innovation.jacobian @ state.covariance)
+    return replace(state, covariance=state.covariance - seen.T @ seen)
+
+
+def decide(
+    forecast: Forecast,
+    model: CavityModel,
+    state: State,
+    costs: Costs,
+    choose: Chooser,
+    calibration: Sweeps,
+    calibration_due: str | None = None,
+    *,
+    measure: bool = False,
+) -> Decision:
+    """What to do now.
+
+    Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
+    few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
+    sessions that follow it included; if none does, a full calibration.
+
+    Parameters
+    ----------
+    forecast
+        For the estimate that the controller holds.
+    state
+        Predicted for now.
+    choose
+        Chooses the sweeps of a session.
+    calibration
+        Sweeps of a full calibration, as a plan.
+    calibration_due
+        Why a full calibration is due whatever the error, or None.
+    measure
+        Whether something is measured in any case, so that the question is only what.
+
+    Raises
+    ------
+    InputError
+        If not even a full calibration brings the tasks within the tolerance.
+    """
+    now = forecast.outlook(state)
+    at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))
+    sessions: list[_Session] = []
+    if costs.out_of_tolerance is not None:
+        sessions = _sessions(forecast, model, state, costs, choose)
+        forecast = _with_level_of_cost(forecast, sessions, costs)
+    goal = forecast.goal
+
+    def made(action: Action, hold: float, taken: _Session | None, after: Outlook, reason: str) -> Decision:
+        sweeps, minutes, then = (None, 0.0, 0.0) if taken is None else (taken.sweeps, taken.minutes, taken.hours)
+        return Decision(
+            action, state.time_h, hold, goal.level, sweeps, minutes, then, now, at_horizon, after, reason
+        )  # fmt: skip
+
+    passes = f"P(error > {1e3 * goal.tolerance:g} nm)"
+    if calibration_due is None:
+        hold = 0.0 if measure else forecast.hold_hours(state, costs.horizon_h)
+        if hold > 0.0:
+            after = forecast.outlook(forecast.ahead(state, hold))
+            beyond = "stays below" if hold >= costs.horizon_h else "reaches"
+            return made("hold", hold, None, after, f"{passes} {beyond} {goal.level:.0%} at the end of this time")
+        sessions = sessions or _sessions(forecast, model, state, costs, choose)
+        able = [s for s in sessions if s.outlook.exceeds(goal.tolerance) <= goal.level]
+        if able:
+            # A session that holds for less than a minute is no better than one that holds for a minute.
+            best = min(able, key=lambda s: s.minutes / max(s.hours, 1.0 / 60.0))
+            best = _if_it_lasts(forecast, model, costs, choose, best, max(able, key=lambda s: s.hours))
+            reason = f"{passes} is {now.exceeds(goal.tolerance):.0%} now, {goal.level:.0%} is accepted"
+            return made("extrinsic", 0.0, best, best.outlook, reason)
+    full = _session(forecast, model, state, costs, calibration)
+    if full.outlook.exceeds(goal.tolerance) > goal.level:
+        every = [full, *sessions]
+        best = min(every, key=lambda s: s.outlook.attainable(goal.level))
+        raise InputError(
+            f"tolerance {1e3 * goal.tolerance:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
+            f"met with probability {1.0 - goal.level:g} is {1e3 * best.outlook.attainable(goal.level):.1f} nm, right "
+            f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
+        )
+    reason = calibration_due or f"no session of up to {costs.most_sweeps} sweeps brings {passes} below {goal.level:.0%}"
+    return made("full", 0.0, full, full.outlook, reason)
+
+
+def measure_instead(
+    decision: Decision, forecast: Forecast, model: CavityModel, state: State, costs: Costs, sweeps: Sweeps, reason: str
+) -> Decision:
+    """The decision to measure other sweeps now; arguments as in `decide`."""
+    taken = _session(forecast, model, state, costs, sweeps)
+    return replace(
+        decision,
+        action="extrinsic",
+        hold_hours=0.0,
+        sweeps=sweeps,
+        minutes=taken.minutes,
+        then_hours=taken.hours,
+        after=taken.outlook,
+        reason=reason,
+    )
+
+
+def _session(forecast: Forecast, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
+    after = expected_after(forecast, model, state, plan, costs.sigma)
+    updated = forecast.following(after.mean)
+    hours = updated.hold_hours(after, costs.horizon_h)
+    return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
+
+
+def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
+    """Sessions of the fewest sweeps, of one more, and so on."""
+    chosen = choose(forecast, state, costs.most_sweeps)
+    counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
+    return [_session(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
+
+
+def _if_it_lasts(
+    forecast: Forecast, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
+) -> _Session:
+    """The longer of two sessions where its further sweeps pay in the sessions that follow.
+
+    What a short session leaves out grows, and each short session holds for less time than the one before, by `loss`
+    hours. One long session in k, the first of which holds for T hours, holds for k T - loss k (k - 1) / 2 hours at the
+    price of k + share short ones; that is best for the k below (marginal value theorem, Charnov 1976).
+    """
+    if long.hours <= short.hours or short.hours <= 0.0 or short.hours >= costs.horizon_h:
+        return short
+    later = forecast.ahead(short.state, short.hours)
+    again = _session(forecast, model, later, costs, choose(forecast, later, len(short.sweeps)))
+    loss = short.hours - again.hours
+    if loss <= 0.0:
+        return short
+    share = (long.minutes - short.minutes) / short.minutes
+    between = np.sqrt(share**2 + share + 2.0 * share * long.hours / loss) - share
+    return long if long.hours - short.hours >= loss * between else short
+
+
+def _with_level_of_cost(forecast: Forecast, sessions: Sequence[_Session], costs: Costs) -> Forecast:
+    """The forecast with the level at which measuring costs least in the long run.
+
+    A session of m minutes is followed by T hours in which an hour out of tolerance costs c minutes. The cost an hour,
+    (m + c * integral of p) / T, is least where p(T) is that cost over c (age replacement, Barlow & Proschan 1965).
+    """
+    cost = costs.out_of_tolerance
+    assert cost is not None
+    hours = np.geomspace(costs.horizon_h / 500.0, costs.horizon_h, _COST_STEPS)
+    best = (np.inf, forecast.goal.level)
+    for session in sessions:
+        updated = forecast.following(session.state.mean)
+        p = np.array([updated.exceeds(session.state, float(h)) for h in hours])
+        outside = np.concatenate([[0.0], np.cumsum(np.diff(hours) * (p[1:] + p[:-1]) / 2.0)])
+        rate = (session.minutes + cost * outside) / hours
+        at = int(np.argmin(rate))
+        best = min(best, (float(rate[at]), float(p[at])))
+    level = float(np.clip(best[1], 1e-3, 0.999))
+    return replace(forecast, goal=replace(forecast.goal, level=level))

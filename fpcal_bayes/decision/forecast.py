@@ -1,0 +1,233 @@
+"""How far a state can be trusted: the error of tasks as time passes, and when it is likely to leave its tolerance.
+
+The controller drives with the estimate of the last session. What it then does not know of a task is, to first order,
+
+    e = J (x(t) - x_estimate),    x(t) ~ N(m(t), P(t)),
+
+with m(t) and P(t) carried forward by the drift model. The probability that the peak to peak of e passes the tolerance
+is counted over draws; the same draws serve every time and every covariance, so that the probability is smooth in time.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State
+
+#: Points of a circle, whose peak to peak they meet within 0.4 %, and of the other tasks, which are smoother.
+_CIRCLE_POINTS, _POINTS = 37, 9
+#: Draws by which probabilities are counted: 0.10 is told within 0.007.
+_DRAWS = 2048
+#: Combinations of the parameters whose prior moves a path by less than this share of the tolerance are left out.
+_NEGLIGIBLE = 1e-3
+#: The horizon is searched at this many times, then halved until the time is known within a minute.
+_STEPS = 12
+_MINUTE_H = 1.0 / 60.0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What the cell must hold.
+
+    Attributes
+    ----------
+    tolerance
+        Largest peak to peak of the error of any of the tasks, in um.
+    tasks
+        Names as in `control.tasks.TASKS`, or path files.
+    level
+        Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
+        modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
+    radius
+        Of the circle, in um.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range or no task is named.
+    """
+
+    tolerance: float
+    tasks: tuple[str, ...] = ("circle",)
+    level: float = 0.1
+    radius: float = 100.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise InputError(f"tolerance {1e3 * self.tolerance:g} nm: expected a number above zero")
+        if not 0 < self.level < 1:
+            raise InputError(f"level {self.level:g}: expected a probability between 0 and 1")
+        if not self.tasks:
+            raise InputError("no task: expected at least one that the cell must hold")
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """Error of the tasks at one time.
+
+    Attributes
+    ----------
+    time_h
+        Hours since the campaign began.
+    peaks
+        Peak to peak of each task in each draw, shape (n_tasks, n_draws), in um.
+    """
+
+    time_h: float
+    peaks: Floats
+
+    @property
+    def worst(self) -> Floats:
+        """Peak to peak of the worst task in each draw, shape (n_draws,), in um."""
+        result: Floats = self.peaks.max(axis=0)
+        return result
+
+    @property
+    def median(self) -> float:
+        """Median over the draws of the worst task, in um."""
+        return float(np.median(self.worst))
+
+    def band(self, share: float = 0.95) -> tuple[float, float]:
+        """Lower and upper edge of the band that holds `share` of the worst task's peak to peak, in um."""
+        low, high = np.quantile(self.worst, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
+        return float(low), float(high)
+
+    def exceeds(self, tolerance: float) -> float:
+        """Probability that any task passes `tolerance`, in um."""
+        return float((self.worst > tolerance).mean())
+
+    def attainable(self, level: float) -> float:
+        """The tolerance that is passed with probability `level`, in um."""
+        return float(np.quantile(self.worst, 1.0 - level))
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Errors of tasks under one estimate, at any later time and after any further measurement.
+
+    Attributes
+    ----------
+    drift
+        What the states mean and how they move.
+    goal
+        What is to be held.
+    estimate
+        Mean of the state that the controller holds, shape (n_states,).
+    jacobian
+        Of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um.
+    tasks
+        The points of each task.
+    poses
+        Joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints).
+    basis, factor
+        Of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters).
+    draws
+        Standard normal, shape (rank, n_draws).
+    """
+
+    drift: DriftModel
+    goal: Goal
+    estimate: Floats
+    jacobian: Floats
+    tasks: tuple[slice, ...]
+    poses: Floats
+    basis: Floats
+    factor: Floats
+    draws: Floats
+
+    @classmethod
+    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecast":
+        """The forecast for the estimate that the controller holds, the mean of a state (n_states,).
+
+        Raises
+        ------
+        InputError
+            If a task is unknown, or no point of it can be driven to with this estimate.
+        """
+        values = drift.values(mean)
+        vector = model.vector(values)
+        counts = [_CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
+        tasks = [
+            find_task(model.cell, vector, name, radius=goal.radius, n_points=count).driven()
+            for name, count in zip(goal.tasks, counts, strict=True)
+        ]
+        ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()
+        jacobian = np.vstack([task_jacobian(model, values, task) for task in tasks]) * drift.scale
+        left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
+        kept = singular > _NEGLIGIBLE * goal.tolerance
+        factor = singular[kept, None] * right[kept]
+        draws = np.random.default_rng(0).standard_normal((len(factor), _DRAWS))
+        slices = tuple(slice(a, b) for a, b in pairwise(ends))
+        poses = np.vstack(
+            [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
+        )
+        return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws)
+
+    def following(self, mean: Floats) -> "Forecast":
+        """The same for a controller that takes over another estimate; its tasks move by too little to matter."""
+        return replace(self, estimate=np.array(mean))
+
+    def outlook(self, state: State) -> Outlook:
+        """Error of the tasks if the truth is drawn from `state`."""
+        n = self.drift.n_parameters
+        spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
+        values, vectors = np.linalg.eigh(spread)
+        # The symmetric root moves smoothly with the covariance, as no other does.
+        root = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
+        offset = self.factor @ (state.mean - self.estimate)[:n]
+        change = offset[:, None] + root @ self.draws
+        # Points in rows: the peak to peak over them then runs over the draws side by side.
+        peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
+        return Outlook(state.time_h, np.array(peaks))
+
+    def ahead(self, state: State, hours: float) -> State:
+        """The state after some hours in which nothing is measured and the temperature stays."""
+        step = self.drift.transition(hours)
+        mean = step.matrix @ state.mean + step.shift
+        covariance = step.matrix @ state.covariance @ step.matrix.T + step.noise
+        return replace(state, time_h=state.time_h + hours, mean=mean, covariance=covariance)
+
+    def exceeds(self, state: State, hours: float = 0.0) -> float:
+        """Probability that a task is out of tolerance some hours after `state`."""
+        return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance)
+
+    def hold_hours(self, state: State, horizon_h: float) -> float:
+        """Hours after `state` until the probability of being out of tolerance passes the level.
+
+        Parameters
+        ----------
+        horizon_h
+            The answer if it does not within this time.
+
+        Returns
+        -------
+        float
+            In hours, to the minute below; zero if the level is passed already.
+        """
+        inside = 0.0
+        for outside in self._times(horizon_h):
+            if self.exceeds(state, outside) > self.goal.level:
+                break
+            inside = outside
+        else:
+            return horizon_h
+        while outside - inside > _MINUTE_H:
+            middle = (inside + outside) / 2.0
+            if self.exceeds(state, middle) > self.goal.level:
+                outside = middle
+            else:
+                inside = middle
+        return inside
+
+    @staticmethod
+    def _times(horizon_h: float) -> Iterator[float]:
+        yield 0.0
+        yield from (float(t) for t in np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS))

@@ -1,0 +1,338 @@
+"""The policy for one cell: what it must hold, what measuring costs, and which sweeps there are to choose from.
+
+Sweeps are chosen by `infer.planning`: those that leave the least expected error of the tasks, given all that is known.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.decision.decision import Costs, Decision, decide, measure_instead
+from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
+from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, reverses, visible_ranges
+from fpcal_bayes.infer.design.exchange import choose_sweeps
+from fpcal_bayes.infer.design.rows import sweep_rows
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.tracking.alarms import HOURS_PER_WEEK, Limits
+from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel
+from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.tracker import Track
+
+
+def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
+    """Sweeps of one joint through points of tasks, as a plan.
+
+    Parameters
+    ----------
+    model, values
+        Where visibility is judged: free parameters, shape (n_free,), in um and rad.
+    poses
+        Joint vectors, shape (n_poses, n_joints), in um and rad.
+
+    Returns
+    -------
+    Sweeps
+        At most n_poses * n_joints rows, labelled by their joint; those that lose the fringes are left out.
+
+    Raises
+    ------
+    InputError
+        If the mirror is out of sight with all joints at zero.
+    """
+    limits = SweepLimits()
+    low, high = visible_ranges(model, values, limits)
+    n_poses, n_joints = poses.shape
+    start = np.repeat(np.clip(poses, low, high), n_joints, axis=0)
+    end = start.copy()
+    rows, joint = np.arange(len(start)), np.tile(np.arange(n_joints), n_poses)
+    start[rows, joint], end[rows, joint] = low[joint], high[joint]
+    good = (high > low)[joint] & can_be_followed(model, values, start, end, limits)
+    labels = [f"q{j + 1}" for j in joint[good]]
+    return Sweeps.make(start[good], end[good], label=labels, file="task sweeps")
+
+
+#: Random sweeps to choose from, beside those of the calibration.
+_CANDIDATES = 300
+#: Random halves of the candidates among which a look at the robot is sought, beside the whole.
+_HALVES = 4
+#: Jumps of mirror and fibre that a look at the robot allows for, in units of `Limits.jump`.
+_NUISANCE = 3.0
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Sweeps to choose from, and their whitened rows by the scaled state, shape (1, n_candidates, 1, n_parameters)."""
+
+    candidates: Sweeps
+    rows: Floats
+
+    def take(self, which: NDArray[np.int64]) -> "_Pool":
+        """Some of them."""
+        return _Pool(self.candidates.take(which), self.rows[:, which])
+
+    def choose(self, covariance: Floats, tasks: dict[str, Floats], n: int, passes: int = 0) -> Sweeps:
+        """At most `n` that leave least unknown of the tasks."""
+        goals = {name: jacobian[None] for name, jacobian in tasks.items()}
+        count = min(n, len(self.candidates))
+        # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
+        # exchange each sweep is the best after those before it, as a session may end after any.
+        chosen = choose_sweeps(
+            self.candidates, self.rows, goals, count, covariance=covariance, criterion="I", passes=passes
+        )  # fmt: skip
+        return chosen.sweeps
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Decides when to measure what.
+
+    Attributes
+    ----------
+    drift, model
+        Of the same parameters.
+    goal, costs
+        What is to be held, and what measuring costs.
+    candidates
+        Sweeps to choose from, as a plan.
+    calibration
+        Sweeps of a full calibration, as a plan.
+    limits
+        Of the tests for changes; they say what a look at the robot can show.
+    """
+
+    drift: DriftModel
+    model: CavityModel
+    goal: Goal
+    costs: Costs
+    candidates: Sweeps
+    calibration: Sweeps
+    limits: Limits = field(default_factory=Limits)
+
+    @classmethod
+    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, costs: Costs, calibration: Sweeps) -> "Policy":
+        """A policy that chooses among the sweeps of a calibration and random ones.
+
+        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt.
+
+        Parameters
+        ----------
+        calibration
+            Sweeps of a full calibration; measurements in them are not looked at.
+
+        Raises
+        ------
+        InputError
+            If the joint limits leave no room for sweeps.
+        """
+        cell, values = model.cell, drift.parameters.nominal
+        single = calibration.take(calibration.kind == "sweep")
+        random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0))
+        pool = join([_plain(single), _plain(random)], file="candidates")
+        return cls(drift, model, goal, costs, _steady(model, values, pool), calibration)
+
+    def choose(self, forecast: Forecast, state: State, n: int) -> Sweeps:
+        """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
+        return self._choose_for_tasks(self._pool(forecast), forecast, state, n)
+
+    def _choose_for_tasks(self, pool: "_Pool", forecast: Forecast, state: State, n: int) -> Sweeps:
+        m = self.drift.n_parameters
+        tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
+        return pool.choose(state.covariance[:m, :m], tasks, n)
+
+    def choose_diagnosis(self, forecast: Forecast, state: State) -> Sweeps:
+        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most.
+
+        Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
+        """
+        m, at = self.drift.n_parameters, watched(self.drift, self.limits)
+        jump = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
+        jump[at] = self.limits.jump(self.drift)[at]
+        wide = state.covariance[:m, :m] + np.diag(jump**2)
+        whole, n = self._pool(forecast), self.costs.diagnosis_sweeps
+        # Together they see what no single one does: chosen by exchange, which may end in a poor optimum. Of those in
+        # the whole pool and in random halves of it, the session of the greatest power is taken.
+        random, count = np.random.default_rng(0), len(whole.candidates)
+        pools = [whole, *(whole.take(random.permutation(count)[: max(n, count // 2)]) for _ in range(_HALVES))]
+        robot = {"robot": np.eye(m)[at : at + 1]}
+        found = [pool.choose(wide, robot, n, passes=5) for pool in pools]
+        return max(found, key=lambda sweeps: self._power(state, sweeps, HOURS_PER_DAY))
+
+    def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:
+        """Probability that sweeps at the time of `state` show a jump of the watched parameter."""
+        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma))
+        found = session_power(self.drift, self.model, state, planned, hours, self.limits)
+        return float(found[watched(self.drift, self.limits)])
+
+    def _pool(self, forecast: Forecast) -> "_Pool":
+        """Sweeps at the tasks of the estimate, and all others."""
+        values = self.drift.values(forecast.estimate)
+        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
+        candidates = join([near, self.candidates], file="candidates")
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma)
+        return _Pool(candidates, rows * self.drift.scale)
+
+    def decide(
+        self,
+        forecast: Forecast,
+        state: State,
+        calibration_due: str | None = None,
+        diagnosed_h: float | None = None,
+    ) -> Decision:
+        """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
+
+        Parameters
+        ----------
+        calibration_due
+            Why a full calibration is due whatever the error, or None.
+        diagnosed_h
+            When a session could last show a change of the robot, in hours since the campaign began, or None.
+
+        Raises
+        ------
+        InputError
+            If the tolerance cannot be met.
+        """
+        decision = self._decide(forecast, state, calibration_due)
+        every = self.costs.diagnosis_h
+        if decision.action == "full" or every is None or diagnosed_h is None:
+            return decision
+        left = diagnosed_h + every - state.time_h
+        if left <= 0.0:
+            return self._diagnose(decision, forecast, state, diagnosed_h)
+        if decision.action == "hold" and left < decision.hold_hours:
+            after = forecast.outlook(forecast.ahead(state, left))
+            reason = f"the robot itself is to be looked at every {every:g} h"
+            return replace(decision, hold_hours=left, after=after, reason=reason)
+        return decision
+
+    def measure_now(
+        self,
+        forecast: Forecast,
+        state: State,
+        calibration_due: str | None = None,
+        diagnosed_h: float | None = None,
+    ) -> Decision:
+        """What to measure at the time of `state`, when a session was planned for it; arguments as in `decide`."""
+        decision = self._decide(forecast, state, calibration_due, measure=True)
+        every = self.costs.diagnosis_h
+        if decision.action == "full" or every is None or diagnosed_h is None:
+            return decision
+        # Rounding must not put a look off by a session.
+        due = state.time_h - diagnosed_h > every - 1e-6
+        return self._diagnose(decision, forecast, state, diagnosed_h) if due else decision
+
+    def hold_hours(self, forecast: Forecast, state: State, diagnosed_h: float) -> float:
+        """Hours from `state` until something is to be measured, at most the horizon; see `decide`."""
+        hold = forecast.hold_hours(state, self.costs.horizon_h)
+        if self.costs.diagnosis_h is not None:
+            hold = min(hold, max(0.0, diagnosed_h + self.costs.diagnosis_h - state.time_h))
+        return hold
+
+    def _decide(
+        self, forecast: Forecast, state: State, calibration_due: str | None, *, measure: bool = False
+    ) -> Decision:
+        # All sessions of a decision are chosen for one estimate, from one pool, which is made if one is wanted.
+        pool = cache(lambda: self._pool(forecast))
+
+        def choose(same: Forecast, at: State, n: int) -> Sweeps:
+            return self._choose_for_tasks(pool(), same, at, n)
+
+        return decide(
+            forecast, self.model, state, self.costs, choose, self.calibration, calibration_due, measure=measure
+        )
+
+    def _diagnose(self, decision: Decision, forecast: Forecast, state: State, diagnosed_h: float) -> Decision:
+        """The sweeps of a decision, and those that look at the robot itself."""
+        sweeps = self.choose_diagnosis(forecast, state)
+        if decision.sweeps is not None:
+            sweeps = join([decision.sweeps, sweeps], file="candidates")
+        hours = state.time_h - diagnosed_h
+        at = watched(self.drift, self.limits)
+        found = self._power(state, sweeps, hours)
+        most = most_power(self.drift, state, hours, self.limits)[at]
+        parameter = self.drift.parameters[at]
+        size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)
+        reason = (
+            f"no session of the last {hours:.1f} h could show a change of the robot itself; these sweeps show one of "
+            f"{parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
+            f"(any session: at most {most:.2f})"
+        )
+        return measure_instead(decision, forecast, self.model, state, self.costs, sweeps, reason)
+
+
+def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
+    """What to do now with a cell that was followed so far.
+
+    Parameters
+    ----------
+    track
+        Up to its last session.
+    sweeps
+        Of all its sessions; the first is the calibration that would be made again.
+    now_h
+        In hours since the campaign began.
+
+    Raises
+    ------
+    InputError
+        If `now_h` lies before the last session, a task cannot be driven, or the tolerance cannot be met.
+    """
+    last = track.last
+    if not now_h >= last.time_h:
+        raise InputError(
+            f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
+        )
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    forecast = Forecast.of(track.drift, model, goal, last.state.mean)
+    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
+    due = track.calibration_due
+    reason = None if due is None else f"the robot itself moved before session {due}"
+    diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
+    return policy.decide(forecast, forecast.ahead(last.state, now_h - last.time_h), reason, diagnosed)
+
+
+def valid_until(track: Track, goal: Goal, horizon_h: float = HOURS_PER_WEEK) -> float:
+    """Until when the estimate after the last session holds the tasks, in hours since the campaign began.
+
+    Parameters
+    ----------
+    horizon_h
+        The longest that is promised.
+
+    Raises
+    ------
+    InputError
+        If a task cannot be driven.
+    """
+    state = track.last.state
+    forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
+    return state.time_h + forecast.hold_hours(state, horizon_h)
+
+
+def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:
+    """The sweeps whose cavity length does not turn round on the way."""
+    return sweeps.take(~reverses(model, values, sweeps)[0])
+
+
+def _plain(sweeps: Sweeps) -> Sweeps:
+    """Sweeps as a plan of single end points."""
+    n = len(sweeps)
+    empty, nothing = np.full(n, ""), np.full(n, np.nan)
+    return replace(
+        sweeps,
+        session=np.full(n, "next"),
+        time_h=np.zeros(n),
+        dl=nothing,
+        sigma=nothing,
+        signed=np.ones(n, dtype=bool),
+        group=empty,
+        trace=empty,
+        utc=empty,
+        temperature_c=nothing,
+    )

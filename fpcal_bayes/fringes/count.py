@@ -1,0 +1,220 @@
+"""Which of the possible readings of a trace it is, and whether that may be said.
+
+A photodiode alone tells L only up to its mirror image, and now and then up to some fringes. Witnesses (wavelength scans
+before and after, an estimate, the cell's priors) say what change to expect; all of it is weighed together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.fit import Fit
+from fpcal_bayes.fringes.profile import legendre
+from fpcal_bayes.fringes.solve import change_of
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The change of cavity length along one sweep, and how far to trust it.
+
+    Attributes
+    ----------
+    label
+        Of the sweep.
+    dl, sigma
+        Change from start to end and its standard deviation, in um; NaN where the trace was refused.
+    signed
+        Whether the sign of `dl` is known; else `dl` is a size.
+    sign_source
+        Who told the sign, or empty.
+    fringes
+        That passed, those that passed back included.
+    turns
+        Places s on the sweep, from -1 to 1, at which L turns.
+    reversals
+        Joint positions of the same, in um or rad.
+    refused
+        Why the trace gives no number at all; empty where it gives one.
+    doubt
+        Why the number is not to be relied on; empty where it is.
+    alternatives
+        Other changes, in um, that the trace allows.
+    samples_a_fringe
+        On average, while the joint moves.
+    noise, amplitude
+        Standard deviation of one sample and mean amplitude of the fringes, in V.
+    course, course_covariance
+        L less its mean along the sweep: Legendre coefficients in um, see `course`; of the sign of `dl`.
+    wavelength_share
+        Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
+    fit, phase_per_um
+        What was fitted and its 4 pi n / wavelength, for figures; None where refused.
+    """
+
+    label: str
+    dl: float = np.nan
+    sigma: float = np.nan
+    signed: bool = False
+    sign_source: str = ""
+    fringes: float = np.nan
+    turns: tuple[float, ...] = ()
+    reversals: tuple[float, ...] = ()
+    refused: str = ""
+    doubt: str = ""
+    alternatives: tuple[float, ...] = ()
+    samples_a_fringe: float = np.nan
+    noise: float = np.nan
+    amplitude: float = np.nan
+    course: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
+    course_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    wavelength_share: float = 0.0
+    fit: Fit | None = field(default=None, repr=False)
+    phase_per_um: float = np.nan
+
+    @property
+    def good(self) -> bool:
+        """Whether the number may be used."""
+        return not self.refused and not self.doubt
+
+    def changes(self, s: Floats) -> tuple[Floats, Floats]:
+        """Changes of L from the start to places on the sweep, with their full covariance.
+
+        Parameters
+        ----------
+        s
+            Places from -1 (start) to 1 (end), shape (n,).
+
+        Returns
+        -------
+        tuple of ndarray
+            In um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly correlated.
+        """
+        rows = legendre(s)[:, 1:] - legendre(np.array([-1.0]))[:, 1:]
+        changes = rows @ self.course
+        covariance = rows @ self.course_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
+        return changes, covariance
+
+    def grouped(self, points: int) -> tuple[Floats, Floats, float]:
+        """Changes to evenly spaced interior points and to the end, as rows that share the reading at their start.
+
+        The campaign's groups have equal variances and correlation 1/2. The standard deviation given is the least for
+        which such a covariance is nowhere below the true one: rows of the group then never claim more than is known.
+
+        Parameters
+        ----------
+        points
+            Interior points.
+
+        Returns
+        -------
+        tuple
+            Places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
+        """
+        s = np.linspace(-1.0, 1.0, points + 2)[1:]
+        changes, covariance = self.changes(s)
+        shape = 0.5 * (np.eye(len(s)) + 1.0)
+        root = np.linalg.inv(np.linalg.cholesky(shape))
+        largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
+        return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
+
+
+#: Probability of another count, or of the other sign, from which on a reading does not stand.
+_COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
+#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
+_WITNESS_LIES, _ANYTHING = 1e-6, 200.0
+#: Changes closer than this, in um, are one count.
+_SAME_COUNT = 0.1
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A change of length that somebody expects: in um, with its standard deviation, and who says so."""
+
+    dl: float
+    sd: float
+    source: str
+
+    def log_likelihood(self, dl: Floats, sd: Floats) -> Floats:
+        """Of changes `dl` known to `sd`; both of shape (n,)."""
+        spread = np.hypot(self.sd, sd)
+        z = np.minimum(np.abs(dl - self.dl) / spread, 1e6)
+        honest = np.log1p(-_WITNESS_LIES) - 0.5 * z**2 - np.log(spread * np.sqrt(2.0 * np.pi))
+        return np.asarray(np.logaddexp(honest, np.log(_WITNESS_LIES / (2.0 * _ANYTHING))))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a trace is taken to say.
+
+    Attributes
+    ----------
+    fit
+        The fit chosen.
+    mirrored
+        Whether L runs opposite to `fit`.
+    signed
+        Whether the sign is certain enough to be stated.
+    sign_source
+        Who told the sign; empty where nobody did.
+    other_counts
+        Probability that L changed by another number of fringes.
+    alternatives
+        Changes in um that this probability falls to, the most likely first.
+    """
+
+    fit: Fit
+    mirrored: bool
+    signed: bool
+    sign_source: str
+    other_counts: float
+    alternatives: tuple[float, ...]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the count is too uncertain to be used."""
+        return self.other_counts > _COUNT_RISK
+
+
+def decide(fits: Sequence[Fit], witnesses: Sequence[Witness]) -> Verdict:
+    """Weigh fits and their mirror images.
+
+    Parameters
+    ----------
+    fits
+        Distinct courses of one trace.
+    witnesses
+        The most trustworthy first; the first that tells the sign by itself is named as its source.
+    """
+    dl, sd = np.array([change_of(fit) for fit in fits]).T
+    both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])
+    weights = np.tile([fit.evidence for fit in fits], 2)
+    for witness in witnesses:
+        weights = weights + witness.log_likelihood(both, sds)
+    share = np.exp(weights - weights.max())
+    share /= share.sum()
+    chosen = int(np.argmax(share))
+    size = np.abs(both)
+    same = np.abs(size - size[chosen]) < _SAME_COUNT
+    opposite = float(share[same & (np.sign(both) != np.sign(both[chosen]))].sum())
+    signed = bool(opposite < _SIGN_RISK * share[same].sum())
+    others = np.flatnonzero(~same & (share > 1e-6))
+    others = others[np.argsort(-share[others])]
+    alternatives = list(dict.fromkeys(float(both[i]) if signed else float(size[i]) for i in others))
+    return Verdict(
+        fit=fits[chosen % len(fits)],
+        mirrored=chosen >= len(fits),
+        signed=signed,
+        sign_source=_teller(witnesses, both[chosen], sds[chosen]) if signed else "",
+        other_counts=float(share[~same].sum()),
+        alternatives=tuple(alternatives[:4]),
+    )
+
+
+def _teller(witnesses: Sequence[Witness], dl: float, sd: float) -> str:
+    for witness in witnesses:
+        right, wrong = witness.log_likelihood(np.array([dl, -dl]), np.array([sd, sd]))
+        if right - wrong > -np.log(_SIGN_RISK):
+            return witness.source
+    return "several together"

@@ -1,0 +1,228 @@
+"""The signal of a sweep fitted as a whole: course, phase, offset, gain, visibility and cyclic error together.
+
+Every sample takes part, so noise averages out; what is unknown of offset and envelope reaches the uncertainty of the
+course through the covariance. The evidence of a fit (Laplace's approximation; D. MacKay, Information Theory, Inference
+and Learning Algorithms, chapter 28) weighs courses and envelopes of different flexibility against each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
+from fpcal_bayes.fringes.profile import Course, legendre
+from fpcal_bayes.fringes.samples import Samples
+
+#: The cell's priors are widened by this factor: they direct a fit but shall not pull it.
+_WIDENED = 1.3
+#: Modes of a course whose effect stays below this, in um, are left out.
+_LEAST_MODE = 1e-5
+#: Second and third harmonic relative to the fringe amplitude, as standard deviations.
+_HARMONIC_SDS = (0.014, 0.014, 0.005, 0.005)
+#: Standard deviations of the logarithm of the amplitude, and of the mean in amplitudes.
+_AMPLITUDE_SD, _MEAN_SD = 1.0, 20.0
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """How a signal may change beside its fringes: standard deviations of Legendre coefficients.
+
+    Attributes
+    ----------
+    offset
+        Over time, relative to the fringe amplitude, from the first polynomial on.
+    gain
+        Of the logarithm of the amplitude over time, from the first on.
+    fade
+        Of the same over the place on the sweep, from the first on; empty: the mirror stays aligned.
+    fade_mean
+        Expected values of the latter; empty: zero.
+    """
+
+    offset: tuple[float, ...]
+    gain: tuple[float, ...]
+    fade: tuple[float, ...]
+    fade_mean: tuple[float, ...] = ()
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Coefficients of the offset, of the gain, of the fading."""
+        return len(self.offset) + 1, len(self.gain) + 1, len(self.fade)
+
+
+#: A mirror that stays aligned; and one that the fibre loses as it tilts.
+_OFFSET, _GAIN = (0.2, 0.12, 0.03, 0.015), (0.1, 0.06, 0.02, 0.01)
+CALM = Nuisance(offset=_OFFSET, gain=_GAIN, fade=())
+LIVELY = Nuisance(offset=_OFFSET, gain=_GAIN, fade=(0.6, 0.2, 0.02, 0.01))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A signal fitted.
+
+    Attributes
+    ----------
+    course, covariance
+        Coefficients of the course in um, shape (DEGREE,), and their covariance.
+    unknowns, unknowns_covariance
+        All that was fitted, in the order of `kernel_fit`, and its covariance.
+    nuisance
+        What was allowed beside the fringes.
+    noise
+        Standard deviation of one reading that was presumed, in V.
+    evidence
+        Logarithm, up to a constant that fits of one trace share.
+    residual_squares
+        Sum over readings of the squared residuals of averages, times their count, in V^2.
+    freedom
+        Number of averages less the effective number of unknowns.
+    """
+
+    course: Floats
+    covariance: Floats
+    unknowns: Floats
+    unknowns_covariance: Floats
+    nuisance: Nuisance
+    noise: float
+    evidence: float
+    residual_squares: float
+    freedom: float
+
+    @property
+    def amplitude(self) -> float:
+        """Mean amplitude of the fringes in V."""
+        return float(np.exp(self.unknowns[self.nuisance.counts[0]]))
+
+    def phase(self, s: Floats, phase_per_um: float) -> Floats:
+        """Phase of the fringes at places `s` (n,), in rad."""
+        at = sum(self.nuisance.counts) + 1 + HARMONICS
+        return np.asarray(self.unknowns[at] + phase_per_um * (legendre(s)[:, 1:] @ self.course))
+
+    def signal(self, s: Floats, time: Floats, phase_per_um: float) -> Floats:
+        """The fitted signal at places `s` and times `time` from -1 to 1, each of shape (n,), in V."""
+        n_offset, n_gain, n_fade = self.nuisance.counts
+        u = self.unknowns
+        over_time, over_place = legendre(time), legendre(s)
+        offset = over_time[:, :n_offset] @ u[:n_offset]
+        logarithm = over_time[:, :n_gain] @ u[n_offset : n_offset + n_gain]
+        at = n_offset + n_gain
+        envelope = np.exp(logarithm + over_place[:, 1 : n_fade + 1] @ u[at : at + n_fade])
+        at += n_fade
+        f = self.phase(s, phase_per_um)
+        cyclic = np.stack([np.cos(2 * f), np.sin(2 * f), np.cos(3 * f), np.sin(3 * f)], axis=1)
+        wave = np.cos(f) + cyclic @ u[at + 1 : at + 1 + HARMONICS]
+        return np.asarray(offset + u[at] * envelope**2 + envelope * wave)
+
+
+def fit_course(
+    samples: Samples,
+    course: Course,
+    start: Floats,
+    phase_per_um: float,
+    *,
+    nuisance: Nuisance,
+    noise: float,
+    mirror_light: float = 0.0,
+    max_steps: int = 40,
+    warm: Fit | None = None,
+) -> Fit:
+    """Fit a signal from a starting course.
+
+    Parameters
+    ----------
+    samples
+        Signal along the sweep.
+    course
+        Prior of the course; it is widened.
+    start
+        Coefficients to start from, shape (DEGREE,), in um.
+    phase_per_um
+        4 pi n / wavelength.
+    noise
+        Standard deviation of one reading, in V.
+    mirror_light
+        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with visibility.
+    warm
+        A fit of the same samples with the same nuisance, from which this one starts in place of `start`.
+    """
+    mean, modes_um = _modes(course)
+    over_place, over_time = legendre(samples.s), legendre(samples.time)
+    base = phase_per_um * (over_place[:, 1:] @ mean)
+    modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1:] @ modes_um))
+    z = np.linalg.lstsq(modes_um, (start if warm is None else warm.course) - mean, rcond=None)[0]
+    phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
+    light = mirror_light if nuisance.fade else 0.0
+    unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
+    if warm is not None:
+        unknowns = warm.unknowns.copy()
+    matrix = np.empty((len(unknowns), len(unknowns)))
+    prior_weight = prior_sd**-2
+    cost = fit_signal(
+        over_time,
+        over_place,
+        np.array(nuisance.counts, dtype=np.int64),
+        base,
+        modes,
+        samples.signal,
+        samples.count / noise**2,
+        unknowns,
+        prior_mean,
+        prior_weight,
+        max_steps,
+        matrix,
+    )
+    off = prior_mean - unknowns
+    residual_squares = noise**2 * max(cost - float(prior_weight @ off**2), 0.0)
+    inverse = np.linalg.inv(matrix)
+    freedom = len(samples) - len(unknowns) + float(np.sum(np.diag(inverse) * prior_weight))
+    _, log_determinant = np.linalg.slogdet(matrix)
+    evidence = -0.5 * (cost + log_determinant - np.log(prior_weight).sum())
+    at = len(unknowns) - len(z)
+    return Fit(
+        course=mean + modes_um @ unknowns[at:],
+        covariance=modes_um @ inverse[at:, at:] @ modes_um.T,
+        unknowns=unknowns,
+        unknowns_covariance=inverse,
+        nuisance=nuisance,
+        noise=noise,
+        evidence=float(evidence),
+        residual_squares=float(residual_squares),
+        freedom=freedom,
+    )
+
+
+def _modes(course: Course) -> tuple[Floats, Floats]:
+    """Mean of the prior, and its modes, widened, in um (DEGREE, n_modes): a unit of each is one sd."""
+    values, vectors = np.linalg.eigh(_WIDENED**2 * course.covariance)
+    sds = np.sqrt(np.maximum(values, 0.0))
+    kept = (sds > _LEAST_MODE) | (sds == sds.max())
+    return course.mean, np.ascontiguousarray((vectors * sds)[:, kept])
+
+
+def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tuple[float, float]:
+    """Phase at the sweep's middle and mean amplitude of the fringes for a course's phase `f` (n,)."""
+    root = np.sqrt(samples.count)
+    columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)])
+    solution = np.linalg.lstsq(columns * root[:, None], samples.signal * root, rcond=1e-6)[0]
+    c, s = solution[3], solution[4]
+    widest = float(np.ptp(samples.signal))
+    return float(np.arctan2(-s, c)), float(np.clip(np.hypot(c, s), 0.05 * widest, 2.0 * widest))
+
+
+def _initial(
+    samples: Samples, nuisance: Nuisance, amplitude: float, phase: float, z: Floats, mirror_light: float
+) -> tuple[Floats, Floats, Floats]:
+    """Unknowns to start from, and means and standard deviations of their priors."""
+    half = max(amplitude, 0.5 * float(np.ptp(samples.signal)))
+    mean = float(samples.count @ samples.signal / samples.count.sum())
+    rest = [*[0.0] * len(nuisance.gain), *(nuisance.fade_mean or [0.0] * len(nuisance.fade))]
+    offset = [mean - mirror_light * half**2, *[0.0] * len(nuisance.offset)]
+    none = [0.0] * HARMONICS
+    unknowns = np.array([*offset, np.log(amplitude), *rest, mirror_light, *none, phase, *z])
+    prior_mean = np.array([*offset, np.log(half), *rest, mirror_light, *none, 0.0, *np.zeros(len(z))])
+    relative = [half * sd for sd in (_MEAN_SD, *nuisance.offset)]
+    # Without a mirror that fades its light is part of the offset; a share of it held at zero says nothing.
+    envelope = [_AMPLITUDE_SD, *nuisance.gain, *nuisance.fade, mirror_light or 1e-6]
+    prior_sd = np.array([*relative, *envelope, *_HARMONIC_SDS, 100.0, *np.ones(len(z))])
+    return unknowns, prior_mean, prior_sd

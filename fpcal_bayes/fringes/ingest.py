@@ -1,0 +1,332 @@
+"""From recorded traces to sweeps: every trace read, signs settled, rows made."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.count import Reading, Witness
+from fpcal_bayes.fringes.fading import fading_priors
+from fpcal_bayes.fringes.profile import estimated_courses, prior_courses
+from fpcal_bayes.fringes.reader import Recorded, estimate_witness, read_traces
+from fpcal_bayes.fringes.samples import Samples, lay_out
+from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
+from fpcal_bayes.measure.campaign import DoubtfulRecord
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
+from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps, join
+from fpcal_bayes.measure.traces import WavelengthScan
+from fpcal_bayes.model.air_index import air_index
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+
+
+def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
+    """The rows of one sweep: its end, after `points` interior points that share a group with it.
+
+    Parameters
+    ----------
+    sweeps, row
+        The plan and the position in it.
+    reading
+        A good one.
+    """
+    one = sweeps.take(np.array([row]))
+    if points == 0:
+        one = one.with_measurement(np.array([reading.dl]), reading.sigma)
+        return replace(one, signed=np.array([reading.signed]), group=np.array([""]))
+    s, changes, sigma = reading.grouped(points)
+    rows = one.take(np.zeros(points + 1, dtype=np.int64))
+    label = str(one.label[0]) or f"row {one.rows[0]}"
+    names = [f"{label}-mid"] if points == 1 else [f"{label}-{i}of{points + 1}" for i in range(1, points + 1)]
+    share = (s[:, None] + 1.0) / 2.0
+    q_end = rows.q_start + share * (rows.q_end - rows.q_start)
+    q_end[-1] = one.q_end[0]
+    if not reading.signed:
+        changes = np.abs(changes)
+    rows = replace(
+        rows,
+        q_end=q_end,
+        label=np.array([*names, label], dtype=np.str_),
+        group=np.array([label] * (points + 1), dtype=np.str_),
+        signed=np.full(points + 1, reading.signed),
+    )
+    return rows.with_measurement(changes, sigma)
+
+
+def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None) -> Sweeps:
+    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good."""
+    one = sweeps.take(np.array([row]))
+    here = one.q_start, one.q_end
+    good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]
+    kept = [(scan, q, name) for scan, q, name in good if scan is not None and scan.good]
+    rows = one.take(np.zeros(len(kept), dtype=np.int64))
+    if not kept:
+        return rows
+    apart = one.kind[0] != "absolute"
+    rows = replace(
+        rows,
+        q_start=np.concatenate([q for _, q, _ in kept]),
+        q_end=np.concatenate([q for _, q, _ in kept]),
+        label=np.array([f"{one.label[0]}-{name}" if apart else str(one.label[0]) for *_, name in kept], dtype=np.str_),
+        kind=np.full(len(kept), "absolute"),
+        group=np.full(len(kept), "", dtype=np.str_),
+        signed=np.ones(len(kept), dtype=bool),
+        trace=np.full(len(kept), "", dtype=np.str_),
+    )
+    lengths, sigmas = (np.array([getattr(scan, name) for scan, *_ in kept]) for name in ("length", "sigma"))
+    return rows.with_measurement(lengths, sigmas)
+
+
+@dataclass(frozen=True)
+class IngestSettings:
+    """How traces are read.
+
+    Attributes
+    ----------
+    points
+        Interior points of each sweep that become rows of their own, in a group with its end.
+    absolute
+        Whether scans before and after sweeps become rows of kind ``absolute``.
+    wavelength_sd
+        Standard deviation of the laser's wavelength, in um.
+    index_sd
+        Standard deviation of the refractive index of the air.
+    """
+
+    points: int = 0
+    absolute: bool = False
+    wavelength_sd: float = 0.0
+    index_sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class Ingested:
+    """What recorded traces gave.
+
+    Attributes
+    ----------
+    sweeps
+        Rows that may be used.
+    doubtful
+        Recordings that gave none.
+    readings
+        Of each recording, None for absolute lengths.
+    samples
+        Of each recording as it was laid along its sweep, None for absolute lengths.
+    scans_before, scans_after
+        What the scans of each recording say, None where there is none.
+    warnings
+        Sentences for the user.
+    """
+
+    sweeps: Sweeps
+    doubtful: DoubtfulRecord
+    readings: tuple[Reading | None, ...]
+    samples: tuple[Samples | None, ...]
+    scans_before: tuple[ScanReading | None, ...]
+    scans_after: tuple[ScanReading | None, ...]
+    warnings: tuple[str, ...]
+
+
+def ingest(
+    index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
+) -> Ingested:
+    """Read recorded traces.
+
+    Parameters
+    ----------
+    index
+        Sweeps, their traces and scans.
+    estimate
+        Of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
+
+    Raises
+    ------
+    InputError
+        If a row is a path, a trace does not belong to its sweep, the air cannot be, or no row can be used.
+    """
+    settings = IngestSettings() if settings is None else settings
+    _require_sweeps(index)
+    reader = _IndexReader(index, cell, settings)
+    before, after = reader.scans()
+    recorded = reader.recorded(estimate, before, after)
+    optics = cell.interferometer
+    found = read_traces(
+        [each for each in recorded if each],
+        noise=optics.noise,
+        full_scale=optics.full_scale,
+        # Two beams r1, s make the mean r1^2 + s^2 and the amplitude 2 r1 s.
+        mirror_light=1.0 / (4.0 * optics.fibre_reflectivity * optics.gain),
+    )
+    remaining = iter(found)
+    readings = tuple(None if each is None else next(remaining) for each in recorded)
+
+    sweeps = index.sweeps
+    parts = []
+    for i, reading in enumerate(readings):
+        if reading is not None and reading.good:
+            parts.append(sweep_rows(sweeps, i, reading, settings.points))
+        elif reading is None and (scan := after[i]) is not None and scan.good:
+            parts.append(absolute_rows(sweeps, i, None, scan))
+        if reading is not None and settings.absolute:
+            parts.append(absolute_rows(sweeps, i, before[i], after[i]))
+    doubtful = _doubtful(index, readings, after)
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        raise InputError(f"{sweeps.file}: no sweep can be used; {doubtful.label[0]}: {doubtful.reason[0]}")
+    rows = join(parts, sweeps.file)
+    check_sweeps(rows, cell)
+    return Ingested(
+        sweeps=rows,
+        doubtful=doubtful,
+        readings=readings,
+        samples=tuple(None if each is None else each.samples for each in recorded),
+        scans_before=before,
+        scans_after=after,
+        warnings=tuple(_warnings(index, doubtful, before, after)),
+    )
+
+
+class _IndexReader:
+    """Turns rows of an index into what the readers of traces and scans take."""
+
+    def __init__(self, index: TraceIndex, cell: Cell, settings: IngestSettings) -> None:
+        self.index, self.cell = index, cell
+        self.vacuum = np.where(np.isnan(index.wavelength), cell.wavelength, index.wavelength)
+        try:
+            self.air = air_index(self.vacuum, index.temperature_c, index.pressure_hpa, index.humidity_pct)
+        except InputError as error:
+            raise InputError(f"{index.sweeps.file}: {error}") from error
+        self.share = np.hypot(settings.wavelength_sd / self.vacuum, settings.index_sd / self.air)
+
+    def scans(self) -> tuple[tuple[ScanReading | None, ...], tuple[ScanReading | None, ...]]:
+        """Readings of the scans before and after each row."""
+        sweeps = self.index.sweeps
+        before = self._scans(sweeps.q_start, self.index.scans_before)
+        return before, self._scans(sweeps.q_end, self.index.scans_after)
+
+    def _scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
+        index, optics = self.index, self.cell.interferometer
+        readings: list[ScanReading | None] = [None] * len(scans)
+        if not any(scans):
+            return tuple(readings)
+        lengths, sds = expected_lengths(self.cell, q)
+        for i, scan in enumerate(scans):
+            if scan is not None:
+                readings[i] = read_wavelength_scan(
+                    scan,
+                    float(lengths[i]),
+                    float(sds[i]),
+                    temperature_c=float(index.temperature_c[i]),
+                    pressure_hpa=float(index.pressure_hpa[i]),
+                    humidity_pct=float(index.humidity_pct[i]),
+                    noise=optics.noise,
+                    full_scale=optics.full_scale,
+                    wavelength_share=float(self.share[i]),
+                )
+        return tuple(readings)
+
+    def recorded(
+        self,
+        estimate: Estimate | None,
+        before: Sequence[ScanReading | None],
+        after: Sequence[ScanReading | None],
+    ) -> list[Recorded | None]:
+        """Each row with what is expected of it; None for absolute lengths."""
+        sweeps = self.index.sweeps
+        courses, fading = prior_courses(self.cell, sweeps), fading_priors(self.cell, sweeps)
+        expected = None if estimate is None else estimated_courses(estimate, sweeps)
+        made: list[Recorded | None] = []
+        for i, trace in enumerate(self.index.traces):
+            if sweeps.kind[i] == "absolute":
+                made.append(None)
+                continue
+            witnesses = []
+            first, last = before[i], after[i]
+            if first is not None and last is not None and first.good and last.good:
+                sd = float(np.hypot(first.sigma, last.sigma))
+                witnesses.append(Witness(last.length - first.length, sd, "scans"))
+            if expected is not None:
+                witnesses.append(estimate_witness(expected[i]))
+            joint = moving_joint(sweeps, i)
+            start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
+            samples = lay_out(
+                trace,
+                start,
+                end,
+                unit=self.cell.joints[joint].unit,
+                scale=float(self.cell.joint_scales[joint]),
+                place=f"{sweeps.file}: {sweeps.label[i]}",
+            )
+            made.append(
+                Recorded(
+                    label=str(sweeps.label[i]),
+                    samples=samples,
+                    start=start,
+                    end=end,
+                    course=courses[i],
+                    wavelength=float(self.vacuum[i] / self.air[i]),
+                    wavelength_share=float(self.share[i]),
+                    fading=fading[i],
+                    witnesses=tuple(witnesses),
+                )
+            )
+        return made
+
+
+def _require_sweeps(index: TraceIndex) -> None:
+    paths = index.sweeps.kind == "path"
+    if paths.any():
+        raise located(
+            index.sweeps.file,
+            "expected sweep or absolute: a path is held against an estimate, by fpcal check",
+            row=int(index.sweeps.rows[np.argmax(paths)]),
+            column="kind",
+        )
+
+
+def _doubtful(
+    index: TraceIndex, readings: Sequence[Reading | None], after: Sequence[ScanReading | None]
+) -> DoubtfulRecord:
+    """The recordings that gave no row."""
+    found: list[tuple[int, str, float, float, bool, tuple[float, ...]]] = []
+    for i, (reading, scan) in enumerate(zip(readings, after, strict=True)):
+        if reading is None:
+            if scan is not None and not scan.good:
+                found.append((i, scan.refused or scan.doubt, scan.length, scan.sigma, True, ()))
+        elif not reading.good:
+            why = f"refused: {reading.refused}" if reading.refused else reading.doubt
+            found.append((i, why, reading.dl, reading.sigma, reading.signed, reading.alternatives))
+    at = np.array([each[0] for each in found], dtype=np.int64)
+    return DoubtfulRecord(
+        session=index.sweeps.session[at],
+        label=index.sweeps.label[at],
+        reason=np.array([each[1] for each in found], dtype=np.str_),
+        recording=at,
+        dl=np.array([each[2] for each in found], dtype=float),
+        sigma=np.array([each[3] for each in found], dtype=float),
+        signed=np.array([each[4] for each in found], dtype=bool),
+        alternatives=tuple(each[5] for each in found),
+    )
+
+
+def _warnings(
+    index: TraceIndex,
+    doubtful: DoubtfulRecord,
+    before: Sequence[ScanReading | None],
+    after: Sequence[ScanReading | None],
+) -> list[str]:
+    sweeps = index.sweeps
+    said = []
+    for label, why, others in zip(doubtful.label, doubtful.reason, doubtful.alternatives, strict=True):
+        also = f"; it may also be {', '.join(f'{dl:.3f}' for dl in others)} um" if others else ""
+        said.append(f"{label}: {why}{also}")
+    for i, scans in enumerate(zip(before, after, strict=True)):
+        for name, scan in zip(("before", "after"), scans, strict=True):
+            if scan is not None and not scan.good and sweeps.kind[i] != "absolute":
+                said.append(f"{sweeps.label[i]}: the scan {name} it is not used: {scan.refused or scan.doubt}")
+    if (sweeps.group != "").any():
+        said.append("groups of the index are dropped: each trace has a start of its own")
+    return said

@@ -1,0 +1,313 @@
+"""Compiled kernel: follow the phase of fringes through their extremes."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.kernels.compile import compiled
+
+
+@compiled
+def turned_bins(
+    signal: Floats, place: Ints, base: Floats, bend: Floats, bends: Floats, n_bins: int
+) -> NDArray[np.complex128]:
+    """Signal turned back by the phase of each bend and summed into bins.
+
+    Parameters
+    ----------
+    signal, place
+        Weighted signal and the bin of each sample, shape (n,).
+    base, bend
+        Known phase, and phase a unit of bend, shape (n,).
+    bends
+        Bends tried, shape (m,).
+
+    Returns
+    -------
+    ndarray
+        Shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
+    """
+    bins = np.zeros((bends.size, n_bins), dtype=np.complex128)
+    for i in range(bends.size):
+        for k in range(signal.size):
+            f = base[k] + bends[i] * bend[k]
+            bins[i, place[k]] += signal[k] * complex(np.cos(f), -np.sin(f))
+    return bins
+
+
+@compiled
+def floating_fits(
+    s: Floats, signal: Floats, weight: Floats, base: Floats, slope: Floats, bend: Floats, slopes: Floats, bends: Floats
+) -> Floats:
+    """Sum of squares left by 1, s, s^2, cos f and sin f for each slope and bend, shape (n_slopes, n_bends).
+
+    Few fringes and a curved offset look alike: here both are fitted together.
+    """
+    left = np.empty((slopes.size, bends.size))
+    matrix, vector, row = np.empty((5, 5)), np.empty(5), np.empty(5)
+    total = 0.0
+    for k in range(s.size):
+        total += weight[k] * signal[k] * signal[k]
+    for a in range(slopes.size):
+        for b in range(bends.size):
+            matrix[:] = 0.0
+            vector[:] = 0.0
+            for k in range(s.size):
+                f = base[k] + slopes[a] * slope[k] + bends[b] * bend[k]
+                row[0], row[1], row[2], row[3], row[4] = 1.0, s[k], s[k] * s[k], np.cos(f), np.sin(f)
+                for i in range(5):
+                    scaled = weight[k] * row[i]
+                    vector[i] += scaled * signal[k]
+                    for j in range(i + 1):
+                        matrix[i, j] += scaled * row[j]
+            # L D L' in place; a tiny ridge keeps a fringe that looks like a parabola solvable.
+            explained = 0.0
+            for i in range(5):
+                pivot = matrix[i, i] * (1.0 + 1e-6) + 1e-12
+                for j in range(i):
+                    coupled = matrix[i, j]
+                    for m in range(j):
+                        coupled -= matrix[i, m] * matrix[j, m] * matrix[m, m]
+                    matrix[i, j] = coupled / matrix[j, j]
+                    pivot -= matrix[i, j] * coupled
+                    vector[i] -= matrix[i, j] * vector[j]
+                matrix[i, i] = pivot
+                explained += vector[i] * vector[i] / pivot
+            left[a, b] = total - explained
+    return left
+
+
+HARMONICS = 4
+
+
+@compiled
+def normal_equations(
+    over_time: Floats,
+    over_place: Floats,
+    counts: NDArray[np.int64],
+    base: Floats,
+    modes: Floats,
+    signal: Floats,
+    weight: Floats,
+    unknowns: Floats,
+    prior_mean: Floats,
+    prior_weight: Floats,
+    matrix: Floats,
+    gradient: Floats,
+) -> float:
+    """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
+
+    Parameters
+    ----------
+    over_time, over_place
+        Legendre polynomials from P_0 on, over time and place, shapes (n, ..).
+    counts
+        Coefficients of A, of log B over time, of log B over the place.
+    base, modes
+        Known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
+    signal, weight
+        Signal and inverse variances, shape (n,).
+    matrix, gradient
+        Filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
+    """
+    n, n_modes = modes.shape
+    p = unknowns.size
+    n_offset, n_gain, n_fade = counts[0], counts[1], counts[2]
+    fade_at = n_offset + n_gain
+    mirror_at = fade_at + n_fade
+    harmonic_at = mirror_at + 1
+    phase_at = harmonic_at + HARMONICS
+    h1, h2 = unknowns[harmonic_at], unknowns[harmonic_at + 1]
+    h3, h4 = unknowns[harmonic_at + 2], unknowns[harmonic_at + 3]
+    mirror = unknowns[mirror_at]
+    for i in range(p):
+        gradient[i] = 0.0
+        for j in range(p):
+            matrix[i, j] = 0.0
+    row = np.empty(p)
+    cost = 0.0
+    for k in range(n):
+        f = base[k] + unknowns[phase_at]
+        for j in range(n_modes):
+            f += modes[k, j] * unknowns[phase_at + 1 + j]
+        c, s = np.cos(f), np.sin(f)
+        c2, s2 = c * c - s * s, 2.0 * s * c
+        c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
+        offset, logarithm = 0.0, 0.0
+        for j in range(n_offset):
+            offset += over_time[k, j] * unknowns[j]
+            row[j] = over_time[k, j]
+        for j in range(n_gain):
+            logarithm += over_time[k, j] * unknowns[n_offset + j]
+        for j in range(n_fade):
+            logarithm += over_place[k, j + 1] * unknowns[fade_at + j]
+        b = np.exp(logarithm)
+        wave = b * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
+        light = mirror * b * b
+        change = wave + 2.0 * light
+        for j in range(n_gain):
+            row[n_offset + j] = change * over_time[k, j]
+        for j in range(n_fade):
+            row[fade_at + j] = change * over_place[k, j + 1]
+        row[mirror_at] = b * b
+        row[harmonic_at], row[harmonic_at + 1] = b * c2, b * s2
+        row[harmonic_at + 2], row[harmonic_at + 3] = b * c3, b * s3
+        slope = b * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
+        row[phase_at] = slope
+        for j in range(n_modes):
+            row[phase_at + 1 + j] = slope * modes[k, j]
+        residual = signal[k] - offset - light - wave
+        cost += weight[k] * residual * residual
+        for i in range(p):
+            scaled = weight[k] * row[i]
+            gradient[i] += scaled * residual
+            for j in range(i + 1):
+                matrix[i, j] += scaled * row[j]
+    for i in range(p):
+        off = prior_mean[i] - unknowns[i]
+        cost += prior_weight[i] * off * off
+        gradient[i] += prior_weight[i] * off
+        matrix[i, i] += prior_weight[i]
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
+    return cost
+
+
+@compiled
+def damped_step(matrix: Floats, gradient: Floats, damping: float, factor: Floats, step: Floats) -> bool:
+    """Solve (matrix + damping diagonal) step = gradient by Cholesky; False if it is not positive definite."""
+    p = gradient.size
+    for i in range(p):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            if i == j:
+                total *= 1.0 + damping
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                factor[i, i] = np.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+    for i in range(p):
+        total = gradient[i]
+        for k in range(i):
+            total -= factor[i, k] * step[k]
+        step[i] = total / factor[i, i]
+    for i in range(p - 1, -1, -1):
+        total = step[i]
+        for k in range(i + 1, p):
+            total -= factor[k, i] * step[k]
+        step[i] = total / factor[i, i]
+    return True
+
+
+@compiled
+def fit_signal(
+    over_time: Floats,
+    over_place: Floats,
+    counts: NDArray[np.int64],
+    base: Floats,
+    modes: Floats,
+    signal: Floats,
+    weight: Floats,
+    unknowns: Floats,
+    prior_mean: Floats,
+    prior_weight: Floats,
+    max_steps: int,
+    matrix: Floats,
+) -> float:
+    """Levenberg-Marquardt from `unknowns`, which are improved in place; returns the sum of squares reached.
+
+    `matrix` (p, p) is left with the normal equations at the solution: the inverse of its covariance.
+    """
+    p = unknowns.size
+    gradient, factor, step = np.empty(p), np.zeros((p, p)), np.empty(p)
+    trial, trial_matrix, trial_gradient = np.empty(p), np.empty((p, p)), np.empty(p)
+    damping, cost = 1e-3, np.inf
+    trial[:] = unknowns
+    for number in range(max_steps + 1):
+        reached = normal_equations(
+            over_time,
+            over_place,
+            counts,
+            base,
+            modes,
+            signal,
+            weight,
+            trial,
+            prior_mean,
+            prior_weight,
+            trial_matrix,
+            trial_gradient,
+        )
+        if reached <= cost:
+            gain = cost - reached
+            unknowns[:], matrix[:], gradient[:] = trial, trial_matrix, trial_gradient
+            cost = reached
+            damping = max(0.1 * damping, 1e-9)
+            if gain < 1e-4:
+                break
+        else:
+            damping *= 8.0
+            if damping > 1e8:
+                break
+        if number == max_steps:
+            break
+        while not damped_step(matrix, gradient, damping, factor, step):
+            damping = max(10.0 * damping, 1e-3)
+        trial[:] = unknowns + step
+    return cost
+
+
+@compiled
+def follow_phase(height: Floats, sd: Floats, expected: Floats, start_sd: float, speed_sd: float, jerk: float) -> Floats:
+    """Excess of a phase over the expected one, by an extended Kalman filter.
+
+    State are the excess and its speed per sample, driven by white noise; each sample measures cos(expected + excess).
+    Near an extreme, where a sample says nothing about the phase, the speed carries it over.
+
+    Parameters
+    ----------
+    height
+        Measured cosines, shape (n,).
+    sd
+        Their standard deviations, shape (n,).
+    expected
+        Expected phase in rad, shape (n,).
+    start_sd, speed_sd
+        Standard deviations of the excess and its speed (per sample) at the start; the excess starts at zero.
+    jerk
+        Spectral density of the acceleration, in rad^2 per sample^3.
+
+    Returns
+    -------
+    ndarray
+        Excess in rad, shape (n,), each from the samples up to it.
+    """
+    result = np.empty(height.size)
+    excess, speed = 0.0, 0.0
+    p00, p01, p11 = start_sd**2, 0.0, speed_sd**2
+    for i in range(height.size):
+        if i > 0:
+            excess += speed
+            p00 += 2.0 * p01 + p11 + jerk / 3.0
+            p01 += p11 + jerk / 2.0
+            p11 += jerk
+        phase = expected[i] + excess
+        slope = -math.sin(phase)
+        # What the curvature hides counts as noise, so that a wide state does not believe a flat top.
+        variance = sd[i] ** 2 + 0.5 * (math.cos(phase) * p00) ** 2
+        innovation = p00 * slope * slope + variance
+        gain0, gain1 = p00 * slope / innovation, p01 * slope / innovation
+        surprise = height[i] - math.cos(phase)
+        excess += gain0 * surprise
+        speed += gain1 * surprise
+        p11 -= gain1 * slope * p01
+        p01 -= gain0 * slope * p01
+        p00 -= gain0 * slope * p00
+        result[i] = excess
+    return result

@@ -1,0 +1,331 @@
+"""A checked path as rows of a campaign."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
+from fpcal_bayes.fringes.reference import fit_fringe
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.traces import PathTrace, check_parts
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.interferometer import fringe, mirror_views
+
+Verdict = Literal["confirmed", "refuted", "not evaluated"]
+
+#: Residuals this many times the noise of the reference scan: the curve does not follow the trace.
+_LOST = 3.0
+#: Below this sine of the starting phase a path starts too near an extreme.
+_FLAT = 0.5
+#: What measurement noise may add to the peak to peak of a check that confirms, in um.
+_COARSE = 0.05
+_DRAWS = 2000
+#: Points along the path at which the estimate's own uncertainty is worked out.
+_POINTS = 121
+
+
+@dataclass(frozen=True, eq=False)
+class PathError:
+    """What a trace says of the error along its path.
+
+    Attributes
+    ----------
+    at
+        Samples of the trace's path, as shares of it, shape (n,).
+    error
+        e, counted from the start of the path, in um, shape (n,).
+    draws
+        What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
+    places
+        Samples at which the draws stand, shape (n_points,).
+    residual
+        Standard deviation of the irradiance around the curve, in V.
+    noise
+        That of the reference scan.
+    amplitude
+        Of the fringes at the start, in V.
+    start_sine
+        Sine of the phase at the start: its size is 1 at half height, 0 at an extreme.
+    followed
+        Whether the curve follows the trace.
+    rival
+        Another error that fits as well, shape (n,), or None: near an extreme of the fringes the irradiance does not
+        tell whether the cavity length went on or turned.
+    """
+
+    at: Floats
+    error: Floats
+    draws: Floats
+    places: NDArray[np.int64]
+    residual: float
+    noise: float
+    amplitude: float
+    start_sine: float
+    followed: bool
+    rival: Floats | None = None
+
+    @property
+    def peak_to_peak(self) -> float:
+        """Of the error, in um."""
+        return float(np.ptp(self.error[self.places]))
+
+    @property
+    def least_peak_to_peak(self) -> float:
+        """The smaller one of error and rival, in um."""
+        return self.peak_to_peak if self.rival is None else min(self.peak_to_peak, float(np.ptp(self.rival)))
+
+    @property
+    def peak_to_peak_sd(self) -> float:
+        """Its standard deviation, in um."""
+        return float(np.std(np.ptp(self.error[self.places] + self.draws, axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class PathCheck:
+    """A measured path error against the prediction of an estimate.
+
+    Attributes
+    ----------
+    measured
+        From the trace.
+    predicted
+        Peak to peak of the error by the estimate, one a draw, in um.
+    expected
+        The same with measurement noise: what this trace should show if the calibration holds.
+    probability
+        Of at least the measured peak to peak, if the calibration holds.
+    verdict
+        ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
+        too uncertain to confirm what the estimate predicts (see `blunt`).
+    level
+        See `verdict`.
+    """
+
+    measured: PathError
+    predicted: Floats
+    expected: Floats
+    probability: float
+    verdict: Verdict
+    level: float
+
+    @property
+    def blunt(self) -> bool:
+        """Whether measurement noise alone makes twice the error that is predicted, and 50 nm."""
+        noisy, predicted = np.quantile(self.expected, 0.975), np.quantile(self.predicted, 0.975)
+        return bool(noisy > max(2.0 * predicted, _COARSE))
+
+    def predicted_band(self, share: float = 0.95) -> tuple[float, float]:
+        """Band that holds this share of the predicted peak-to-peak values, in um."""
+        low, high = np.quantile(self.predicted, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
+        return float(low), float(high)
+
+
+def measure_path(
+    cell: Cell, estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
+) -> PathError:
+    """The error along a path, from its irradiance.
+
+    Parameters
+    ----------
+    estimate
+        What the path was made with, or any other whose error is asked for.
+    index
+        Refractive index of the air.
+    stability
+        How gain and offset may bow between the reference scans, relative, one standard deviation.
+    seed
+        Of numpy's default generator, for the draws of the measurement's uncertainty.
+
+    Raises
+    ------
+    InputError
+        If the parts of the recording are not in order, or a reference scan shows no fringe or less than three quarters
+        of one.
+    """
+    check_parts(trace)
+    model = CavityModel.of(cell, estimate.parameters)
+    values, wavelength = estimate.values, cell.wavelength / index
+    lengths, distance, tilt = mirror_views(model, values, trace.q)
+    base = trace.before.start
+    first = fit_fringe(lengths[trace.before] - lengths[base], trace.irradiance[trace.before], wavelength)
+    last = None
+    if trace.after.stop > trace.after.start:
+        last = fit_fringe(lengths[trace.after] - lengths[trace.after.start], trace.irradiance[trace.after], wavelength)
+
+    path = trace.path
+    means, heights = fringe(cell.interferometer, distance, tilt)
+    begin = float(trace.time_s[trace.before].mean())
+    end = float(trace.time_s[trace.after].mean()) if last is not None else float(trace.time_s[-1])
+    levels = Levels(
+        first,
+        last,
+        (trace.time_s[path] - begin) / (end - begin),
+        (means[path] - means[base]) / heights[base],
+        heights[path] / heights[base],
+        stability,
+    )
+    expected = first.wave_number * (lengths[path] - lengths[base])
+    curve = fit_curve(trace.irradiance[path], expected, levels)
+
+    n = path.stop - path.start
+    places = np.unique(np.linspace(0, n - 1, min(n, _POINTS)).round().astype(np.int64))
+    draws = curve.draws(np.random.default_rng(seed), _DRAWS, places)
+    return PathError(
+        at=np.linspace(0.0, 1.0, n),
+        error=curve.error - curve.error[0],
+        draws=draws - draws[:, :1],
+        places=places,
+        residual=curve.residual,
+        noise=first.noise,
+        amplitude=first.amplitude * float(levels.ratio[0]),
+        start_sine=float(np.sin(expected[0] + first.phase)),
+        rival=curve.rival,
+        followed=curve.residual < _LOST * first.noise + 0.005 * first.amplitude,
+    )
+
+
+def check_path(
+    measured: PathError,
+    model: CavityModel,
+    values: Floats,
+    draws: Floats | None,
+    covariance: Floats,
+    trace: PathTrace,
+    *,
+    drift: Floats | None = None,
+    level: float = 0.01,
+    seed: int = 0,
+) -> PathCheck:
+    """Hold a measured error against what an estimate leaves unknown.
+
+    Parameters
+    ----------
+    measured
+        From `measure_path`.
+    model, values
+        Cavity model and free parameters (n_free,) of the estimate.
+    draws
+        Of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
+    covariance
+        Of the free parameters, shape (n_free, n_free), in um and rad.
+    trace
+        What was measured.
+    drift
+        Covariance of what the free parameters may have drifted since the estimate, or None.
+    level
+        Probability below which the calibration is refuted.
+    seed
+        Of the draws.
+    """
+    q = trace.q[trace.path][measured.places]
+    rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
+    random = np.random.default_rng([seed, 1])
+    _, jacobian = model.predict_with_jacobian(values, rows)
+    if draws is not None:
+        errors = model.predict(draws, rows) - model.predict(values, rows)
+        errors = errors[random.integers(len(errors), size=_DRAWS)]
+    else:
+        errors = _linear_errors(jacobian, covariance, model.free.prior_sd, random)
+    if drift is not None:
+        errors = errors + _linear_errors(jacobian, drift, model.free.prior_sd, random)
+    predicted = np.ptp(errors, axis=1)
+    expected = np.ptp(errors + measured.draws[random.permutation(len(measured.draws))], axis=1)
+    # Never zero: so many draws tell no smaller probability.
+    probability = (1.0 + float((expected >= measured.least_peak_to_peak).sum())) / (1.0 + len(expected))
+    check = PathCheck(measured, predicted, expected, probability, "refuted", level)
+    if not measured.followed:
+        return replace(check, verdict="not evaluated")
+    if probability < level:
+        return check
+    return replace(check, verdict="not evaluated" if check.blunt or measured.rival is not None else "confirmed")
+
+
+def starts_flat(measured: PathError) -> bool:
+    """Whether a path starts so near an extreme of the fringe that small changes hardly show."""
+    return abs(measured.start_sine) < _FLAT
+
+
+def _linear_errors(jacobian: Floats, covariance: Floats, scale: Floats, random: np.random.Generator) -> Floats:
+    """Errors along the path to first order, as draws."""
+    root = scale[:, None] * _root(covariance / np.outer(scale, scale))
+    return np.asarray(random.standard_normal((_DRAWS, len(scale))) @ (jacobian @ root).T)
+
+
+def _root(matrix: Floats) -> Floats:
+    """A square root of a positive semidefinite matrix."""
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
+
+
+#: Of a row, in um: what no noise estimate goes below.
+_LEAST_SIGMA = 1e-4
+
+
+def check_rows(
+    cell: Cell,
+    estimate: Estimate,
+    trace: PathTrace,
+    measured: PathError,
+    *,
+    session: str,
+    time_h: float,
+    points: int = 0,
+) -> Sweeps:
+    """The measured error of a path as sweeps.
+
+    Parameters
+    ----------
+    estimate
+        The one that the error was measured against.
+    session, time_h
+        Of all rows.
+    points
+        How many sweeps from the start of the path to points along it to add. They are one group: the reading at the
+        start, and the signal's drift, which counts as part of it, are common to them.
+
+    Returns
+    -------
+    Sweeps
+        First a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the measured
+        change of the cavity length itself.
+    """
+    q = trace.q[trace.path]
+    name = Path(trace.file).name or "path"
+    row = Sweeps.make(
+        q[:1],
+        q[-1:],
+        session=session,
+        label="check",
+        time_h=time_h,
+        dl=measured.peak_to_peak,
+        sigma=max(measured.peak_to_peak_sd, _LEAST_SIGMA),
+        signed=False,
+        kind="path",
+        trace=name,
+        file=name,
+    )
+    if points == 0:
+        return row
+    model = CavityModel.of(cell, estimate.parameters, estimate.vector())
+    # Without the start; the path's end too unless it is the start again.
+    chosen = np.unique(np.linspace(0, len(measured.places) - 1, points + 2).round().astype(np.int64)[1:-1])
+    ends = q[measured.places[chosen]]
+    starts = np.repeat(q[:1], len(ends), axis=0)
+    expected = model.predict(estimate.values, model.rows(starts, ends))
+    sweeps = Sweeps.make(
+        starts,
+        ends,
+        session=session,
+        label=[f"check-{i}" for i in range(1, len(ends) + 1)],
+        time_h=time_h,
+        dl=expected + measured.error[measured.places[chosen]],
+        sigma=max(float(measured.draws[:, chosen].std(axis=0).max()), _LEAST_SIGMA),
+        group="check",
+    )
+    return join([row, sweeps], name)

@@ -1,0 +1,110 @@
+"""How the cavity length can run along a sweep, before its trace is looked at.
+
+With s from -1 at the start to 1 at the end of the sweep, L(s) - mean = c_1 P_1(s) + .. + c_D P_D(s) in Legendre
+polynomials: one joint moves L as sums of sines at most, and over a sweep these few terms hold it to a fraction of a
+nanometre. The cell's priors give the coefficients' mean and covariance: a translation has one mode that matters, a
+rotation two. That smoothness is what tells a reversal from a fringe, and one count of fringes from another.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+
+#: Legendre polynomials of a course, from the first on.
+DEGREE = 6
+#: Draws from the priors, half of them on each path model; seeded, so that a trace gives the same reading every time.
+_DRAWS, _SEED = 400, 20240501
+#: Nodes at which courses are compared with their polynomials.
+_NODES = 15
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is known of the coefficients of a sweep's course, in um.
+
+    Attributes
+    ----------
+    mean, covariance
+        Shapes (DEGREE,) and (DEGREE, DEGREE).
+    """
+
+    mean: Floats
+    covariance: Floats
+
+    @property
+    def dl(self) -> float:
+        """Expected change of length from start to end."""
+        return float(end_weights() @ self.mean)
+
+    @property
+    def dl_sd(self) -> float:
+        """Its standard deviation."""
+        weights = end_weights()
+        return float(np.sqrt(weights @ self.covariance @ weights))
+
+
+def legendre(s: Floats, degree: int = DEGREE) -> Floats:
+    """Legendre polynomials P_0 .. P_degree at `s` (n,), shape (n, degree + 1)."""
+    return np.asarray(np.polynomial.legendre.legvander(s, degree), dtype=float)
+
+
+def end_weights() -> Floats:
+    """Weights (DEGREE,) of a course's coefficients in L(end) - L(start): 2 for odd polynomials, 0 for even ones."""
+    return np.asarray(1.0 - (-1.0) ** np.arange(1, DEGREE + 1), dtype=float)
+
+
+def prior_courses(cell: Cell, sweeps: Sweeps) -> list[Course]:
+    """Courses of sweeps by the cell's priors alone, optional parameters included.
+
+    Both path models are taken as likely, so that a reading does not presume which one the light follows.
+    """
+    parameters = ParameterSet(p for p in cell.parameters if p.prior_sd > 0)
+    generator = np.random.default_rng(_SEED)
+    sds = np.array([p.prior_sd for p in parameters])
+    draws = parameters.nominal + sds * generator.standard_normal((_DRAWS, len(parameters)))
+    halves = np.array_split(draws, 2)
+    models = [CavityModel.of(cell.with_opd(opd), parameters) for opd in ("axis", "perpendicular")]
+    q, fit = _nodes(sweeps)
+    coefficients = np.concatenate(
+        [
+            _coefficients(model.predict(half, model.pose_rows(q)), fit)
+            for model, half in zip(models, halves, strict=True)
+        ]
+    )
+    # One wild draw (a mirror turned away from the fibre) must not set the scale of all.
+    centre = np.median(coefficients, axis=0)
+    spread = 1.4826 * np.median(np.abs(coefficients - centre), axis=0)
+    limits = 6.0 * spread + 1e-6
+    kept = np.clip(coefficients, centre - limits, centre + limits)
+    return [Course(rows.mean(axis=0), np.cov(rows.T)) for rows in kept.transpose(1, 0, 2)]
+
+
+def estimated_courses(estimate: Estimate, sweeps: Sweeps) -> list[Course]:
+    """Courses of sweeps by an estimate and its covariance, to first order."""
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    q, fit = _nodes(sweeps)
+    lengths, jacobian = model.predict_with_jacobian(estimate.values, model.pose_rows(q))
+    means = _coefficients(lengths[None], fit)[0]
+    slopes = _coefficients(jacobian.T, fit)
+    covariances = np.einsum("pnd,pq,qne->nde", slopes, estimate.covariance, slopes)
+    return [Course(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
+
+
+def _nodes(sweeps: Sweeps) -> tuple[Floats, Floats]:
+    """Joint vectors at the nodes of all sweeps (n_sweeps * nodes, n_joints), and what makes coefficients of lengths."""
+    s, _ = np.polynomial.legendre.leggauss(_NODES)
+    middle, half = (sweeps.q_start + sweeps.q_end) / 2.0, (sweeps.q_end - sweeps.q_start) / 2.0
+    q = middle[:, None] + s[None, :, None] * half[:, None]
+    return q.reshape(-1, q.shape[2]), np.linalg.pinv(legendre(s))[1:]
+
+
+def _coefficients(lengths: Floats, fit: Floats) -> Floats:
+    """Coefficients (n_vectors, n_sweeps, DEGREE) of lengths (n_vectors, n_sweeps * nodes)."""
+    return np.asarray(lengths.reshape(len(lengths), -1, _NODES) @ fit.T)

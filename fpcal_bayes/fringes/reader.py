@@ -1,0 +1,265 @@
+"""Readings of traces, one by one and of a whole campaign."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.count import Reading, Verdict, Witness, decide
+from fpcal_bayes.fringes.fit import LIVELY, Fit, Nuisance
+from fpcal_bayes.fringes.profile import Course
+from fpcal_bayes.fringes.samples import Samples, fault
+from fpcal_bayes.fringes.solve import Solution, change_of, path_fringes, rescaled, solve, with_noise
+
+#: Samples a fringe below which a trace is refused, on average and where L moves fastest.
+SPARSE, SPARSEST = 3.0, 2.1
+#: A fringe amplitude below this many standard deviations of the noise is none.
+_FAINT = 5.0
+#: Above this standard deviation, in um, a count is not certain: a fit near its edges is not as normal as it says.
+_VAGUE = 0.03
+#: Fringes below which amplitude and course cannot be told apart for certain.
+_FEWEST_FRINGES = 0.9
+#: Residuals this much above the campaign's noise mean that the sweep was not what it should have been.
+_MISFIT = 3.0
+#: With no campaign to compare with: and residuals above this share of the fringe amplitude.
+_VISIBLE = 0.05
+#: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
+_DRIFTED = 0.02
+#: Weight, in readings, of the campaign's noise against a trace's own.
+_POOL_WEIGHT = 60.0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One sweep as the reader takes it.
+
+    Attributes
+    ----------
+    label
+        Of the sweep.
+    samples
+        Laid along it.
+    start, end
+        Of the joint that moves, in um or rad.
+    course
+        What the cell's priors know of it.
+    wavelength
+        In the air of the cavity, in um.
+    wavelength_share
+        Its relative standard deviation.
+    fading
+        How visibility may fade along it.
+    witnesses
+        Changes that others expect, the most trustworthy first; the cell's priors need not be named.
+    """
+
+    label: str
+    samples: Samples
+    start: float
+    end: float
+    course: Course
+    wavelength: float
+    wavelength_share: float = 0.0
+    fading: Nuisance = LIVELY
+    witnesses: tuple[Witness, ...] = ()
+
+    @property
+    def phase_per_um(self) -> float:
+        """4 pi n / wavelength."""
+        return 4.0 * np.pi / self.wavelength
+
+
+def read_traces(
+    recorded: Sequence[Recorded],
+    *,
+    noise: float | None = None,
+    full_scale: float | None = None,
+    mirror_light: float = 0.0,
+) -> list[Reading]:
+    """Read the traces of a campaign.
+
+    Parameters
+    ----------
+    noise
+        Standard deviation of one reading in V to begin with; the traces' residuals correct it.
+    full_scale
+        Voltage at which the converter is at its end.
+    mirror_light
+        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
+
+    Returns
+    -------
+    list of Reading
+        One a trace.
+    """
+    faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
+    solutions = [
+        None if why else solve(each.samples, each.course, each.phase_per_um, noise, mirror_light, each.fading)
+        for each, why in zip(recorded, faults, strict=True)
+    ]
+    pool = _Pool.of([solution.best for solution in solutions if solution is not None]) or _NoPool(noise)
+    readings = []
+    for each, why, solution in zip(recorded, faults, solutions, strict=True):
+        if why or solution is None:
+            readings.append(Reading(each.label, refused=why or "no fringes are seen", phase_per_um=each.phase_per_um))
+            continue
+        sd, excess = pool.noise_of(solution.best)
+        if abs(np.log(sd / solution.best.noise)) > 0.05:
+            solution = with_noise(solution, each.course, each.phase_per_um, sd, mirror_light)
+        else:
+            solution = rescaled(solution, sd)
+        readings.append(_reading(each, solution, excess))
+    return readings
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Noise that the traces of a campaign share: in V, or relative to the fringe amplitude."""
+
+    level: float
+    relative: bool
+
+    @classmethod
+    def of(cls, fits: Sequence[Fit]) -> "_Pool | None":
+        rich = [fit for fit in fits if fit.freedom > 5]
+        if len(rich) < 5:
+            return None
+        own = np.array([np.sqrt(fit.residual_squares / fit.freedom) for fit in rich])
+        size = np.array([fit.amplitude for fit in rich])
+        freedom = np.minimum(np.array([fit.freedom for fit in rich]), 100.0)
+        choices = []
+        for relative, values in ((False, own), (True, own / size)):
+            logs = np.log(np.maximum(values, 1e-12))
+            centre = _weighted_median(logs, freedom)
+            choices.append((_weighted_median(np.abs(logs - centre), freedom), relative, centre))
+        _, relative, centre = min(choices)
+        # Around the median, the mean square is the better estimate.
+        values = np.log(np.maximum(own / size if relative else own, 1e-12))
+        near = np.abs(values - centre) < 0.5
+        level = np.sqrt((freedom[near] @ np.exp(2.0 * values[near])) / freedom[near].sum())
+        return cls(float(level), relative)
+
+    def noise_of(self, fit: Fit) -> tuple[float, float]:
+        """Noise of one reading of a trace in V, and its residuals relative to what the campaign lets expect."""
+        expected = self.level * (fit.amplitude if self.relative else 1.0)
+        freedom = max(fit.freedom, 0.0)
+        square = (_POOL_WEIGHT * expected**2 + fit.residual_squares) / (_POOL_WEIGHT + freedom)
+        excess = np.sqrt(fit.residual_squares / freedom) / expected if freedom > 3 else 1.0
+        return float(np.sqrt(square)), float(excess)
+
+
+@dataclass(frozen=True)
+class _NoPool:
+    """Too few traces to share a noise: each has its own, held against what the cell states, if it does."""
+
+    stated: float | None
+
+    def noise_of(self, fit: Fit) -> tuple[float, float]:
+        """As `_Pool.noise_of`; residuals that are small beside the fringes are no misfit, whatever the cell states."""
+        own = np.sqrt(fit.residual_squares / fit.freedom) if fit.freedom > 3 else fit.noise
+        excess = own / self.stated if self.stated and own > _VISIBLE * fit.amplitude else 1.0
+        return fit.noise, float(excess)
+
+
+def _weighted_median(values: Floats, weights: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _reading(each: Recorded, solution: Solution, excess: float) -> Reading:
+    prior = Witness(each.course.dl, 1.5 * each.course.dl_sd, "prior")
+    verdict = decide(solution.fits, (*each.witnesses, prior))
+    fit = verdict.fit
+    dl, sd = change_of(fit)
+    sign = -1.0 if verdict.mirrored else 1.0
+    if not verdict.signed and sign * dl < 0:
+        sign = -sign
+    fringes = path_fringes(fit.course, each.phase_per_um)
+    turns = _turns(fit)
+    density, least = _density(each.samples, fit.course, each.phase_per_um)
+    known = Reading(
+        label=each.label,
+        fringes=fringes,
+        samples_a_fringe=density,
+        noise=fit.noise,
+        amplitude=fit.amplitude,
+        phase_per_um=each.phase_per_um,
+        fit=fit,
+    )
+    if fit.amplitude < _FAINT * fit.noise / np.sqrt(max(1.0, len(each.samples) / 50)):
+        return replace(known, refused="no fringes are seen")
+    if density < SPARSE or least < SPARSEST:
+        seen = f"{min(density, least):.2g} samples a fringe"
+        return replace(known, refused=f"sparse: {seen}, expected {SPARSE:g} or more")
+    sigma = float(np.hypot(sd, each.wavelength_share * dl))
+    return replace(
+        known,
+        dl=sign * dl,
+        sigma=sigma,
+        signed=verdict.signed,
+        sign_source=verdict.sign_source,
+        turns=tuple(turns.tolist()),
+        reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
+        doubt=_doubt(verdict, sd, excess, fringes),
+        alternatives=verdict.alternatives if verdict.doubtful else (),
+        course=sign * fit.course,
+        course_covariance=fit.covariance,
+        wavelength_share=each.wavelength_share,
+    )
+
+
+def _doubt(verdict: Verdict, sd: float, excess: float, fringes: float) -> str:
+    if verdict.doubtful:
+        return f"another count of fringes is possible (probability {verdict.other_counts:.2g})"
+    if fringes < _FEWEST_FRINGES or sd > _VAGUE:
+        return f"too few fringes to measure with ({fringes:.2f}, sigma {1e3 * sd:.0f} nm)"
+    if excess > _MISFIT:
+        return f"the signal does not follow a smooth sweep (residuals {excess:.1f} times the noise)"
+    return ""
+
+
+def _turns(fit: Fit) -> Floats:
+    """Places s at which a course turns, those apart whose turning back is less than what is uncertain."""
+    series = np.polynomial.legendre.Legendre([0.0, *fit.course])
+    slope = series.deriv()
+    roots = slope.roots() if np.abs(slope.coef).max() > 0 else np.zeros(0)
+    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+    turns = list(real[(real > -1) & (real < 1)])
+    least = 3.0 * change_of(fit)[1] + 1e-3
+    # The smallest swing goes first, with the turn that ends it, until all that is left is certain.
+    while turns:
+        lengths = series(np.array([-1.0, *turns, 1.0]))
+        swings = np.abs(np.diff(lengths))
+        i = int(np.argmin(swings))
+        if swings[i] > least:
+            break
+        del turns[max(i - 1, 0) : min(i + 1, len(turns))]
+    return np.array(turns)
+
+
+def _density(samples: Samples, course: Floats, phase_per_um: float) -> tuple[float, float]:
+    """Samples a fringe along a course: on average over the moving part, and where it is least dense."""
+    series = np.polynomial.legendre.Legendre([0.0, *course])
+    lengths = series(samples.s)
+    turned = np.abs(np.diff(lengths)) * phase_per_um / (2.0 * np.pi)
+    moving = np.abs(np.diff(samples.s)) > 0.05 * 2.0 / len(samples)
+    passed = float(turned.sum())
+    fast = float(np.quantile(turned, 0.98)) if len(turned) else 0.0
+    return (float(moving.sum()) / passed if passed > 0 else np.inf), (1.0 / fast if fast > 0 else np.inf)
+
+
+def _beyond_sampling(each: Recorded) -> str:
+    """Why the samples cannot follow the change that is expected with certainty; empty if they can."""
+    for witness in (*each.witnesses, Witness(each.course.dl, each.course.dl_sd, "the cell's priors")):
+        least = abs(witness.dl) - 6.0 * witness.sd
+        fringes = least * each.phase_per_um / (2.0 * np.pi)
+        if fringes > 0 and len(each.samples) / fringes < SPARSE:
+            return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {witness.source}"
+    return ""
+
+
+def estimate_witness(course: Course) -> Witness:
+    """What an estimate expects, with room for drift since it was made."""
+    return Witness(course.dl, 2.0 * course.dl_sd + _DRIFTED, "estimate")

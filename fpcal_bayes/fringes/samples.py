@@ -1,0 +1,139 @@
+"""A trace made ready: held to its sweep, looked through for faults, and laid along the sweep."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import located
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.traces import Trace
+
+#: The joint readings at the ends of a trace may miss the sweep's ends by this share of the travel.
+END_TOLERANCE = 0.02
+#: Fewer samples tell neither fringes nor noise.
+FEWEST = 8
+#: A hole in the record: a step of the joint this many times the mean step, and in share of the travel.
+_HOLE_STEPS, _HOLE_SHARE = 6.0, 0.02
+#: Equal readings in a row at the top or the bottom of a signal that make it clipped.
+_FLAT_RUN, _FLAT_SHARE = 3, 0.004
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Irradiance along a sweep.
+
+    Attributes
+    ----------
+    s
+        Place on the sweep: -1 where the index says that it starts, 1 where it ends, shape (n,).
+    time
+        From -1 at the first sample to 1 at the last, shape (n,).
+    signal
+        In V, shape (n,).
+    count
+        Readings averaged in each, shape (n,).
+    """
+
+    s: Floats
+    time: Floats
+    signal: Floats
+    count: Floats
+
+    def __len__(self) -> int:
+        return len(self.signal)
+
+    def binned(self, n_bins: int) -> "Samples":
+        """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""
+        if len(self) <= 1.5 * n_bins:
+            return self
+        low, high = self.s.min(), self.s.max()
+        place = np.minimum(((self.s - low) * (n_bins / (high - low))).astype(np.int64), n_bins - 1)
+        count = np.bincount(place, self.count, n_bins)
+        filled = count > 0
+        sums = (np.bincount(place, self.count * values, n_bins)[filled] for values in (self.s, self.time, self.signal))
+        s, time, signal = (total / count[filled] for total in sums)
+        return Samples(s, time, signal, count[filled])
+
+
+def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:
+    """Lay a trace along its sweep.
+
+    Parameters
+    ----------
+    start, end
+        Of the joint that moves, in um or rad, as the index says.
+    unit, scale
+        Of that joint as a person reads it, and internal units per shown unit; for messages.
+    place
+        What the message begins with where the trace has no file.
+
+    Raises
+    ------
+    InputError
+        If the joint readings do not begin and end where the sweep does.
+    """
+    travel = end - start
+    s = (2.0 * trace.joint - start - end) / travel
+    for name, first, wanted, found in (("start", s[0], -1.0, trace.joint[0]), ("end", s[-1], 1.0, trace.joint[-1])):
+        if abs(first - wanted) > 2.0 * END_TOLERANCE:
+            value = start if name == "start" else end
+            raise located(
+                trace.file or place,
+                f"the {name} at {found / scale:.6g} {unit} disagrees with the index, "
+                f"expected {value / scale:.6g} {unit}",
+                column="joint",
+            )
+    beyond = np.abs(s) > 1.0 + 4.0 * END_TOLERANCE
+    if beyond.any():
+        far = trace.joint[int(np.argmax(beyond))]
+        raise located(
+            trace.file or place,
+            f"{far / scale:.6g} {unit} lies outside the sweep of the index, "
+            f"expected {start / scale:.6g} to {end / scale:.6g} {unit}",
+            column="joint",
+        )
+    first, last = trace.time_s[0], trace.time_s[-1]
+    time = (2.0 * trace.time_s - first - last) / (last - first)
+    return Samples(s, time, trace.irradiance, np.ones(len(s)))
+
+
+def fault(samples: Samples, full_scale: float | None = None) -> str:
+    """Why a trace cannot be read at all, as a phrase; empty if it can.
+
+    Parameters
+    ----------
+    full_scale
+        Voltage at which the converter is at its end; None: unknown.
+    """
+    n = len(samples)
+    if n < FEWEST:
+        return f"{n} samples, expected {FEWEST} or more"
+    signal = samples.signal
+    if signal.max() == signal.min():
+        return "the signal is constant"
+    clipped = _clipped(signal, full_scale)
+    if clipped:
+        return clipped
+    steps = np.abs(np.diff(samples.s))
+    widest = int(np.argmax(steps))
+    if n > 20 and steps[widest] > max(_HOLE_STEPS * 2.0 / n, 2.0 * _HOLE_SHARE):
+        return f"a gap: no samples over {50 * steps[widest]:.1f} % of the sweep"
+    return ""
+
+
+def _clipped(signal: Floats, full_scale: float | None) -> str:
+    top, bottom = signal.max(), signal.min()
+    if full_scale is not None and (signal >= full_scale * (1 - 1e-9)).any():
+        return f"saturated: the signal reaches the full scale of {full_scale:g} V"
+    for extreme, name in ((top, "top"), (bottom, "bottom")):
+        flat = signal == extreme
+        run, share = _longest_run(flat), float(flat.mean())
+        if run >= _FLAT_RUN and share > _FLAT_SHARE and flat.sum() > _FLAT_RUN:
+            return f"saturated: {int(flat.sum())} samples stand at the {name}, {extreme:g} V"
+    return ""
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,129 @@
+"""The absolute cavity length from the irradiance against wavelength, at rest.
+
+With k = n / lambda the phase 4 pi L k + const runs linearly in k, and its slope is L. The constant, which mirror and
+fibre shift, is fitted along and not used: the length so found needs no knowledge of it, and is good to a few nanometres
+from 1,520 to 1,600 nm, far below the lambda / 2 after which a single wavelength repeats itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.profile import DEGREE, Course
+from fpcal_bayes.fringes.samples import Samples, fault
+from fpcal_bayes.fringes.solve import Solution, path_fringes, solve
+from fpcal_bayes.measure.traces import WavelengthScan
+from fpcal_bayes.model.air_index import air_index
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.parameters import ParameterSet
+
+#: Fewest fringes of a scan, and fewest samples of a fringe.
+FEWEST_FRINGES, SPARSE = 2.0, 3.0
+#: Another length with more than this probability makes a scan doubtful.
+_RISK = 1e-3
+#: The cell's prior of the length is widened by this factor, and is at least this share of the length.
+_WIDENED, _LEAST_SHARE = 2.0, 0.2
+
+
+@dataclass(frozen=True)
+class ScanReading:
+    """What a wavelength scan says.
+
+    Attributes
+    ----------
+    length, sigma
+        Cavity length and its standard deviation, in um; NaN where the scan was refused.
+    fringes
+        Within the scan.
+    refused
+        Why it gives no number; empty where it does.
+    doubt
+        Why the number is not to be relied on; empty where it is.
+    """
+
+    length: float = np.nan
+    sigma: float = np.nan
+    fringes: float = np.nan
+    refused: str = ""
+    doubt: str = ""
+
+    @property
+    def good(self) -> bool:
+        """Whether the number may be used."""
+        return not self.refused and not self.doubt
+
+
+def expected_lengths(cell: Cell, q: Floats) -> tuple[Floats, Floats]:
+    """Cavity lengths at poses `q` (n, n_joints) and their standard deviations by the cell's priors, in um."""
+    parameters = ParameterSet(p for p in cell.parameters if p.prior_sd > 0)
+    model = CavityModel.of(cell, parameters)
+    lengths, jacobian = model.predict_with_jacobian(parameters.nominal, model.pose_rows(q))
+    sds = np.array([p.prior_sd for p in parameters])
+    return np.abs(lengths), np.asarray(np.linalg.norm(jacobian * sds, axis=1))
+
+
+def read_wavelength_scan(
+    scan: WavelengthScan,
+    expected: float,
+    expected_sd: float,
+    *,
+    temperature_c: float = np.nan,
+    pressure_hpa: float = np.nan,
+    humidity_pct: float = np.nan,
+    noise: float | None = None,
+    full_scale: float | None = None,
+    wavelength_share: float = 0.0,
+) -> ScanReading:
+    """Read the absolute cavity length.
+
+    Parameters
+    ----------
+    expected, expected_sd
+        Length in um to search around and its standard deviation, both widened.
+    temperature_c, pressure_hpa, humidity_pct
+        Of the air; without all three the index is 1.
+    noise
+        Standard deviation of one sample in V to begin with.
+    full_scale
+        Voltage at which the converter is at its end.
+    wavelength_share
+        Relative standard deviation of the laser's wavelength, which scales the length.
+    """
+    index = air_index(scan.wavelength, temperature_c, pressure_hpa, humidity_pct)
+    wave_number = index / scan.wavelength
+    middle, half = wave_number[[0, -1]].mean(), abs(wave_number[-1] - wave_number[0]) / 2.0
+    s = (wave_number - middle) / half
+    samples = Samples(s, s, scan.irradiance, np.ones(len(scan)))
+    why = fault(samples, full_scale)
+    if why:
+        return ScanReading(refused=why)
+    sd = max(_WIDENED * expected_sd, _LEAST_SHARE * expected)
+    mean, covariance = np.zeros(DEGREE), np.zeros((DEGREE, DEGREE))
+    mean[0], covariance[0, 0] = expected * half, (sd * half) ** 2
+    # A course in units of L k: one cycle each half unit.
+    solution = solve(samples, Course(mean, covariance), 4.0 * np.pi, noise)
+    if solution is None:
+        return ScanReading(refused="no fringes are seen")
+    return _reading(solution, samples, half, wavelength_share)
+
+
+def _reading(solution: Solution, samples: Samples, half: float, wavelength_share: float) -> ScanReading:
+    best = solution.best
+    fringes = path_fringes(best.course, 4.0 * np.pi)
+    if best.amplitude < 3.0 * best.noise:
+        return ScanReading(refused="no fringes are seen")
+    if len(samples) < SPARSE * fringes:
+        return ScanReading(
+            refused=f"sparse: {len(samples) / fringes:.2g} samples a fringe, expected {SPARSE:g} or more"
+        )
+    length, sd = abs(float(best.course[0])) / half, float(np.sqrt(best.covariance[0, 0])) / half
+    weights = np.exp(np.array([fit.evidence for fit in solution.fits]) - best.evidence)
+    others = float(weights[1:].sum() / weights.sum())
+    doubt = ""
+    if fringes < FEWEST_FRINGES:
+        doubt = f"{fringes:.1f} fringes, expected {FEWEST_FRINGES:g} or more"
+    elif others > _RISK:
+        doubt = f"another length is possible (probability {others:.2g})"
+    return ScanReading(length, float(np.hypot(sd, wavelength_share * length)), fringes, doubt=doubt)

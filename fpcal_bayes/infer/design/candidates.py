@@ -1,0 +1,302 @@
+"""Sweeps that could be measured: within the limits of the joints, of the visibility and of the fringe counter."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+
+
+@dataclass(frozen=True)
+class SweepLimits:
+    """Bounds of candidate sweeps; lengths in um, angles in rad.
+
+    Attributes
+    ----------
+    tilt
+        Largest angle between mirror normal and optical axis at which fringes are visible. The paper's sweeps reach
+        4.24 deg, with both goniometers at 3 deg.
+    fringe_rate
+        Fringes (changes of lambda/2) a second that can be counted.
+    travel_speed, turn_speed
+        Of the joints, a second.
+    settling
+        Seconds to wait before a reading.
+    free_travel, free_turn
+        How far a joint without limit is moved, to either side of zero.
+    reversal_variance
+        Factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more
+        than half a fringe: counting fringes takes the wrong sign there.
+    """
+
+    tilt: float = float(np.radians(4.3))
+    fringe_rate: float = 1000.0
+    travel_speed: float = 100.0
+    turn_speed: float = float(np.radians(2.0))
+    settling: float = 1.0
+    free_travel: float = 150.0
+    free_turn: float = float(np.radians(90.0))
+    reversal_variance: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and (value >= 0 if name == "settling" else value > 0)):
+                raise InputError(f"limit {name} of a sweep: expected a number above zero, found {value:g}")
+        if self.tilt >= np.pi / 2:
+            raise InputError(f"limit tilt of a sweep: expected less than 90 deg, found {np.degrees(self.tilt):g}")
+
+    def ranges(self, cell: Cell) -> tuple[Floats, Floats]:
+        """Lowest and highest value of each joint, shape (n_joints,) each."""
+        free = np.where(cell.revolute, self.free_turn, self.free_travel)
+        low = np.where(np.isfinite(cell.low), cell.low, -free)
+        high = np.where(np.isfinite(cell.high), cell.high, free)
+        return low, high
+
+    def seconds(self, cell: Cell, moves: Floats) -> Floats:
+        """Time that moves (..., n_joints) take, all joints at once; shape (...)."""
+        speeds = np.where(cell.revolute, self.turn_speed, self.travel_speed)
+        longest: Floats = (np.abs(moves) / speeds).max(axis=-1)
+        return longest
+
+
+def controllers(cell: Cell) -> list[NDArray[np.int64]]:
+    """Positions of the joints that each motion controller moves; a joint without controller stands alone.
+
+    Only joints of one controller move in step.
+    """
+    by_name: dict[str, list[int]] = {}
+    for position, joint in enumerate(cell.joints):
+        name = f"joint {position}" if joint.controller is None else f"controller {joint.controller.name}"
+        by_name.setdefault(name, []).append(position)
+    return [np.array(positions) for positions in by_name.values()]
+
+
+#: Shares of joints at rest that stand at the end of their range or at zero; the others stand anywhere.
+_AT_END, _AT_ZERO = 0.4, 0.15
+#: Share of sweeps that move several joints of one controller, and of those moves that use the whole range.
+_SEVERAL, _WHOLE = 0.4, 0.6
+#: Shortest move, as a share of a joint's range.
+_SHORTEST = 0.1
+#: Least share of a joint's range that must be visible for the joint to be moved at all.
+_NARROWEST = 0.01
+_ROUNDS = 60
+#: Points of a sweep at which its cavity length is looked at.
+_POINTS = 9
+#: Steps in which the range of a joint is searched for the end of visibility.
+_STEPS = 201
+
+
+def candidate_sweeps(
+    cell: Cell,
+    *,
+    n: int,
+    rng: np.random.Generator,
+    values: Floats | None = None,
+    limits: SweepLimits | None = None,
+    several: bool = True,
+) -> Sweeps:
+    """Random sweeps that can be measured, as a plan.
+
+    Parameters
+    ----------
+    cell
+        Gives joints, limits and which joints one controller moves.
+    n
+        How many.
+    rng
+        Source of randomness.
+    values
+        Free parameters at which visibility and fringe rate are judged, shape (n_free,), in um and rad; by default
+        nominal.
+    limits
+        Bounds of the sweeps.
+    several
+        Also move several joints of one controller at once, not only one joint.
+
+    Returns
+    -------
+    Sweeps
+        n rows without measurement, labelled ``c1`` and so on.
+
+    Raises
+    ------
+    InputError
+        If the limits leave no room for sweeps.
+    """
+    limits = SweepLimits() if limits is None else limits
+    model = CavityModel.of(cell)
+    values = cell.free.nominal if values is None else values
+    ranges = visible_ranges(model, values, limits)
+    starts, ends, found = [], [], 0
+    for _ in range(_ROUNDS):
+        start, end = _draw(cell, 2 * n, rng, ranges, several)
+        good = can_be_followed(model, values, start, end, limits)
+        starts.append(start[good])
+        ends.append(end[good])
+        found += int(good.sum())
+        if found >= n:
+            break
+    else:
+        raise InputError(
+            f"cell {cell.name!r}: only {found} of {2 * n * _ROUNDS} random sweeps keep the mirror within "
+            f"{np.degrees(limits.tilt):g} deg of the optical axis and below {limits.fringe_rate:g} fringes a second; "
+            "expected wider limits"
+        )
+    labels = [f"c{i}" for i in range(1, n + 1)]
+    return Sweeps.make(np.vstack(starts)[:n], np.vstack(ends)[:n], label=labels, file="candidates")
+
+
+def neighbours(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    n_each: int,
+    width: float,
+    rng: np.random.Generator,
+    values: Floats | None = None,
+    limits: SweepLimits | None = None,
+) -> tuple[Sweeps, NDArray[np.int64]]:
+    """Variations of sweeps: poses shifted, moves lengthened or shortened, the same joints moving.
+
+    Parameters
+    ----------
+    n_each
+        Variations tried of each sweep; those that cannot be followed are left out.
+    width
+        Standard deviation of the variations, as a share of each joint's range.
+
+    Returns
+    -------
+    tuple
+        At most ``n_each * len(sweeps)`` sweeps, and the position of the one that each of them varies.
+    """
+    limits = SweepLimits() if limits is None else limits
+    model = CavityModel.of(cell)
+    values = cell.free.nominal if values is None else values
+    low, high = visible_ranges(model, values, limits)
+    moved = np.repeat(sweeps.q_start != sweeps.q_end, n_each, axis=0)
+    start, end = (np.repeat(q, n_each, axis=0) for q in (sweeps.q_start, sweeps.q_end))
+    # Often only some of the joints vary, so that one that is right at its limit can stay there.
+    varied = rng.random(start.shape) < 0.5
+    steps = width * (high - low) * rng.standard_normal((2, *start.shape)) * varied
+    new_start = np.clip(start + steps[0], low, high)
+    new_end = np.where(moved, np.clip(end + steps[1], low, high), new_start)
+    good = long_enough(new_end - new_start, high - low)
+    good &= can_be_followed(model, values, new_start, new_end, limits)
+    origin = np.repeat(np.arange(len(sweeps)), n_each)[good]
+    return replace(sweeps.take(origin), q_start=new_start[good], q_end=new_end[good]), origin
+
+
+def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> tuple[Floats, Floats]:
+    """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
+
+    A joint that can use less than a hundredth of its range stays where it is.
+
+    Raises
+    ------
+    InputError
+        If the mirror is out of sight with all joints at zero, or as near to it as their limits allow.
+    """
+    low, high = limits.ranges(model.cell)
+    home = np.clip(0.0, low, high)
+    if not tilts(model, values, home[None])[0] <= limits.tilt:
+        raise InputError(
+            f"cell {model.cell.name!r}: the mirror stands more than {np.degrees(limits.tilt):g} deg off the optical "
+            "axis with all joints at zero; expected a larger tilt limit"
+        )
+    share = np.linspace(0.0, 1.0, _STEPS)
+    ends = []
+    for bound in (low, high):
+        # One joint after the other leaves home: poses of shape (n_joints, n_steps, n_joints).
+        moves = np.eye(len(home))[:, None] * share[:, None] * (bound - home)
+        found = tilts(model, values, (home + moves).reshape(-1, len(home))).reshape(len(home), -1)
+        reached = np.logical_and.accumulate(found <= limits.tilt, axis=1).sum(axis=1) - 1
+        ends.append(home + share[reached] * (bound - home))
+    narrow = ends[1] - ends[0] < _NARROWEST * (high - low)
+    return np.where(narrow, home, ends[0]), np.where(narrow, home, ends[1])
+
+
+def tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
+    """Angle between mirror normal and optical axis at poses (n, n_joints), in rad, shape (n,)."""
+    normals, _ = model.mirrors(values, q)
+    axis = np.asarray(chain.optical_axis(model.cell, model.vector(values)), dtype=float)
+    across = np.linalg.norm(np.cross(normals, axis), axis=1)
+    angle: Floats = np.arctan2(across, np.abs(normals @ axis))
+    return angle
+
+
+def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floats, limits: SweepLimits) -> Bools:
+    """Whether fringes stay visible and countable on the way from `start` to `end`, each (n, n_joints); shape (n,)."""
+    cell = model.cell
+    along = np.linspace(0.0, 1.0, _POINTS)
+    q = start[:, None] + (end - start)[:, None] * along[:, None]
+    flat = q.reshape(-1, q.shape[-1])
+    visible = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
+    lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
+    fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
+    slow = fringes <= limits.fringe_rate * limits.seconds(cell, end - start)
+    ahead: Bools = visible & slow & (lengths > 0).all(axis=1)
+    return ahead
+
+
+def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
+    """Whether the cavity length turns round on the way by more than half a fringe, at each parameter vector.
+
+    Parameters
+    ----------
+    values
+        Free parameters, shape (n_draws, n_free).
+
+    Returns
+    -------
+    ndarray
+        Shape (n_draws, n_sweeps).
+    """
+    along = np.linspace(0.0, 1.0, _POINTS)
+    q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]
+    lengths = model.predict(np.atleast_2d(values), model.pose_rows(q.reshape(-1, q.shape[-1])))
+    steps = np.diff(lengths.reshape(len(lengths), len(sweeps), -1), axis=-1)
+    back = np.minimum(steps.clip(min=0.0).sum(axis=-1), (-steps).clip(min=0.0).sum(axis=-1))
+    result: Bools = back > model.cell.wavelength / 4.0
+    return result
+
+
+def _draw(
+    cell: Cell, n: int, rng: np.random.Generator, ranges: tuple[Floats, Floats], several: bool
+) -> tuple[Floats, Floats]:
+    low, high = ranges
+    n_joints = len(cell.joints)
+    start = rng.uniform(low, high, (n, n_joints))
+    where = rng.random((n, n_joints))
+    side = np.where(rng.random((n, n_joints)) < 0.5, low, high)
+    start = np.where(where < _AT_END, side, start)
+    start = np.where((where >= _AT_END) & (where < _AT_END + _AT_ZERO), np.clip(0.0, low, high), start)
+
+    moved = np.zeros((n, n_joints), dtype=bool)
+    moved[np.arange(n), rng.integers(n_joints, size=n)] = True
+    if several:
+        together = np.zeros((n_joints, n_joints), dtype=bool)
+        for group in controllers(cell):
+            together[np.ix_(group, group)] = True
+        joined = (moved @ together) & (rng.random((n, n_joints)) < 0.5)
+        moved |= joined & (rng.random(n) < 2.0 * _SEVERAL)[:, None]
+    whole = (rng.random(n) < _WHOLE)[:, None]
+    other = np.where(rng.random((n, n_joints)) < 0.5, low, high)
+    first = np.where(whole, other, rng.uniform(low, high, (n, n_joints)))
+    last = np.where(whole, low + high - first, rng.uniform(low, high, (n, n_joints)))
+    start, end = np.where(moved, first, start), np.where(moved, last, start)
+    enough = long_enough(end - start, high - low)
+    return start[enough], end[enough]
+
+
+def long_enough(moves: Floats, widths: Floats) -> Bools:
+    """Whether one joint at least uses a fair part of its range; joints that cannot move do not count."""
+    share = np.abs(moves) / np.where(widths > 0, widths, np.inf)
+    result: Bools = share.max(axis=1) >= _SHORTEST
+    return result

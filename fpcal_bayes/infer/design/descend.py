@@ -1,0 +1,203 @@
+"""Descent: the ends of all chosen sweeps move together down the slope of the criterion, within the limits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from fpcal_bayes.core.typing import Bools, Floats, Ints
+from fpcal_bayes.infer.design.candidates import (
+    SweepLimits,
+    can_be_followed,
+    controllers,
+    long_enough,
+    tilts,
+    visible_ranges,
+)
+from fpcal_bayes.infer.design.criteria import Criterion
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.model.cavity import CavityModel
+
+#: Step of differences, as a share of a joint's range: derivatives are good to about five digits.
+_STEP = 1e-6
+#: Share of the tilt limit that the descent keeps clear of it: the optimiser keeps to constraints only nearly.
+_MARGIN = 1e-4
+#: Where the optimiser left the limits after all, an end goes back this share of its way.
+_BACK = (0.0, 1e-3, 1e-2, 0.1, 0.5)
+_LEAST_GAIN = 1e-6
+#: Sweeps that descend together.
+_TOGETHER = 16
+
+
+def descend(
+    sweeps: Sweeps,
+    judge: Callable[[Sweeps], Criterion],
+    model: CavityModel,
+    values: Floats,
+    limits: SweepLimits,
+    *,
+    several: bool = True,
+    iterations: int = 100,
+) -> Sweeps:
+    """Move the ends of all sweeps together to where the criterion is smallest nearby.
+
+    The rows are differentiated by the joints in differences, the criterion by the rows in closed form, and the descent
+    is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the mirror
+    at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
+
+    Parameters
+    ----------
+    sweeps
+        A plan of whole sweeps that can be followed.
+    judge
+        The criterion over a set of candidates.
+    model, values
+        Where visibility and fringe rate are judged; values of the model's free parameters, shape (n_free,).
+    limits
+        Of the sweeps.
+    several
+        Let all joints of a controller move that moves one, else only those that move.
+    iterations
+        Steps of the descent of each part at most.
+
+    Returns
+    -------
+    Sweeps
+        As many, which can be followed; those given if nothing is gained.
+    """
+    if iterations < 1:
+        return sweeps
+    everyone = np.arange(len(sweeps))
+    for part in np.array_split(everyone, -(-len(sweeps) // _TOGETHER)):
+        space = _Space.of(sweeps.take(part), model, values, limits, several)
+        moved = _part_descended(space, sweeps.take(np.setdiff1d(everyone, part)), judge, limits, iterations)
+        q_start, q_end = sweeps.q_start.copy(), sweeps.q_end.copy()
+        q_start[part], q_end[part] = moved.q_start, moved.q_end
+        sweeps = replace(sweeps, q_start=q_start, q_end=q_end)
+    return sweeps
+
+
+def _part_descended(
+    space: "_Space", others: Sweeps, judge: Callable[[Sweeps], Criterion], limits: SweepLimits, iterations: int
+) -> Sweeps:
+    """The sweeps of a space after their descent beside others that stay."""
+    chosen = range(len(space.plan) + len(others))
+
+    def criterion_at(sweeps: Sweeps, *more: Sweeps) -> Criterion:
+        return judge(join([sweeps, others, *more], "descent"))
+
+    first = criterion_at(space.plan).value(chosen)
+    if not first or not space.sweep_of.size:
+        return space.plan
+
+    def value(x: Floats) -> float:
+        return criterion_at(space.sweeps(x)).value(chosen) / abs(first)
+
+    def slope(x: Floats) -> Floats:
+        criterion = criterion_at(space.sweeps(x), space.varied(x))
+        rows, of_rows = criterion.design.rows, criterion.slope(chosen)
+        by_joint = (rows[:, len(chosen) :] - rows[:, space.sweep_of]) / _STEP
+        result: Floats = (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
+        return result
+
+    visible = optimize.NonlinearConstraint(
+        lambda x: space.tilts(space.sweeps(x)) / limits.tilt,
+        -np.inf,
+        1.0 - _MARGIN,
+        jac=lambda x: space.tilt_slopes(x) / limits.tilt,
+    )
+    found = optimize.minimize(
+        value,
+        np.clip(space.at(space.plan), 0.0, 1.0),
+        jac=slope,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * space.sweep_of.size,
+        constraints=visible,
+        options={"maxiter": iterations, "ftol": _LEAST_GAIN},
+    )
+    better = _followed(space.plan, space.sweeps(found.x), space, limits)
+    return better if criterion_at(better).value(chosen) < first else space.plan
+
+
+@dataclass(frozen=True)
+class _Space:
+    """Coordinates of a plan: the ends of its sweeps as shares of the joints' ranges.
+
+    Attributes
+    ----------
+    plan
+        The sweeps at the start; joints that the coordinates leave alone stay there.
+    moving
+        Joints that move, shape (n_sweeps, n_joints); the others stand at the same place at both ends.
+    sweep_of, end_of, joint_of
+        What each coordinate says: sweep, end (0 start, 1 end) and joint, shape (n_coordinates,) each.
+    """
+
+    plan: Sweeps
+    model: CavityModel
+    values: Floats
+    low: Floats
+    width: Floats
+    moving: Bools
+    sweep_of: Ints
+    end_of: Ints
+    joint_of: Ints
+
+    @classmethod
+    def of(cls, plan: Sweeps, model: CavityModel, values: Floats, limits: SweepLimits, several: bool) -> "_Space":
+        low, high = visible_ranges(model, values, limits)
+        moving = plan.q_start != plan.q_end
+        if several:
+            for group in controllers(model.cell):
+                moving[:, group] |= moving[:, group].any(axis=1, keepdims=True)
+        moving &= high > low
+        free = np.stack([np.broadcast_to(high > low, moving.shape), moving], axis=1)
+        return cls(plan, model, values, low, high - low, moving, *np.nonzero(free))
+
+    def at(self, sweeps: Sweeps) -> Floats:
+        """Coordinates of sweeps, shape (n_coordinates,)."""
+        ends = np.stack([sweeps.q_start, sweeps.q_end], axis=1)
+        joints = ends[self.sweep_of, self.end_of, self.joint_of]
+        shares: Floats = (joints - self.low[self.joint_of]) / self.width[self.joint_of]
+        return shares
+
+    def sweeps(self, x: Floats) -> Sweeps:
+        """The plan at coordinates."""
+        ends = np.stack([self.plan.q_start, self.plan.q_end], axis=1)
+        ends[self.sweep_of, self.end_of, self.joint_of] = self.low[self.joint_of] + x * self.width[self.joint_of]
+        end = np.where(self.moving, ends[:, 1], ends[:, 0])
+        return replace(self.plan, q_start=ends[:, 0], q_end=end)
+
+    def varied(self, x: Floats) -> Sweeps:
+        """For each coordinate its sweep with that coordinate a step further."""
+        plan = self.sweeps(x).take(self.sweep_of)
+        change = np.zeros((2, *plan.q_start.shape))
+        each = np.arange(x.size)
+        change[self.end_of, each, self.joint_of] = _STEP * self.width[self.joint_of]
+        change[1] = np.where(self.moving[self.sweep_of], change[1], change[0])
+        return replace(plan, q_start=plan.q_start + change[0], q_end=plan.q_end + change[1])
+
+    def tilts(self, sweeps: Sweeps) -> Floats:
+        """Tilt of the mirror at the starts, then at the ends, in rad, shape (2 n,)."""
+        return tilts(self.model, self.values, np.concatenate([sweeps.q_start, sweeps.q_end]))
+
+    def tilt_slopes(self, x: Floats) -> Floats:
+        """Derivatives of the tilts by the coordinates, shape (2 n_sweeps, n_coordinates)."""
+        here, further = (self.tilts(part).reshape(2, -1) for part in (self.sweeps(x), self.varied(x)))
+        slopes = np.zeros((2, len(self.plan), x.size))
+        slopes[:, self.sweep_of, np.arange(x.size)] = (further - here[:, self.sweep_of]) / _STEP
+        return slopes.reshape(-1, x.size)
+
+
+def _followed(before: Sweeps, after: Sweeps, space: _Space, limits: SweepLimits) -> Sweeps:
+    """The sweeps after the descent, each taken back as far as it must to be followed, at worst to where it was."""
+    start, end, open_ = before.q_start.copy(), before.q_end.copy(), np.ones(len(before), dtype=bool)
+    for share in _BACK:
+        first = after.q_start + share * (before.q_start - after.q_start)
+        last = after.q_end + share * (before.q_end - after.q_end)
+        good = can_be_followed(space.model, space.values, first, last, limits)
+        good &= open_ & long_enough(last - first, space.width)
+        start[good], end[good] = first[good], last[good]
+        open_ &= ~good
+    return replace(before, q_start=start, q_end=end)

@@ -1,0 +1,200 @@
+"""Refinement: chosen sweeps are varied one at a time, and replaced by the variation that serves best."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
+from fpcal_bayes.infer.design.information import Design
+from fpcal_bayes.measure.sweeps import Sweeps, join
+
+#: An exchange must make the criterion smaller by this share.
+_LEAST_GAIN = 1e-4
+
+
+def greedy(criterion: Criterion, n: int, chosen: tuple[int, ...] = ()) -> tuple[int, ...]:
+    """Add candidates to those chosen, each time the best one, until there are `n`."""
+    found = list(chosen)
+    while len(found) < n:
+        values = criterion.if_added(found, None)
+        values[found] = np.inf
+        found.append(int(np.argmin(values)))
+    return tuple(found)
+
+
+def exchange(criterion: Criterion, chosen: tuple[int, ...], *, passes: int = 5, fixed: int = 0) -> tuple[int, ...]:
+    """Exchange chosen candidates one at a time for the best that takes their place, until nothing is gained.
+
+    Parameters
+    ----------
+    passes
+        How often each candidate is looked at, at most.
+    fixed
+        The first so many stay.
+    """
+    found, best, unchanged = list(chosen), criterion.value(chosen), 0
+    places = list(range(fixed, len(found)))
+    for place in places * passes:
+        others = found[:place] + found[place + 1 :]
+        values = criterion.if_added(others, None)
+        values[others] = np.inf
+        winner = int(np.argmin(values))
+        unchanged += 1
+        if winner != found[place] and values[winner] < best - _LEAST_GAIN * abs(best):
+            found[place], best, unchanged = winner, float(values[winner]), 0
+        if unchanged >= len(places):
+            break
+    return tuple(found)
+
+
+def most_useful_first(criterion: Criterion, chosen: tuple[int, ...]) -> tuple[int, ...]:
+    """The chosen candidates in the order in which a greedy search among them alone takes them."""
+    found: list[int] = []
+    while len(found) < len(chosen):
+        rest = [index for index in chosen if index not in found]
+        values = criterion.if_added(found, np.array(rest, dtype=np.int64))
+        found.append(rest[int(np.argmin(values))])
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class ChosenSweeps:
+    """Sweeps chosen among candidates.
+
+    Attributes
+    ----------
+    indices
+        Positions among the candidates, the most useful first.
+    sweeps
+        The chosen candidates in this order, as a plan of whole sweeps.
+    sd
+        Expected worst-point standard deviation of each task in um: before any of them, after the first, and so on,
+        shape (len(indices) + 1,); the root of the mean variance over the draws.
+    """
+
+    indices: tuple[int, ...]
+    sweeps: Sweeps
+    sd: dict[str, Floats]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+def choose_sweeps(
+    candidates: Sweeps,
+    rows: Floats,
+    tasks: Mapping[str, Floats],
+    n: int,
+    *,
+    covariance: Floats | None = None,
+    known: Floats | None = None,
+    tolerances: Mapping[str, float] | None = None,
+    criterion: str = "worst",
+    passes: int = 5,
+) -> ChosenSweeps:
+    """Choose sweeps that leave least unknown of the tasks.
+
+    Parameters
+    ----------
+    candidates
+        Whole sweeps, as from `candidate_sweeps`.
+    rows
+        Their whitened rows by the state, as from `sweep_rows`, at one point or over draws: shape (n_draws,
+        n_candidates, readings, n).
+    tasks
+        Derivatives of each task's points by the state in um, shape (n_draws or 1, n_points, n).
+    n
+        How many to choose.
+    covariance
+        Of the state as it is known now, in the units that the derivatives are by, shape (n, n); by default the
+        identity.
+    known
+        Whitened rows of what is measured in any case, shape (n_draws, n_rows, n).
+    tolerances
+        Standard deviation that each task is judged by, in um; by default all alike.
+    criterion
+        One of `CRITERIA`.
+    passes
+        Passes of the exchange; 0 takes sweeps greedily.
+
+    Returns
+    -------
+    ChosenSweeps
+        The same for the same arguments: nothing is drawn.
+
+    Raises
+    ------
+    InputError
+        If there are fewer candidates than sweeps wanted, no task, or a criterion or tolerance that is unknown.
+    """
+    if not 1 <= n <= len(candidates):
+        raise InputError(f"{n} sweeps out of {len(candidates)} candidates: expected 1 to {len(candidates)}")
+    reference = reference_of(tuple(tasks), tolerances)
+    design = Design.of(rows, tasks, covariance, known)
+    judge = criterion_by_name(criterion, design, reference)
+    chosen = greedy(judge, n)
+    if passes:
+        chosen = most_useful_first(judge, exchange(judge, chosen, passes=passes))
+    return chosen_sweeps(design, candidates, chosen)
+
+
+def chosen_sweeps(design: Design, candidates: Sweeps, chosen: tuple[int, ...]) -> ChosenSweeps:
+    """The chosen candidates with what each of them leaves."""
+    variances = np.array([design.expected_variance(chosen[:count]) for count in range(len(chosen) + 1)])
+    sd = dict(zip(design.names, np.sqrt(variances).T, strict=True))
+    return ChosenSweeps(chosen, candidates.take(np.array(chosen, dtype=np.int64)), sd)
+
+
+def reference_of(names: tuple[str, ...], tolerances: Mapping[str, float] | None) -> Floats:
+    """Standard deviation that each task is judged by, in um, shape (n_tasks,); `InputError` if one is unknown."""
+    if not names:
+        raise InputError("no task to plan for: expected one at least")
+    if tolerances is None:
+        return np.ones(len(names))
+    for name in tolerances:
+        if name not in names:
+            raise InputError(f"tolerance of an unknown task {name!r}: expected one of {', '.join(names)}")
+    reference = np.array([tolerances.get(name, np.inf) for name in names])
+    if not (reference > 0).all() or not np.isfinite(reference).any():
+        raise InputError("tolerances of tasks: expected numbers above zero")
+    return reference
+
+
+#: Widths of the variations as shares of the joints' ranges, from coarse to fine.
+WIDTHS = (0.5, 0.4, 0.3, 0.3, 0.2, 0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.1, 0.07, 0.07, 0.05, 0.05, 0.03, 0.03, 0.02, 0.02)
+
+
+def refine(
+    chosen: Sweeps,
+    vary: Callable[[Sweeps, float], tuple[Sweeps, Ints]],
+    judge: Callable[[Sweeps], Criterion],
+    *,
+    widths: tuple[float, ...] = WIDTHS,
+) -> Sweeps:
+    """Vary chosen sweeps and keep what makes the criterion smaller.
+
+    Parameters
+    ----------
+    chosen
+        The sweeps so far, a plan.
+    vary
+        Variations of a width, and which sweep each of them may replace.
+    judge
+        The criterion over a set of candidates.
+    widths
+        One round a width.
+    """
+    n = len(chosen)
+    for width in widths:
+        variations, replaced = vary(chosen, width)
+        criterion = judge(join([chosen, variations], "candidates"))
+        found = list(range(n))
+        for place in range(n):
+            among = np.concatenate([[found[place]], n + np.flatnonzero(replaced == place)])
+            values = criterion.if_added(found[:place] + found[place + 1 :], among)
+            found[place] = int(among[np.argmin(values)])
+        chosen = join([chosen, variations], "candidates").take(np.array(found))
+    return chosen

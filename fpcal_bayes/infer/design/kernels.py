@@ -1,0 +1,66 @@
+"""Compiled kernel: what each candidate sweep would leave unknown.
+
+With the rows W (k, n) of a candidate in units of the present uncertainty, the covariance shrinks to I - W' S^-1 W,
+S = I + W W' (Woodbury), so that a task whose derivatives are V in these units keeps the variance v'v - |L^-1 W v|^2,
+S = L L'. Only k x k systems are solved.
+"""
+
+import math
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.kernels.compile import compiled
+
+
+@compiled
+def add_gains(
+    rows: Floats, products: Floats, variances: Floats, task_start: Ints, worst: bool, left: Floats, gain: Floats
+) -> None:
+    """Add up, over the draws, the task variances that each candidate would leave and the information it would add.
+
+    Parameters
+    ----------
+    rows
+        Of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
+    products
+        Rows times derivatives of the tasks, shape (n_candidates, k, n_points); overwritten.
+    variances
+        Present variances of the points, shape (n_points,).
+    task_start
+        Where the points of each task start, and where the last ends, shape (n_tasks + 1,).
+    worst
+        Take the worst point of a task, else the mean over its points.
+    left
+        Added to: variance of each task, shape (n_candidates, n_tasks).
+    gain
+        Added to: natural logarithm of the determinant of S, shape (n_candidates,).
+    """
+    n_candidates, k, n = rows.shape
+    n_points = variances.size
+    factor, value = np.empty((k, k)), np.empty(n_points)
+    for c in range(n_candidates):
+        value[:] = variances
+        for i in range(k):
+            for j in range(i + 1):
+                total = 1.0 if i == j else 0.0
+                for m in range(n):
+                    total += rows[c, i, m] * rows[c, j, m]
+                for m in range(j):
+                    total -= factor[i, m] * factor[j, m]
+                factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+            gain[c] += 2.0 * math.log(factor[i, i])
+            for j in range(i):
+                share = factor[i, j]
+                for p in range(n_points):
+                    products[c, i, p] -= share * products[c, j, p]
+            scale = 1.0 / factor[i, i]
+            for p in range(n_points):
+                products[c, i, p] *= scale
+                value[p] -= products[c, i, p] * products[c, i, p]
+        for task in range(task_start.size - 1):
+            first, last = task_start[task], task_start[task + 1]
+            total = 0.0
+            for p in range(first, last):
+                total = max(total, value[p]) if worst else total + value[p]
+            left[c, task] += total if worst else total / (last - first)

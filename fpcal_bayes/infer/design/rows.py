@@ -1,0 +1,73 @@
+"""What candidate sweeps and tasks look like to the design: derivatives by the free parameters, over draws."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import whitening_of
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+
+
+def read_often(sweeps: Sweeps, readings: int) -> Sweeps:
+    """A plan in which each sweep is read at `readings` evenly spaced places after its start.
+
+    The rows of a sweep follow each other and share the reading at the start: one group a sweep, named by its position.
+
+    Raises
+    ------
+    InputError
+        If `readings` is below one.
+    """
+    if readings < 1:
+        raise InputError(f"{readings} readings a sweep: expected one at least")
+    n = len(sweeps)
+    expanded = sweeps.take(np.repeat(np.arange(n), readings))
+    share = np.tile(np.arange(1, readings + 1) / readings, n)[:, None]
+    q_end = expanded.q_start + share * (expanded.q_end - expanded.q_start)
+    names = np.repeat([f"s{i}" for i in range(n)], readings) if readings > 1 else np.full(n, "")
+    return replace(expanded, q_end=q_end, group=np.asarray(names, dtype=np.str_), rows=np.arange(2, n * readings + 2))
+
+
+def sweep_rows(
+    model: CavityModel, values: Floats, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005
+) -> Floats:
+    """Whitened derivatives of the rows of each sweep.
+
+    Parameters
+    ----------
+    values
+        Where to linearise, shape (n_draws, n_free), in um and rad.
+    sweeps
+        A plan of whole sweeps.
+    readings
+        Readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on.
+    sigma
+        Standard deviation of a row in um.
+
+    Returns
+    -------
+    ndarray
+        Shape (n_draws, n_sweeps, readings, n_free), per um or rad.
+    """
+    plan = read_often(sweeps, readings)
+    whitened = plan_rows(model, values, replace(plan, sigma=np.full(len(plan), sigma)))
+    return whitened.reshape(len(whitened), len(sweeps), readings, -1)
+
+
+def plan_rows(model: CavityModel, values: Floats, sweeps: Sweeps) -> Floats:
+    """Whitened derivatives of the rows of a plan with standard deviations, shape (n_draws, n_rows, n_free)."""
+    rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+    values = np.atleast_2d(values)
+    _, jacobians = model.predict_with_jacobian(values, rows)
+    whitening = whitening_of(model, sweeps, values[0])
+    if not model.cell.repeatability.any():
+        return whitening.apply(jacobians)
+    # What the joints' repeatability adds depends on where the rows are linearised.
+    parts: Sequence[Floats] = [
+        whitening_of(model, sweeps, point).apply(jacobian) for point, jacobian in zip(values, jacobians, strict=True)
+    ]
+    return np.array(parts)

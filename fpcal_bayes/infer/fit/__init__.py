@@ -1,0 +1,1 @@
+"""The point estimate: problem, prior, noise, minimisation, signs and goodness of fit."""

@@ -1,0 +1,55 @@
+"""How well data are met: chi-square, its expectation under a prior, and standardised residuals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, special
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.problem import Problem
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """How well the data are met at the maximum of the posterior.
+
+    Attributes
+    ----------
+    chi2_data
+        Sum of squares of the whitened data rows.
+    expected
+        Its expected value: the number of rows less those that the parameters absorb.
+    p_value
+        Probability of a larger value if model, prior and noise are right.
+    standardised
+        Residual of each whitened row over its own standard deviation, shape (n_rows,).
+    """
+
+    chi2_data: float
+    expected: float
+    p_value: float
+    standardised: Floats
+
+
+def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
+    """How well the data of a problem are met at `unknowns` (n_unknowns,)."""
+    residuals = problem.data_residuals(unknowns)
+    chi2_data = float(residuals @ residuals)
+    jacobian = problem.data_jacobian(unknowns)
+    orthonormal = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")[0]
+    leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
+    standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
+    # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,
+    # h the eigenvalues of H; a scaled chi-square with the same mean and variance stands for it (Satterthwaite 1946).
+    shrink = linalg.svdvals(jacobian)[: problem.n_unknowns]
+    weights = np.ones(max(len(residuals), len(shrink)))
+    weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
+    weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
+    mean, square = float(weights.sum()), float((weights**2).sum())
+    p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
+    return GoodnessOfFit(chi2_data, mean, p_value, standardised)
+
+
+def chi2_tail(value: float, dof: float) -> float:
+    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
+    return float(special.gammaincc(dof / 2.0, value / 2.0))

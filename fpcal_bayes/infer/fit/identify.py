@@ -1,0 +1,368 @@
+"""Identify a cell from sweeps: the maximum of the posterior, its covariance, and how far to trust them."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import Any, Literal
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, chi2_tail, goodness_of_fit
+from fpcal_bayes.infer.fit.minimise import (
+    DECREMENT_TOLERANCE,
+    Solution,
+    distinct_minima,
+    minimise,
+    mirror_images,
+    solution_rank,
+)
+from fpcal_bayes.infer.fit.prior import Prior
+from fpcal_bayes.infer.fit.problem import Considered, Problem
+from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
+from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+
+Hold = Literal["consider", "exact"]
+
+#: Below this probability of a sum of squares as large as the one found, other starts are tried.
+RETRY_BELOW = 1e-3
+#: Below this probability of the data's chi-square, or of the whole sum of squares, the fit is called poor.
+POOR_FIT_BELOW = 1e-3
+#: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
+RIVAL_EXCESS = 9.2
+_RELINEARISATIONS = 100
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of `identify`.
+
+    Attributes
+    ----------
+    estimate
+        Maximum of the posterior with its Laplace covariance.
+    problem, solution
+        The least-squares problem as it was solved last, and its minimum.
+    free
+        The parameters that were identified.
+    spectrum
+        What the data tell about them.
+    fit
+        How well the data are met.
+    other_minima
+        Further minima of the sum of squares that count for the posterior, lowest first.
+    signs
+        How the unsigned rows were decided, or None.
+    starts
+        Number of starting points that were tried.
+    seconds
+        Time of the identification itself.
+    warnings
+        Sentences about what is not to be trusted.
+    """
+
+    estimate: Estimate
+    problem: Problem
+    solution: Solution
+    free: ParameterSet
+    spectrum: Spectrum
+    fit: GoodnessOfFit
+    other_minima: tuple[Solution, ...]
+    signs: SignDecision | None
+    starts: int
+    seconds: float
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return (
+            f"Identification({state}, {len(self.problem.sweeps)} rows, rank {self.spectrum.rank} of {len(self.free)}, "
+            f"p = {self.fit.p_value:.2g})"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p><code>{escape(repr(self))}</code></p>{self.estimate._repr_html_()}"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the minimum was reached."""
+        return self.solution.converged
+
+    @property
+    def doubtful_signs(self) -> list[tuple[str, float]]:
+        """Labels of the rows whose sign may be the other one, with that probability, likeliest first."""
+        return _doubtful(self.problem.sweeps, self.signs)
+
+    def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
+        """Labels of the rows with the largest standardised residuals, largest first."""
+        standardised = self.fit.standardised
+        order = np.argsort(-np.abs(standardised), kind="stable")[:n]
+        return [(str(self.problem.sweeps.label[i]), float(standardised[i])) for i in order]
+
+    def content(self) -> dict[str, Any]:
+        """What ``identify --json`` writes, without schema and command."""
+        return {
+            **self.estimate.content(),
+            "fit": {
+                "sum_of_squares": self.solution.sum_of_squares,
+                "chi2_data": self.fit.chi2_data,
+                "chi2_expected": self.fit.expected,
+                "p_value": self.fit.p_value,
+                "n_sweeps": len(self.problem.sweeps),
+                "rank": self.spectrum.rank,
+                "converged": self.converged,
+                "starts": self.starts,
+                "seconds": self.seconds,
+            },
+            "residuals": [{"label": label, "standardised": value} for label, value in self.largest_residuals()],
+            "doubtful_signs": [{"label": label, "probability": p} for label, p in self.doubtful_signs],
+            "warnings": list(self.warnings),
+        }
+
+
+def identify(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    free: str | Sequence[str] = "all",
+    start: Estimate | None = None,
+    hold: Hold = "consider",
+    prior: Estimate | None = None,
+    seed: int = 0,
+    max_starts: int = 10,
+) -> Identification:
+    """Identify the free parameters of a cell by Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    cell
+        The cell with its priors and its path model.
+    sweeps
+        The sweeps of one session, measured.
+    free
+        ``all``, ``intrinsic``, ``extrinsic`` or parameter names; the others are held at `start` (nominal without).
+    start
+        An earlier estimate: starting point of the free parameters, value and covariance of the held ones.
+    hold
+        ``consider``: held parameters are uncertain by the covariance of `start` (the prior without one) and that
+        uncertainty reaches the result (Schmidt's consider parameters). ``exact``: they are taken as known.
+    prior
+        An earlier estimate whose values and covariance are the prior, jointly normal, of the free parameters that it
+        holds (yesterday's posterior as today's prior); by default the priors of the cell.
+    seed
+        Of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
+    max_starts
+        How many starting points to try at most.
+
+    Raises
+    ------
+    InputError
+        If a parameter name is unknown, nothing is free, or the sweeps carry no measurement.
+    """
+    began = time.perf_counter()
+    warnings: list[str] = []
+    used = sweeps.take(sweeps.kind != "path")
+    if len(used) < len(sweeps):
+        warnings.append(f"{len(sweeps) - len(used)} rows of kind path are not used in the identification")
+    if len(used) == 0 or not used.measured:
+        raise InputError(f"{sweeps.file}: expected at least one sweep with dl_um and sigma_um")
+    chosen = cell.select(free)
+    if not len(chosen):
+        raise InputError("nothing is free: expected at least one parameter to identify")
+    problem = _set_up(cell, used, chosen, start, hold, prior)
+    first = _starting_unknowns(problem, start)
+
+    signs = None
+    if not (used.signed | used.absolute).all():
+        problem, signs = _fit_signs(problem, first)
+        first = signs.solution.unknowns
+        if not signs.complete:
+            warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
+    problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
+    unknowns = solution.unknowns
+    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
+    covariance = problem.covariance(unknowns)
+    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
+    fit = goodness_of_fit(problem, unknowns)
+
+    if not solution.converged:
+        warnings.append(f"the fit did not converge from {starts} starting points: do not use this estimate")
+    if spectrum.rank < len(chosen):
+        gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
+        warnings.append(
+            f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
+            f"prior: {gauges or 'no single parameter stands out'}"
+        )
+    if fit.p_value < POOR_FIT_BELOW:
+        warnings.append(
+            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
+            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, "
+            "or held values are stale"
+        )
+    elif (p_total := chi2_tail(solution.sum_of_squares, len(used))) < POOR_FIT_BELOW:
+        warnings.append(
+            f"poor fit: sum of squares {solution.sum_of_squares:.1f} over data and prior, expected {len(used)} "
+            f"(p = {p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
+            "something that is not free (a gain, a runout)"
+        )
+    others = distinct_minima(problem, solution, found)
+    rival = others[0] if others else None
+    if rival is not None and rival.sum_of_squares - solution.sum_of_squares < RIVAL_EXCESS:
+        apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
+        named = ", ".join(chosen.names[i] for i in sorted(apart))
+        warnings.append(
+            f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
+            f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
+            "midpoints tell the two apart"
+        )
+    doubtful = _doubtful(used, signs)
+    if doubtful:
+        named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
+        more = ", ..." if len(doubtful) > 5 else ""
+        warnings.append(f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}")
+    return Identification(
+        estimate=_estimate(cell, used, problem, covariance, status, unknowns),
+        problem=problem,
+        solution=solution,
+        free=chosen,
+        spectrum=spectrum,
+        fit=fit,
+        other_minima=others,
+        signs=signs,
+        starts=starts,
+        seconds=time.perf_counter() - began,
+        warnings=tuple(warnings),
+    )
+
+
+def _set_up(
+    cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold, prior: Estimate | None
+) -> Problem:
+    """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
+    known = start.parameters.names if start is not None else ()
+    held = ParameterSet(p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free))
+    vector = cell.parameters.nominal.copy()
+    covariance = np.diag(held.prior_sd**2)
+    if start is not None:
+        shared = [name for name in held.names if name in known]
+        values, block = start.block(shared)
+        at = held.positions(shared)
+        vector[held.slots[at]] = values
+        covariance[np.ix_(at, at)] = block
+    considered = None
+    if hold == "consider" and len(held):
+        considered = Considered.of(held, covariance)
+    before = None if prior is None else Prior.joint(chosen, prior)
+    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
+
+
+def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
+    """Scaled unknowns (n_unknowns,) of `start`, or the middle of the prior."""
+    if start is None:
+        return np.zeros(problem.n_unknowns)
+    values = problem.values(np.zeros(problem.n_unknowns))
+    for i, name in enumerate(problem.model.free.names):
+        if name in start.parameters:
+            values[i] = start.values[start.parameters.position(name)]
+    return problem.unknowns(values)
+
+
+def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
+    """Minimise, with the measurement covariance and the considered rows taken at the minimum itself."""
+    solution = minimise(problem, start)
+    if not problem.depends_on_point:
+        return problem, solution
+    for _ in range(_RELINEARISATIONS):
+        problem = problem.relinearised(solution.unknowns)
+        before = problem.residuals(solution.unknowns)
+        solution = minimise(problem, solution.unknowns)
+        # The new weights no longer move the minimum.
+        excess = float(before @ before) - solution.sum_of_squares
+        if excess < DECREMENT_TOLERANCE * max(1.0, solution.sum_of_squares / len(problem.sweeps)):
+            return problem, solution
+    return problem, Solution(solution.unknowns, solution.sum_of_squares, converged=False)
+
+
+def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
+    """Decide the unknown signs, again if the measurement covariance depends on the point."""
+    signs = decide_signs(problem, start)
+    if problem.depends_on_point:
+        signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
+    return problem.with_target(signs.target), signs
+
+
+def _fit(
+    problem: Problem, first: Floats, rng: np.random.Generator, max_starts: int
+) -> tuple[Problem, Solution, list[Solution], int]:
+    """Minimise from `first`, from its mirror images, and from draws of the prior while the fit is worse than chance.
+
+    Returns
+    -------
+    tuple
+        The problem and its lowest minimum, every minimum that was found, and the number of starting points.
+    """
+    problem, solution = _converge(problem, first)
+    found = [solution]
+    found += [minimise(problem, image) for image in mirror_images(problem, solution)[: max_starts - 1]]
+    best = min(found, key=solution_rank)
+    while len(found) < max_starts and (
+        not best.converged or chi2_tail(best.sum_of_squares, len(problem.sweeps)) < RETRY_BELOW
+    ):
+        start = np.zeros(problem.n_unknowns)
+        start[: problem.n_free] = rng.standard_normal(problem.n_free)
+        found.append(minimise(problem, start))
+        best = min(found, key=solution_rank)
+    if best is not solution and problem.depends_on_point:
+        moved, better = _converge(problem, best.unknowns)
+        # Each minimum has its own linearisation; what counts is where the iteration ends.
+        if solution_rank(better) < solution_rank(solution):
+            problem, best = moved, better
+        else:
+            best = solution
+    return problem, best, found, len(found)
+
+
+def _estimate(
+    cell: Cell,
+    sweeps: Sweeps,
+    problem: Problem,
+    covariance: Floats,
+    status: tuple[Status, ...],
+    unknowns: Floats,
+) -> Estimate:
+    """Free parameters, considered ones and those held as exact, in the cell's order."""
+    chosen = problem.model.free
+    uncertain = list(chosen.names) + list(problem.considered.parameters.names if problem.considered else ())
+    vector = problem.model.vector(problem.values(unknowns))
+    prior_sd = dict(zip(chosen.names, problem.prior.sd.tolist(), strict=True))
+    parameters = ParameterSet(
+        replace(p, prior_sd=prior_sd.get(p.name, p.prior_sd))
+        for p in cell.parameters
+        if p.name in uncertain or p.name in cell.free or vector[p.slot] != p.nominal
+    )
+    at = parameters.positions(uncertain)
+    full = np.zeros((len(parameters), len(parameters)))
+    full[np.ix_(at, at)] = covariance
+    by_name = dict(zip(chosen.names, status, strict=True))
+    return Estimate(
+        cell=cell,
+        parameters=parameters,
+        values=vector[parameters.slots],
+        covariance=full,
+        status=tuple(by_name.get(name, "fixed") for name in parameters.names),
+        time_h=float(sweeps.time_h.max()),
+    )
+
+
+def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, float]]:
+    if signs is None:
+        return []
+    rows = [int(i) for i in np.argsort(-signs.doubt, kind="stable") if signs.doubt[i] > DOUBTFUL]
+    return [(str(sweeps.label[i]), float(signs.doubt[i])) for i in rows]

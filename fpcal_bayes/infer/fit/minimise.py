@@ -1,0 +1,187 @@
+"""Second minima that the symmetry of the nominal cell hides.
+
+Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and
+to a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against
+alpha_5 is such a direction: from random starting points about half of the fits end on either side, often with sums of
+squares that differ by less than ten.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, optimize
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+
+#: The minimum is reached when a further Gauss-Newton step would lower the sum of squares by less than this. In units
+#: of posterior standard deviations the remaining distance is its square root.
+DECREMENT_TOLERANCE = 1e-9
+_POLISH_STEPS = 40
+#: Gauss-Newton goes on while each step shrinks the decrement at least to this share.
+_FAST = 0.05
+_MAX_EVALUATIONS = 400
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A minimum of the sum of squares.
+
+    Attributes
+    ----------
+    unknowns
+        Scaled unknowns, shape (n_unknowns,).
+    sum_of_squares
+        Over data and prior rows.
+    converged
+        Whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`.
+    """
+
+    unknowns: Floats
+    sum_of_squares: float
+    converged: bool
+
+
+def solution_rank(solution: Solution) -> tuple[bool, float]:
+    """Order of solutions: converged ones first, then the lowest."""
+    return not solution.converged, solution.sum_of_squares
+
+
+def minimise(problem: Problem, start: Floats) -> Solution:
+    """Run Levenberg-Marquardt from `start` (n_unknowns,) with the analytic Jacobian."""
+    found = optimize.least_squares(
+        problem.residuals,
+        start,
+        problem.jacobian,
+        method="lm",
+        x_scale=1.0,  # unknowns are in prior standard deviations; scaling by the Jacobian follows the valley slowly
+        ftol=1e-6,
+        xtol=1e-10,
+        gtol=1e-12,
+        max_nfev=_MAX_EVALUATIONS,
+    )
+    return polished(problem, found.x)
+
+
+def polished(problem: Problem, unknowns: Floats) -> Solution:
+    """Go from a point near a minimum to the minimum itself.
+
+    Gauss-Newton steps as long as they contract fast; where the curvature of the model slows them down, Newton steps
+    with the full second derivatives.
+    """
+    residuals = problem.residuals(unknowns)
+    total = float(residuals @ residuals)
+    step, decrement = gauss_newton(problem, unknowns, residuals)
+    newton = False
+    # What rounding leaves of the decrement grows with the number of rows.
+    enough = 1e-3 * DECREMENT_TOLERANCE * max(1.0, len(residuals) / 100.0)
+    for _ in range(_POLISH_STEPS):
+        if not np.isfinite(total) or decrement < enough:
+            break
+        if newton:
+            step = newton_step(problem, unknowns, residuals)
+        candidate, candidate_residuals, candidate_total = _shortened(problem, unknowns, step, total)
+        if candidate_total > total:
+            # Not even a short step goes down: rounding, or Gauss-Newton misled by curvature.
+            if newton:
+                break
+            newton = True
+            continue
+        unknowns, residuals, total = candidate, candidate_residuals, candidate_total
+        last = decrement
+        step, decrement = gauss_newton(problem, unknowns, residuals)
+        newton = decrement > _FAST * last
+    # Standard deviations are judged against the scatter that is there: a poor fit has no digits beyond it.
+    tolerance = DECREMENT_TOLERANCE * max(1.0, total / len(residuals))
+    return Solution(unknowns, total, bool(np.isfinite(total) and decrement < tolerance))
+
+
+def _shortened(problem: Problem, unknowns: Floats, step: Floats, total: float) -> tuple[Floats, Floats, float]:
+    """The step, halved until the sum of squares does not grow (or eight times)."""
+    for _ in range(8):
+        candidate = unknowns + step
+        residuals = problem.residuals(candidate)
+        candidate_total = float(residuals @ residuals)
+        # The last digits of the sum are rounding: equal within them counts as no worse.
+        if candidate_total <= total * (1 + 1e-13):
+            return candidate, residuals, min(candidate_total, total)
+        step = step / 2
+    return candidate, residuals, np.inf
+
+
+def newton_step(problem: Problem, unknowns: Floats, residuals: Floats) -> Floats:
+    """Newton step (n_unknowns,) with the Hessian by central differences of the gradient J'r.
+
+    Where the Hessian is not positive definite its eigenvalues are taken by size, so that the step goes down.
+    """
+    width = 1e-4
+    shifts = width * np.eye(len(unknowns))
+    ahead, behind = np.split(problem.gradients(unknowns + np.concatenate([shifts, -shifts])), 2)
+    hessian = (ahead - behind) / (2 * width)
+    eigenvalues, vectors = linalg.eigh((hessian + hessian.T) / 2)
+    gradient = problem.jacobian(unknowns).T @ residuals
+    step: Floats = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(eigenvalues), 1e-3))
+    length = float(np.linalg.norm(step))
+    return step if length <= 1.0 else step / length
+
+
+def gauss_newton(problem: Problem, unknowns: Floats, residuals: Floats) -> tuple[Floats, float]:
+    """The Gauss-Newton step (n_unknowns,) and by how much it would lower the linearised sum of squares."""
+    orthonormal, triangle = linalg.qr(problem.jacobian(unknowns), mode="economic", check_finite=False)
+    along = orthonormal.T @ residuals
+    step: Floats = -linalg.solve_triangular(triangle, along, check_finite=False)
+    return step, float(along @ along)
+
+
+_MOST_IMAGES = 3
+#: Minima within this of the lowest sum of squares belong to the posterior.
+MINIMUM_EXCESS = 30.0
+
+
+def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
+    """Points across the directions that the data see at `solution` but hardly at the prior mean.
+
+    Hardly means: they tell less than the prior (singular value below one), or nothing.
+
+    Returns
+    -------
+    list of ndarray
+        Starting points for further fits, each of shape (n_unknowns,); empty where there is no such direction.
+    """
+    n, unknowns = problem.n_free, solution.unknowns
+    at_mean = spectrum_of(problem.data_jacobian(np.zeros(problem.n_unknowns))[:, :n])
+    here = spectrum_of(problem.data_jacobian(unknowns)[:, :n])
+    weak = at_mean.observable[at_mean.singular_values[: at_mean.rank] < 1.0]
+    # Of the directions invisible at the mean, those farthest from the invisible ones here; gauges only bend a little.
+    n_hidden = max(here.rank - at_mean.rank, 0)
+    outside = at_mean.null_space - (at_mean.null_space @ here.null_space.T) @ here.null_space
+    hidden = linalg.svd(outside)[0].T[:n_hidden] @ at_mean.null_space if n_hidden else np.zeros((0, n))
+    images = []
+    for direction in [*weak[::-1], *hidden][:_MOST_IMAGES]:
+        image = unknowns.copy()
+        image[:n] -= 2.0 * (direction @ unknowns[:n]) * direction
+        images.append(image)
+    return images
+
+
+def distinct_minima(problem: Problem, best: Solution, found: list[Solution]) -> tuple[Solution, ...]:
+    """Minima other than the lowest one that count for the posterior, lowest first, each away from the others."""
+    jacobian = problem.jacobian(best.unknowns)
+    others: list[Solution] = []
+    for other in sorted(found, key=solution_rank):
+        apart = [jacobian @ (other.unknowns - known.unknowns) for known in (best, *others)]
+        if (
+            other.converged
+            and other.sum_of_squares - best.sum_of_squares < MINIMUM_EXCESS
+            and min(float(distance @ distance) for distance in apart) > 1.0
+        ):
+            others.append(other)
+    return tuple(others)
+
+
+def all_minima(problem: Problem, solution: Solution) -> tuple[Solution, ...]:
+    """The minimum `solution` and those across the hidden symmetries that count, lowest first."""
+    found = [solution, *(minimise(problem, image) for image in mirror_images(problem, solution))]
+    best = min(found, key=solution_rank)
+    return (best, *distinct_minima(problem, best, found))

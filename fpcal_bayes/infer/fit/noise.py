@@ -1,0 +1,180 @@
+"""The covariance of the measured rows, and the whitening that makes them independent with unit variance."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.infer.fit.kernels import whiten_groups
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Groups of equally many rows, each row whitened given those before it in its group.
+
+    In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
+    have in common, of unit variance. What the rows before it tell about z is taken off (a Kalman filter on z), which
+    is the inverse Cholesky factor of the group's covariance without forming it.
+
+    Attributes
+    ----------
+    members
+        Positions of the rows, shape (n_groups, n_members).
+    own
+        One over the standard deviation of each row's own error, same shape.
+    shared, gain
+        Shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier rows of
+        `shared` times the row.
+    scale
+        One over the standard deviation of what is left, shape (n_groups, n_members).
+    """
+
+    members: Ints
+    own: Floats
+    shared: Floats
+    gain: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, members: Ints, own_sd: Floats, common: Floats) -> "Batch":
+        """From own errors (n_rows,) and common ones (n_rows, n_common), both of all rows."""
+        own = 1.0 / own_sd[members]
+        shared = common[members] * own[..., None]
+        products = shared[..., :, None] * shared[..., None, :]
+        known = np.eye(shared.shape[-1]) + _sum_before(products)
+        gain = np.linalg.solve(known, shared[..., None])[..., 0]
+        return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
+
+    def apply(self, rows: Floats) -> None:
+        """Whiten the members among the rows (n_points, n_rows, n) in place."""
+        whiten_groups(rows, self.members, self.own, self.shared, self.gain, self.scale)
+
+    def weigh(self, rows: Floats, result: Floats) -> None:
+        """Multiply the members among the entries of a vector (n_rows,) by the groups' inverse covariance."""
+        scaled = rows[self.members] * self.own
+        seen = (self.shared * scaled[..., None]).sum(axis=1)
+        known = np.eye(self.shared.shape[-1]) + self.shared.transpose(0, 2, 1) @ self.shared
+        common = (self.shared @ np.linalg.solve(known, seen[..., None]))[..., 0]
+        result[self.members] = (scaled - common) * self.own
+
+    def entries(self) -> tuple[Floats, Ints, Ints]:
+        """Lower triangles of the groups' inverse Cholesky factors: values, rows, columns."""
+        count = self.members.shape[1]
+        factor = np.tril(-self.gain @ self.shared.transpose(0, 2, 1), -1) + np.eye(count)
+        factor *= self.scale[:, :, None] * self.own[:, None, :]
+        row, column = np.tril_indices(count)
+        return factor[:, row, column].ravel(), self.members[:, row].ravel(), self.members[:, column].ravel()
+
+
+def _sum_before(rows: Floats) -> Floats:
+    """Sums over all earlier entries along the second axis."""
+    total = np.zeros_like(rows)
+    np.cumsum(rows[:, :-1], axis=1, out=total[:, 1:])
+    return total
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Linear map under which the rows have unit covariance.
+
+    Attributes
+    ----------
+    scale
+        One over the standard deviation of each row, shape (n_rows,).
+    batches
+        What replaces `scale` where rows share a reading.
+    """
+
+    scale: Floats
+    batches: tuple[Batch, ...] = ()
+
+    def apply(self, rows: Floats) -> Floats:
+        """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
+        if not self.batches:
+            return rows * (self.scale if rows.ndim == 1 else self.scale[:, None])
+        result = np.array(rows, dtype=float, order="C")
+        stacked = result.reshape((1,) * (3 - rows.ndim) + rows.shape) if rows.ndim > 1 else result.reshape(1, -1, 1)
+        stacked[:, self._alone] *= self.scale[self._alone, None]
+        for batch in self.batches:
+            batch.apply(stacked)
+        return result
+
+    @cached_property
+    def all_batches(self) -> tuple[Batch, ...]:
+        """The batches, rows that share nothing being groups of one."""
+        alone = self._alone[:, None]
+        nothing = np.zeros((*alone.shape, 1))
+        ones = np.ones(alone.shape)
+        return (*self.batches, *([Batch(alone, self.scale[alone], nothing, nothing, ones)] if len(alone) else []))
+
+    @cached_property
+    def _alone(self) -> Ints:
+        """Positions of the rows that share nothing."""
+        grouped = [batch.members.ravel() for batch in self.batches]
+        return np.setdiff1d(np.arange(len(self.scale)), np.concatenate([*grouped, np.zeros(0, dtype=np.int64)]))
+
+    def scaled(self, factor: float) -> "Whitening":
+        """The whitening of rows whose errors are `factor` times as large."""
+        batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
+        return Whitening(self.scale / factor, batches)
+
+    def weigh(self, rows: Floats) -> Floats:
+        """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""
+        result: Floats = rows * self.scale**2
+        for batch in self.batches:
+            batch.weigh(rows, result)
+        return result
+
+    @cached_property
+    def mix(self) -> sparse.csr_array | None:
+        """The map as a matrix (n_rows, n_rows), or None if it only scales."""
+        if not self.batches:
+            return None
+        alone = self._alone
+        parts = [batch.entries() for batch in self.batches] + [(self.scale[alone], alone, alone)]
+        values, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return sparse.csr_array((values, (row, column)), shape=(len(self.scale), len(self.scale)))
+
+
+def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
+    """Whitening of the rows of `sweeps`.
+
+    A row's variance is that of its reading plus the joints' repeatability at both ends, carried through the joint
+    Jacobian at `values`. Rows of a group share the reading and the joint errors at their start, which gives equal
+    readings a correlation of 1/2.
+
+    Parameters
+    ----------
+    model, values
+        Where the joint Jacobian is taken; `values` are the free parameters in um and rad, shape (n,).
+    """
+    repeatability = model.cell.repeatability
+    # Of a group's rows: half of the reading's variance and the joints at the start are common.
+    own, common = sweeps.sigma**2 / 2.0, sweeps.sigma[:, None] / np.sqrt(2.0)
+    variance = sweeps.sigma**2
+    if repeatability.any():
+        ends = model.joint_jacobian(values, sweeps.q_end) * repeatability
+        starts = model.joint_jacobian(values, sweeps.q_start) * repeatability
+        starts[sweeps.absolute] = 0.0
+        own = own + (ends**2).sum(axis=1)
+        common = np.hstack([common, starts])
+        variance = variance + (ends**2).sum(axis=1) + (starts**2).sum(axis=1)
+    by_size: dict[int, list[Ints]] = {}
+    for members in group_blocks(sweeps):
+        by_size.setdefault(len(members), []).append(members)
+    batches = tuple(Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
+    return Whitening(1.0 / np.sqrt(variance), batches)
+
+
+def group_blocks(sweeps: Sweeps) -> list[Ints]:
+    """Positions of the rows of each group with more than one row."""
+    grouped = np.flatnonzero(sweeps.group != "")
+    members: dict[tuple[str, str], list[int]] = {}
+    names = zip(sweeps.session[grouped].tolist(), sweeps.group[grouped].tolist(), strict=True)
+    for i, name in zip(grouped.tolist(), names, strict=True):
+        members.setdefault(name, []).append(i)
+    return [np.array(rows) for rows in members.values() if len(rows) > 1]

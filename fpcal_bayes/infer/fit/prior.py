@@ -1,0 +1,95 @@
+"""The prior of the free parameters as a function of standard normal scores."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.priors import Marginal
+
+#: Of a joint normal prior: eigenvalues of the scaled covariance below this are rounding.
+_LEAST_EIGENVALUE = 1e-16
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal.
+
+    Attributes
+    ----------
+    mean, sd
+        Of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal value.
+    others
+        Positions of the parameters whose priors are not normal, with these.
+    factor
+        Square root of the covariance where the prior is jointly normal, shape (n, n); else None.
+    """
+
+    mean: Floats
+    sd: Floats
+    others: tuple[tuple[int, Marginal], ...] = ()
+    factor: Floats | None = None
+
+    @classmethod
+    def of(cls, parameters: ParameterSet) -> "Prior":
+        """Independent priors, as the cell states them."""
+        others = tuple((i, p.prior) for i, p in enumerate(parameters) if p.prior is not None)
+        return cls(parameters.nominal, parameters.prior_sd, others)
+
+    @classmethod
+    def joint(cls, parameters: ParameterSet, estimate: Estimate) -> "Prior":
+        """Jointly normal: an earlier estimate, yesterday's posterior as today's prior.
+
+        Parameters that the estimate does not hold, or holds as exact, keep the prior of the cell.
+        """
+        alone = cls.of(parameters)
+        known = dict(zip(estimate.parameters.names, np.diag(estimate.covariance) > 0, strict=True))
+        names = [name for name in parameters.names if known.get(name, False)]
+        if not names:
+            return alone
+        at = parameters.positions(names)
+        values, covariance = estimate.block(names)
+        mean, sd = alone.mean.copy(), alone.sd.copy()
+        mean[at], sd[at] = values, np.sqrt(np.diag(covariance))
+        eigenvalues, vectors = linalg.eigh(covariance / np.outer(sd[at], sd[at]))
+        root = (vectors * np.sqrt(np.maximum(eigenvalues, _LEAST_EIGENVALUE))) @ vectors.T
+        factor = np.diag(sd)
+        factor[np.ix_(at, at)] = sd[at, None] * root
+        return cls(mean, sd, tuple((i, other) for i, other in alone.others if i not in at), factor)
+
+    def values(self, scores: Floats) -> Floats:
+        """Parameters in um and rad of scores, both of shape (..., n)."""
+        result: Floats = self.mean + (self.sd * scores if self.factor is None else scores @ self.factor.T)
+        for i, other in self.others:
+            result[..., i] = other.value(scores[..., i])
+        return result
+
+    def scores(self, values: Floats) -> Floats:
+        """Scores of one parameter vector (n,); `InputError` if the prior excludes it."""
+        result: Floats = values - self.mean
+        result = result / self.sd if self.factor is None else linalg.solve(self.factor, result)
+        for i, other in self.others:
+            result[i] = other.score(values[i : i + 1])[0]
+        return result
+
+    def by_scores(self, jacobian: Floats, scores: Floats) -> Floats:
+        """Derivatives by the scores, from those by the parameters.
+
+        Parameters
+        ----------
+        jacobian
+            Shape (..., n_rows, n).
+        scores
+            Where, shape (..., n).
+        """
+        result: Floats = jacobian * self.sd if self.factor is None else jacobian @ self.factor
+        for i, other in self.others:
+            result[..., i] = jacobian[..., i] * other.slope(scores[..., i])[..., None]
+        return result
+
+    def slopes(self, scores: Floats) -> Floats:
+        """Derivatives of the parameters (rows) by the scores (columns) at one point (n,), shape (n, n)."""
+        return self.by_scores(np.eye(len(self.mean)), scores)

@@ -1,0 +1,253 @@
+"""The whitened least-squares problem that the identification, the posterior and the reports share.
+
+Unknowns are standard normal scores of the prior (for a normal prior: deviations from its mean in units of its standard
+deviation), so that every prior row is a unit row. Parameters that are held but uncertain (consider parameters, Schmidt
+1966) enter as further unknowns in which the data are linear: their uncertainty reaches the free parameters, their
+values stay.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
+from fpcal_bayes.infer.fit.prior import Prior
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel, Rows
+from fpcal_bayes.model.parameters import ParameterSet
+
+
+@dataclass(frozen=True)
+class Considered:
+    """Held parameters whose covariance counts.
+
+    Attributes
+    ----------
+    parameters
+        Which ones; their values stand in the model's held vector.
+    factor
+        Square root of their covariance, shape (n_considered, n_considered), in um and rad.
+    """
+
+    parameters: ParameterSet
+    factor: Floats
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, covariance: Floats) -> "Considered":
+        """From a covariance (n, n) in um and rad, which may be singular."""
+        scale = parameters.prior_sd
+        eigenvalues, vectors = linalg.eigh(covariance / np.outer(scale, scale))
+        return cls(parameters, scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance, shape (n_considered, n_considered)."""
+        product: Floats = self.factor @ self.factor.T
+        return product
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Whitened residuals and Jacobian of data and prior rows.
+
+    Attributes
+    ----------
+    model
+        Cavity model of the free parameters.
+    sweeps
+        The rows that are used, with measurements.
+    rows
+        The same, laid out for the kernels.
+    target
+        Measured changes with the sign decided for each row, shape (n_rows,).
+    whitening
+        Of the rows.
+    prior
+        Of the free parameters.
+    considered
+        Held but uncertain parameters, or None.
+    sensitivity
+        Derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um.
+    """
+
+    model: CavityModel
+    sweeps: Sweeps
+    rows: Rows
+    target: Floats
+    whitening: Whitening
+    prior: Prior
+    considered: Considered | None = None
+    sensitivity: Floats | None = None
+
+    @classmethod
+    def of(
+        cls,
+        model: CavityModel,
+        sweeps: Sweeps,
+        considered: Considered | None = None,
+        target: Floats | None = None,
+        prior: Prior | None = None,
+    ) -> "Problem":
+        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
+        problem = cls(
+            model=model,
+            sweeps=sweeps,
+            rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
+            target=sweeps.dl if target is None else target,
+            whitening=Whitening(1.0 / sweeps.sigma),
+            prior=Prior.of(model.free) if prior is None else prior,
+            considered=considered,
+        )
+        return problem.relinearised(np.zeros(len(model.free)))
+
+    @property
+    def n_free(self) -> int:
+        """Number of free parameters."""
+        return len(self.prior.mean)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns: free parameters and considered ones."""
+        return self.n_free + (0 if self.considered is None else len(self.considered.parameters))
+
+    @property
+    def depends_on_point(self) -> bool:
+        """Whether the whitening or the considered rows change with the point of linearisation."""
+        return self.considered is not None or bool(self.model.cell.repeatability.any())
+
+    def values(self, unknowns: Floats) -> Floats:
+        """Free parameters in um and rad of scaled unknowns (..., n_unknowns)."""
+        return self.prior.values(unknowns[..., : self.n_free])
+
+    def unknowns(self, values: Floats) -> Floats:
+        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero.
+
+        Raises
+        ------
+        InputError
+            If the prior excludes a value.
+        """
+        result = np.zeros(self.n_unknowns)
+        result[: self.n_free] = self.prior.scores(values)
+        return result
+
+    def relinearised(self, unknowns: Floats) -> "Problem":
+        """The same problem with the measurement covariance and the considered rows taken at `unknowns`."""
+        values = self.values(unknowns)
+        whitening = whitening_of(self.model, self.sweeps, values)
+        sensitivity = None
+        if self.considered is not None:
+            vector = self.model.vector(values)
+            held = self.considered.parameters
+            around = CavityModel.of(self.model.cell, held, vector)
+            _, jacobian = around.predict_with_jacobian(vector[held.slots], self.rows)
+            sensitivity = jacobian @ self.considered.factor
+        return replace(self, whitening=whitening, sensitivity=sensitivity)
+
+    def with_target(self, target: Floats) -> "Problem":
+        """The same problem with other measured values (n_rows,)."""
+        return replace(self, target=target)
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Problem":
+        """The problem of some of the rows, under the same prior."""
+        return Problem.of(self.model, self.sweeps.take(chosen), self.considered, self.target[chosen], self.prior)
+
+    def data_residuals(self, unknowns: Floats) -> Floats:
+        """Whitened prediction minus measurement, shape (n_rows,)."""
+        predicted = self.model.predict(self.values(unknowns), self.rows)
+        if self.sensitivity is not None:
+            predicted = predicted + self.sensitivity @ unknowns[self.n_free :]
+        return self.whitening.apply(predicted - self.target)
+
+    def data_jacobian(self, unknowns: Floats) -> Floats:
+        """Derivatives of `data_residuals` by the unknowns, shape (n_rows, n_unknowns)."""
+        _, jacobian = self.model.predict_with_jacobian(self.values(unknowns), self.rows)
+        scaled = self.prior.by_scores(jacobian, unknowns[: self.n_free])
+        if self.sensitivity is not None:
+            scaled = np.hstack([scaled, self.sensitivity])
+        return self.whitening.apply(scaled)
+
+    def prior_scaled_jacobian(self, unknowns: Floats) -> Floats:
+        """Derivatives of the whitened rows by the free parameters in prior standard deviations, shape (n_rows, n)."""
+        if self.prior.factor is None and not self.prior.others:
+            return self.data_jacobian(unknowns)[:, : self.n_free]
+        _, jacobian = self.model.predict_with_jacobian(self.values(unknowns), self.rows)
+        return self.whitening.apply(jacobian * self.prior.sd)
+
+    def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Whitened data residuals and their derivatives at many points.
+
+        Parameters
+        ----------
+        points
+            Scaled unknowns, shape (n_points, n_unknowns).
+
+        Returns
+        -------
+        tuple of ndarray
+            Shapes (n_points, n_rows) and (n_points, n_rows, n_unknowns).
+        """
+        change, scaled = self._unwhitened_batch(points)
+        if not self.whitening.batches:
+            return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
+        return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
+
+    def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)
+        scaled = self.prior.by_scores(jacobian, points[:, : self.n_free])
+        change = predicted - self.target
+        if self.sensitivity is not None:
+            change = change + points[:, self.n_free :] @ self.sensitivity.T
+            held = np.broadcast_to(self.sensitivity, (len(points), *self.sensitivity.shape))
+            scaled = np.concatenate([scaled, held], axis=2)
+        return change, scaled
+
+    def gradients(self, points: Floats) -> Floats:
+        """Gradients J'r of half the sum of squares at many points (n_points, n_unknowns); same shape."""
+        result = np.empty_like(points)
+        block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
+        for first in range(0, len(points), block):
+            part = points[first : first + block]
+            change, scaled = self._unwhitened_batch(part)
+            weighed = np.array([self.whitening.weigh(row) for row in change])
+            result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
+        return result
+
+    def residuals(self, unknowns: Floats) -> Floats:
+        """Whitened data rows, then prior rows, shape (n_rows + n_unknowns,)."""
+        return np.concatenate([self.data_residuals(unknowns), unknowns])
+
+    def jacobian(self, unknowns: Floats) -> Floats:
+        """Derivatives of `residuals`, shape (n_rows + n_unknowns, n_unknowns)."""
+        return np.vstack([self.data_jacobian(unknowns), np.eye(self.n_unknowns)])
+
+    def covariance(self, unknowns: Floats) -> Floats:
+        """Laplace covariance of free and considered parameters in um and rad, shape (n_unknowns, n_unknowns).
+
+        The inverse of J'J over data and prior rows: a direction that no row sees keeps its prior variance. The block of
+        the considered parameters is the covariance they came with, and the cross block is Schmidt's.
+        """
+        triangle = linalg.qr(self.jacobian(unknowns), mode="r")[0][: self.n_unknowns]
+        inverse = linalg.solve_triangular(triangle, np.eye(self.n_unknowns))
+        scaled = inverse @ inverse.T
+        transform = np.zeros((self.n_unknowns, self.n_unknowns))
+        n = self.n_free
+        transform[:n, :n] = self.prior.slopes(unknowns[:n])
+        if self.considered is None:
+            return _symmetric(transform @ scaled @ transform.T)
+        # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
+        jacobian = self.data_jacobian(unknowns)
+        gain = scaled[:n] @ jacobian.T
+        cross = -gain @ jacobian[:, n:]
+        transform[n:, n:] = self.considered.factor
+        scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
+        return _symmetric(transform @ scaled @ transform.T)
+
+
+def _symmetric(matrix: Floats) -> Floats:
+    """The matrix without the rounding errors by which it differs from its transpose."""
+    result: Floats = (matrix + matrix.T) / 2
+    return result

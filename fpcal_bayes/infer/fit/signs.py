@@ -1,0 +1,192 @@
+"""Sweeps whose direction is not known: decide the sign of each dL together with the fit.
+
+Rows are taken up as the fit comes to predict their sign. Where it predicts none although the two signs would lead to
+different fits, both are followed. The minimal sum of squares of some rows can only grow as rows are added, so a
+best-first search by that sum finds the best assignment, and every other one that is nearly as good.
+"""
+
+import heapq
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from scipy import linalg, sparse, special
+
+from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.infer.fit.minimise import Solution, distinct_minima, minimise
+from fpcal_bayes.infer.fit.problem import Problem
+
+#: A predicted sign is taken when its odds exceed e^12, computed with the predictive standard deviation widened
+#: threefold since the prediction is linear.
+_DECISIVE_LOG_ODDS = 12.0
+_WIDENING = 3.0
+#: A change of less than this many standard deviations of its noise leads to much the same fit with either sign.
+_SEPARABLE = 4.0
+#: Assignments whose sum of squares exceeds the best by this are one in a thousand.
+_RIVAL_EXCESS = 13.8
+_MAX_FITS = 400
+#: Most assignments that are handed on beside the best.
+_MOST_RIVALS = 7
+#: A sign with more than this probability of being wrong is doubtful.
+DOUBTFUL = 0.01
+
+
+@dataclass(frozen=True)
+class SignDecision:
+    """Signs of all rows.
+
+    Attributes
+    ----------
+    target
+        Measured changes with their sign, shape (n_rows,).
+    solution
+        The fit to them.
+    doubt
+        Probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows.
+    complete
+        Whether the search ended before its limit of fits.
+    rivals
+        Minima of other assignments that fit nearly as well, each away from the rest, best first.
+    """
+
+    target: Floats
+    solution: Solution
+    doubt: Floats
+    complete: bool
+    rivals: tuple[Solution, ...]
+
+
+def decide_signs(problem: Problem, start: Floats) -> SignDecision:
+    """Decide the signs of the unsigned rows of `problem`, starting the fit at `start` (n_unknowns,)."""
+    signed = problem.sweeps.signed | problem.sweeps.absolute
+    tie = count()
+    first = _Branch(problem.target.copy(), signed.copy(), Solution(start, 0.0, True))
+    queue: list[tuple[float, int, _Branch]] = [(0.0, next(tie), first)]
+    finished: list[_Branch] = []
+    fits, best = 0, np.inf
+    while queue and fits < _MAX_FITS:
+        lower_bound, _, branch = heapq.heappop(queue)
+        if lower_bound > best + _RIVAL_EXCESS:
+            queue.clear()
+            break
+        for grown in branch.grow(problem):
+            fits += 1
+            if grown.taken.all():
+                settled = _settle(problem, grown)
+                finished.append(settled)
+                best = min(best, settled.solution.sum_of_squares)
+            else:
+                heapq.heappush(queue, (grown.solution.sum_of_squares, next(tie), grown))
+    complete = not queue
+    if not finished:
+        # The limit of fits is reached: follow the likeliest branch to its end by the predicted signs alone.
+        branch = queue[0][2]
+        predicted, _ = branch.predict(problem)
+        target = np.where(branch.taken, branch.target, np.copysign(problem.target, predicted))
+        finished = [_settle(problem, _Branch(target, np.ones_like(signed), branch.solution))]
+    chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
+    doubt = np.maximum(_rival_doubt(chosen, finished), _flip_doubt(problem.with_target(chosen.target), chosen.solution))
+    rivals = _rivals(problem.with_target(chosen.target), chosen.solution, finished)
+    return SignDecision(chosen.target, chosen.solution, np.where(signed, 0.0, doubt), complete, rivals)
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """An assignment of signs to the rows taken so far, and the fit to them."""
+
+    target: Floats
+    taken: Bools
+    solution: Solution
+
+    def predict(self, problem: Problem) -> tuple[Floats, Floats]:
+        """Predicted change of every row and its standard deviation with the row's own noise, in um."""
+        unknowns = self.solution.unknowns
+        n = problem.n_free
+        predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
+        scaled = problem.prior.by_scores(jacobian, unknowns[:n])
+        if problem.sensitivity is not None:
+            predicted = predicted + problem.sensitivity @ unknowns[n:]
+            scaled = np.hstack([scaled, problem.sensitivity])
+        seen = np.zeros((0, problem.n_unknowns))
+        if self.taken.any():
+            seen = problem.take(self.taken).relinearised(unknowns).data_jacobian(unknowns)
+        triangle = linalg.qr(np.vstack([seen, np.eye(problem.n_unknowns)]), mode="r")[0][: problem.n_unknowns]
+        spread = linalg.solve_triangular(triangle, scaled.T, trans="T")
+        return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.scale**-2)
+
+    def grow(self, problem: Problem) -> list["_Branch"]:
+        """Take up every row whose sign is clear; where none is, follow both signs of the row that tells most."""
+        branch = self if not self.taken.any() else self.refitted(problem)
+        predicted, sd = branch.predict(problem)
+        size = problem.target
+        open_rows = ~branch.taken
+        log_odds = 2.0 * np.abs(predicted) * size / (_WIDENING * sd) ** 2
+        clear = open_rows & (log_odds > _DECISIVE_LOG_ODDS)
+        if not clear.any() and (size * problem.whitening.scale)[open_rows].max() < _SEPARABLE:
+            # What is left is noise: its sign hardly matters to the fit.
+            clear = open_rows
+        if clear.any():
+            return [branch.with_signs(clear, np.copysign(size, predicted), problem)]
+        row = int(np.argmax(np.where(open_rows, size / sd, -np.inf)))
+        chosen = np.zeros_like(open_rows)
+        chosen[row] = True
+        return [branch.with_signs(chosen, sign * size, problem) for sign in (1.0, -1.0)]
+
+    def refitted(self, problem: Problem) -> "_Branch":
+        """The same assignment, fitted."""
+        part = problem.with_target(self.target).take(self.taken)
+        return _Branch(self.target, self.taken, minimise(part, self.solution.unknowns))
+
+    def with_signs(self, rows: Bools, target: Floats, problem: Problem) -> "_Branch":
+        """The assignment with `rows` taken at `target`, fitted."""
+        return _Branch(np.where(rows, target, self.target), self.taken | rows, self.solution).refitted(problem)
+
+
+def _settle(problem: Problem, branch: _Branch) -> _Branch:
+    """Flip rows whose sign the fit contradicts, and fit again, until none is left."""
+    for _ in range(10):
+        unsigned = ~(problem.sweeps.signed | problem.sweeps.absolute)
+        predicted = problem.model.predict(problem.values(branch.solution.unknowns), problem.rows)
+        if problem.sensitivity is not None:
+            predicted = predicted + problem.sensitivity @ branch.solution.unknowns[problem.n_free :]
+        target = np.where(unsigned, np.copysign(problem.target, predicted), branch.target)
+        if (target == branch.target).all():
+            return branch
+        flipped = _Branch(target, branch.taken, branch.solution).refitted(problem)
+        if flipped.solution.sum_of_squares >= branch.solution.sum_of_squares:
+            return branch
+        branch = flipped
+    return branch
+
+
+def _rivals(problem: Problem, best: Solution, finished: list[_Branch]) -> tuple[Solution, ...]:
+    """Minima of other assignments within the excess that counts; those a standard deviation apart or less are one."""
+    near = [
+        branch.solution for branch in finished if branch.solution.sum_of_squares < best.sum_of_squares + _RIVAL_EXCESS
+    ]
+    return distinct_minima(problem, best, near)[:_MOST_RIVALS]
+
+
+def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:
+    """Probability of the other sign of each row among the complete assignments."""
+    excess = np.array([branch.solution.sum_of_squares for branch in finished]) - chosen.solution.sum_of_squares
+    # The same assignment may be reached twice: it counts once.
+    distinct = np.unique(np.array([branch.target for branch in finished]), axis=0, return_index=True)[1]
+    weights = np.exp(-0.5 * excess[distinct])
+    differs = np.array([finished[i].target != chosen.target for i in distinct])
+    share: Floats = weights @ differs / weights.sum()
+    return share
+
+
+def _flip_doubt(problem: Problem, solution: Solution) -> Floats:
+    """Probability of the other sign of each row when that row alone is flipped and the fit follows linearly."""
+    unknowns = solution.unknowns
+    residuals = problem.data_residuals(unknowns)
+    orthonormal = linalg.qr(problem.jacobian(unknowns), mode="economic")[0][: len(residuals)]
+    whitening = problem.whitening
+    mix = whitening.mix if whitening.mix is not None else sparse.diags_array(whitening.scale)
+    change = sparse.csc_array(mix @ sparse.diags_array(2.0 * problem.target))
+    excess = 2.0 * (change.T @ residuals) + change.multiply(change).sum(axis=0)
+    excess = excess - ((change.T @ orthonormal) ** 2).sum(axis=1)
+    doubt: Floats = special.expit(-0.5 * excess)
+    return doubt

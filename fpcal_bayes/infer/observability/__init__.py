@@ -1,0 +1,1 @@
+"""What sweeps can tell: rank, gauges, information, bounds."""

@@ -1,0 +1,202 @@
+"""Directions that the data do not see, one by one, with their cause and a remedy in words.
+
+The null space of a set of sweeps is taken apart in three layers: what no sweep and no absolute length can ever see;
+what an absolute length would show; what other sweeps (or the interior of these) would show. Within a layer each
+direction is reduced to as few parameters as it needs.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.model.cavity import CavityModel
+
+Layer = Literal["model", "absolute", "sweeps"]
+
+#: A parameter belongs to a direction if it moves by more than this share of the leading one, in prior units.
+MEMBER_SHARE = 1e-4
+_RANDOM_POSES = 120
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """One direction that the data do not see.
+
+    Attributes
+    ----------
+    parameters
+        Names of the parameters that move, the leading one first.
+    direction
+        How far each moves, in its shown unit, for one prior standard deviation of the leading one; same length.
+    layer
+        ``model``: no measurement of this kind sees it; ``absolute``: one absolute length does; ``sweeps``: other sweeps
+        do.
+    explanation
+        A sentence about the cause.
+    remedy
+        A sentence about what makes it visible, if anything.
+    """
+
+    parameters: tuple[str, ...]
+    direction: tuple[float, ...]
+    layer: Layer
+    explanation: str
+    remedy: str
+
+    def content(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "parameters": list(self.parameters),
+            "direction": list(self.direction),
+            "layer": self.layer,
+            "explanation": self.explanation,
+            "remedy": self.remedy,
+        }
+
+
+def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[Gauge]:
+    """Take the null space of a set of sweeps apart.
+
+    Parameters
+    ----------
+    model
+        Cavity model of the free parameters.
+    values
+        Where the sweeps were linearised, shape (n,), in um and rad.
+    null_space
+        Orthonormal directions that the sweeps do not see, in prior-scaled units, shape (k, n).
+    """
+    if not len(null_space):
+        return []
+    poses = random_poses(model, np.random.default_rng(0), _RANDOM_POSES)
+    _, lengths = model.predict_with_jacobian(values, model.pose_rows(poses))
+    lengths = lengths * model.free.prior_sd
+    # Within the null space of the data: what remains unseen by any sweep, and by any length.
+    never = null_space_within(null_space, lengths)
+    without_absolute = null_space_within(null_space, lengths - lengths.mean(axis=0))
+    basis = np.zeros((0, null_space.shape[1]))
+    pivots: list[int] = []
+    layers: list[Layer] = []
+    spaces: list[tuple[Layer, Floats]] = [("model", never), ("absolute", without_absolute), ("sweeps", null_space)]
+    for layer, space in spaces:
+        found, new = sparse_basis(space, basis, pivots)
+        basis = np.vstack([basis, found])
+        pivots += new
+        layers += [layer] * len(new)
+    gauges = []
+    for direction, pivot, layer in zip(basis, pivots, layers, strict=True):
+        gauges.append(_describe(model, values, poses, direction, pivot, layer))
+    return gauges
+
+
+def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats:
+    """Joint vectors (n, n_joints) spread over the joint limits; without limits, over a quarter turn or 1 mm."""
+    cell = model.cell
+    reach = np.where(cell.revolute, np.pi / 2, 1000.0)
+    low = np.where(np.isfinite(cell.low), cell.low, -reach)
+    high = np.where(np.isfinite(cell.high), cell.high, reach)
+    spread: Floats = rng.uniform(low, high, (n, len(reach)))
+    return spread
+
+
+def null_space_within(space: Floats, jacobian: Floats) -> Floats:
+    """The part of a space (k, n) that the rows of `jacobian` (n_rows, n) do not see, orthonormal."""
+    seen = jacobian @ space.T
+    # Judged against what the rows see of other parameters: rounding scales with that.
+    scale = float(linalg.svdvals(jacobian)[0])
+    spectrum = spectrum_of(np.vstack([seen, np.zeros((1, len(space)))]))
+    unseen = spectrum.singular_values <= 1e-9 * scale
+    part: Floats = spectrum.directions[unseen] @ space
+    return part
+
+
+def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:
+    """Directions that complete `known` to `space`, each with one at its own pivot parameter and zero at the others'.
+
+    Pivots are chosen by column pivoting; among equals the first parameter wins, so that rounding decides nothing.
+    """
+    remainder = space
+    if pivots:
+        remainder = space - space[:, pivots] @ linalg.solve(known[:, pivots], known)
+    # Directions of the space that are already known leave nothing behind.
+    _, values, rows = linalg.svd(remainder, full_matrices=False)
+    remainder = rows[values > 1e-6]
+    reduced, chosen = remainder.copy(), []
+    for _ in range(len(remainder)):
+        size = np.linalg.norm(reduced, axis=0)
+        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
+        chosen.append(column)
+        unit = reduced[:, column] / size[column]
+        reduced = reduced - np.outer(unit, unit @ reduced)
+    if not chosen:
+        return remainder, []
+    found: Floats = linalg.solve(remainder[:, chosen], remainder)
+    return found, chosen
+
+
+def _describe(model: CavityModel, values: Floats, poses: Floats, direction: Floats, pivot: int, layer: Layer) -> Gauge:
+    parameters = model.free
+    order = [pivot, *(int(i) for i in np.argsort(-np.abs(direction), kind="stable") if i != pivot)]
+    members = [i for i in order if abs(direction[i]) > MEMBER_SHARE * abs(direction[pivot])]
+    names = tuple(parameters.names[i] for i in members)
+    shown = parameters.to_shown(direction * parameters.prior_sd)[members]
+    step = 1e-6 * direction * parameters.prior_sd
+    ahead, behind = model.mirrors(values + step, poses)[0], model.mirrors(values - step, poses)[0]
+    turns_mirror = bool(np.abs(ahead - behind).max() > 1e-3 * np.abs(step).max())
+    explanation = _explain(model, direction, names, layer, turns_mirror)
+    remedy = {
+        "model": "no sweep and no absolute length tells it; what the robot does with light does not depend on it",
+        "absolute": "the absolute cavity length of one pose (a wavelength scan) shows it",
+        "sweeps": "other sweeps show it, for example a midpoint on each",
+    }[layer]
+    return Gauge(names, tuple(float(x) for x in shown), layer, explanation, remedy)
+
+
+def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], layer: Layer, turns_mirror: bool) -> str:
+    """Say why a direction is not seen."""
+    first, others = names[0], names[1:]
+    if layer == "sweeps":
+        together = f" only together with {_join(others)}" if others else ""
+        return f"these sweeps {'react to' if others else 'do not react to'} {first}{together}"
+    if layer == "absolute":
+        slides = set(names) <= {"x_wf", "y_wf", "z_wf"}
+        cause = f"sliding the fibre along its axis ({_join(names)})" if slides else f"a change of {_join(names)}"
+        return f"{cause} changes every cavity length by the same amount, and sweeps measure differences"
+    if not others:
+        return f"no cavity length depends on {first}"
+    turns = sorted(n for n in names if n.startswith("theta_") and n[6:].isdigit())
+    if len(turns) == 2 and set(_leading(model, direction, names)) == set(turns):
+        moved = [direction[model.free.position(n)] for n in turns]
+        shows = "sum" if moved[0] * moved[1] < 0 else "difference"
+        rest = [n for n in names if n not in turns]
+        return f"{_join(turns)} turn about one axis; only their {shows} shows" + (
+            f" ({_join(rest)} take{'s' if len(rest) == 1 else ''} up the rest)" if rest else ""
+        )
+    tilt = [n for n in names if n in ("beta_et", "theta_et")]
+    if len(turns) == 1 and tilt and len(turns) + len(tilt) == len(names):
+        return f"an offset of the last joint ({turns[0]}) turns the direction of the mirror's tilt ({_join(tilt)})"
+    fibre = [n for n in names if n in ("x_wf", "y_wf", "z_wf")]
+    moving = [n for n in names if n not in (*fibre, "beta_wf", "theta_wf")]
+    if fibre and moving:
+        if turns_mirror:
+            return f"{_join(moving)} move mirror and fibre ({_join([n for n in names if n not in moving])}) as one body"
+        return (
+            f"{_join(moving)} shift{'s' if len(moving) == 1 else ''} the mirror by the same vector at every pose, "
+            f"and so does a shift of the fibre ({_join(fibre)})"
+        )
+    return f"{_join(names)} can change together without any effect on the mirror as the fibre sees it"
+
+
+def _leading(model: CavityModel, direction: Floats, names: tuple[str, ...]) -> list[str]:
+    """Members that move by at least a tenth of the largest, in prior units."""
+    size = {name: abs(direction[model.free.position(name)]) for name in names}
+    return [name for name in names if size[name] >= 0.1 * max(size.values())]
+
+
+def _join(names: list[str] | tuple[str, ...]) -> str:
+    names = list(names)
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -1,0 +1,398 @@
+"""Everything that a set of sweeps, measured or planned, can tell about a cell, in one report."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.fit.noise import whitening_of
+from fpcal_bayes.infer.fit.prior import Prior
+from fpcal_bayes.infer.fit.spectrum import WEAK_SHARE, Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.observability.gauges import Gauge, find_gauges
+from fpcal_bayes.infer.observability.information import Information, gain_of, information_of
+from fpcal_bayes.infer.observability.measures import (
+    BaseParameter,
+    Bounds,
+    Indices,
+    base_parameters,
+    bounds_of,
+    indices_of,
+)
+from fpcal_bayes.infer.observability.profile import Profile, profile
+from fpcal_bayes.measure.protocol import add_midpoints
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.parameters import ParameterSet
+
+#: Standard deviation of an absolute length where a block supposes one: an eighth of a wavelength, in wavelengths.
+_ABSOLUTE_SD = 0.125
+_DRAWS = 16
+
+
+@dataclass(frozen=True)
+class Block:
+    """What a part of the sweeps, or the sweeps with an addition, tells."""
+
+    name: str
+    n_rows: int
+    spectrum: Spectrum
+    indices: Indices
+
+    def content(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.name,
+            "n_rows": self.n_rows,
+            "rank": self.spectrum.rank,
+            "condition": finite(self.indices.condition),
+            "indices": self.indices.content(),
+        }
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Result of `observe`.
+
+    Attributes
+    ----------
+    cell, sweeps, parameters
+        What was analysed.
+    identification
+        The fit at which the sweeps were linearised, or None for a plan.
+    values
+        Point of linearisation, shape (n,), in um and rad: the maximum of the posterior, or a draw of the prior.
+    ranks
+        Rank at each point that was tried; one for measured sweeps.
+    spectrum, indices
+        Singular values of the whitened Jacobian in prior-scaled units, and the observability indices.
+    covariance
+        Expected or found posterior covariance in prior-scaled units, shape (n, n).
+    status
+        One a parameter.
+    weak_share
+        Share of prior variance that makes a parameter weak.
+    gauges, base, blocks, information
+        See their modules.
+    bounds
+        Cramer-Rao bounds by what is free: ``full``, ``extrinsic``, ``intrinsic``; with the parameters they are for.
+    candidates
+        Worth in bits of one more row: (label, bits), best first.
+    profiles
+        Of the parameters that were asked for.
+    warnings
+        Sentences about what is not to be trusted.
+    """
+
+    cell: Cell
+    sweeps: Sweeps
+    parameters: ParameterSet
+    identification: Identification | None
+    values: Floats
+    ranks: tuple[int, ...]
+    spectrum: Spectrum
+    indices: Indices
+    covariance: Floats
+    status: tuple[Status, ...]
+    weak_share: float
+    gauges: tuple[Gauge, ...]
+    base: tuple[BaseParameter, ...]
+    blocks: tuple[Block, ...]
+    information: Information
+    bounds: dict[str, tuple[ParameterSet, Bounds]]
+    candidates: tuple[tuple[str, float], ...]
+    profiles: tuple[Profile, ...]
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def contraction(self) -> Floats:
+        """Share of the prior variance that the data take away, from 0 to 1, shape (n,)."""
+        contraction: Floats = 1.0 - np.diag(self.covariance)
+        return contraction
+
+    @cached_property
+    def correlation(self) -> Floats:
+        """Posterior correlations, shape (n, n)."""
+        sd = np.sqrt(np.diag(self.covariance))
+        correlation: Floats = self.covariance / np.outer(sd, sd)
+        return correlation
+
+    def strongest_correlations(self, name: str, n: int = 3) -> list[tuple[str, float]]:
+        """The parameters most correlated with one, strongest first."""
+        row = self.correlation[self.parameters.position(name)]
+        order = [int(i) for i in np.argsort(-np.abs(row), kind="stable") if self.parameters.names[i] != name]
+        return [(self.parameters.names[i], float(row[i])) for i in order[:n]]
+
+    def content(self) -> dict[str, Any]:
+        """What ``observe --json`` writes, without schema and command."""
+        sd = self.parameters.to_shown(np.sqrt(np.diag(self.covariance)) * self.parameters.prior_sd)
+        shown = self.parameters.to_shown(self.values)
+        scale = self.parameters.to_shown(self.parameters.prior_sd)
+        bounds = {
+            free: {
+                p.name: {"unbiased": finite(float(u) * s), "with_prior": float(w) * s}
+                for p, u, w, s in zip(
+                    chosen, b.unbiased, b.with_prior, chosen.to_shown(chosen.prior_sd).tolist(), strict=True
+                )
+            }
+            for free, (chosen, b) in self.bounds.items()
+        }
+        fit = self.identification.content()["fit"] if self.identification is not None else None
+        return {
+            "parameters": {
+                p.name: {
+                    "value": float(shown[i]),
+                    "sd": float(sd[i]),
+                    "unit": p.unit,
+                    "prior_sd": float(scale[i]),
+                    "status": self.status[i],
+                    "contraction": float(self.contraction[i]),
+                    "correlations": [{"name": n, "correlation": c} for n, c in self.strongest_correlations(p.name)],
+                }
+                for i, p in enumerate(self.parameters)
+            },
+            "covariance": {
+                "names": list(self.parameters.names),
+                "matrix": (self.covariance * np.outer(scale, scale)).tolist(),
+            },
+            "fit": fit or {"n_sweeps": len(self.sweeps), "rank": self.spectrum.rank},
+            "cell": {"name": self.cell.name, "sha256": self.cell.sha256, "opd": self.cell.opd},
+            "observability": {
+                "rank": self.spectrum.rank,
+                "n_parameters": len(self.parameters),
+                "tolerance": self.spectrum.tolerance,
+                "gap": finite(self.spectrum.gap),
+                "ranks_tried": list(self.ranks),
+                "linearised_at": "prior draws" if self.identification is None else "maximum of the posterior",
+                "singular_values": self.spectrum.singular_values.tolist(),
+                "indices": self.indices.content(),
+                "condition": finite(self.indices.condition),
+                "gauges": [gauge.content() for gauge in self.gauges],
+                "base_parameters": [base.content() for base in self.base],
+                "blocks": [block.content() for block in self.blocks],
+                "bounds": bounds,
+                "weak_share": self.weak_share,
+            },
+            "information": {
+                "sweeps": [
+                    {"label": label, "leverage": float(leverage), "bits": float(bits)}
+                    for label, leverage, bits in zip(
+                        self.information.labels, self.information.leverage, self.information.bits, strict=True
+                    )
+                ],
+                "redundant": self.information.redundant,
+                "cumulative": {
+                    "rows": self.information.cumulative_rows.tolist(),
+                    "bits": self.information.cumulative_bits.tolist(),
+                },
+                "candidates": [{"label": label, "bits": bits} for label, bits in self.candidates],
+            },
+            "profiles": [_profile_content(p, self.parameters) for p in self.profiles],
+            "warnings": list(self.warnings),
+        }
+
+
+def observe(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    sigma: float = 0.005,
+    weak_share: float = WEAK_SHARE,
+    profiles: Sequence[str] = (),
+    candidates: Sweeps | None = None,
+    seed: int = 0,
+) -> Observability:
+    """Analyse what sweeps can tell about the free parameters of a cell.
+
+    Parameters
+    ----------
+    cell
+        With its priors and its path model.
+    sweeps
+        Of one session; measured ones are linearised at the maximum of the posterior, a plan over draws of the prior.
+    sigma
+        Standard deviation supposed for a plan's rows that have none, in um.
+    weak_share
+        A parameter is weak if the data leave more than this share of its prior variance.
+    profiles
+        Names of parameters to profile; measured sweeps only.
+    candidates
+        Further sweeps whose worth is wanted; by default the midpoints of the sweeps and one absolute length.
+    seed
+        Of the prior draws.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or profiles are wanted of a plan.
+    """
+    if not 0.0 < weak_share < 1.0:
+        raise InputError(f"weak share {weak_share:g}: expected a number between 0 and 1")
+    if profiles and not sweeps.measured:
+        raise InputError(f"{sweeps.file}: profiles need measured sweeps, expected dl_um and sigma_um")
+    cell.select(profiles)
+    used = sweeps.take(sweeps.kind != "path")
+    if len(used) == 0:
+        raise InputError(f"{sweeps.file}: every row is of kind path, expected at least one sweep")
+    identification = identify(cell, used) if used.measured else None
+    if identification is None:
+        used = replace(used, sigma=np.where(np.isfinite(used.sigma), used.sigma, sigma))
+        rng = np.random.default_rng(seed)
+        points = Prior.of(cell.free).values(rng.standard_normal((_DRAWS, len(cell.free))))
+    else:
+        points = identification.problem.values(identification.solution.unknowns)[None]
+
+    model = CavityModel.of(cell)
+    jacobians = list(_whitened_jacobians(model, used, points))
+    spectra = [spectrum_of(jacobian) for jacobian in jacobians]
+    ranks = tuple(spectrum.rank for spectrum in spectra)
+    # A draw may fall on a symmetry by chance; the rank that the sweeps have in general is the largest.
+    chosen = int(np.argmax(ranks))
+    jacobian, spectrum, values = jacobians[chosen], spectra[chosen], points[chosen]
+    covariance = np.mean([_posterior(j) for j in jacobians], axis=0)
+    # Statuses of a plan: what is to be expected, on average over the prior.
+    null_share = np.mean([s.null_share for s in spectra], axis=0)
+    status = statuses(null_share, np.diag(covariance), weak_share)
+    warnings = list(identification.warnings) if identification is not None else []
+    if spectrum.gap < 1e3:
+        warnings.append(
+            f"the rank is not clear-cut: singular values {spectrum.rank} and {spectrum.rank + 1} differ only by a "
+            f"factor {spectrum.gap:.0f}"
+        )
+    return Observability(
+        cell=cell,
+        sweeps=used,
+        parameters=cell.free,
+        identification=identification,
+        values=values,
+        ranks=ranks,
+        spectrum=spectrum,
+        indices=indices_of(spectrum, len(used)),
+        covariance=covariance,
+        status=status,
+        weak_share=weak_share,
+        gauges=tuple(find_gauges(model, values, spectrum.null_space)),
+        base=base_parameters(spectrum, cell.free),
+        blocks=_blocks(model, used, values, jacobian),
+        information=information_of(jacobian, used),
+        bounds=_bounds(cell, jacobian),
+        candidates=_worth(model, used, values, jacobian, candidates, sigma),
+        profiles=_profiles(identification, profiles),
+        warnings=tuple(warnings),
+    )
+
+
+def whitened_jacobian(model: CavityModel, sweeps: Sweeps, values: Floats) -> Floats:
+    """Derivatives of the whitened rows by the free parameters in prior units, shape (n_rows, n)."""
+    return next(_whitened_jacobians(model, sweeps, values[None]))
+
+
+def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> Iterator[Floats]:
+    """The same at several points (n_points, n)."""
+    rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+    whitening = whitening_of(model, sweeps, points[0])
+    moves = model.cell.repeatability.any()
+    for number, point in enumerate(points):
+        if moves and number:
+            whitening = whitening_of(model, sweeps, point)
+        yield whitening.apply(model.predict_with_jacobian(point, rows)[1] * model.free.prior_sd)
+
+
+def _posterior(jacobian: Floats) -> Floats:
+    spectrum = spectrum_of(jacobian)
+    covariance: Floats = (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
+    return covariance
+
+
+def _absolute_row(cell: Cell, sweeps: Sweeps) -> Sweeps:
+    """One absolute length, at the start of the first sweep."""
+    row = sweeps.take(np.array([0]))
+    return replace(
+        row,
+        kind=np.array(["absolute"]),
+        group=np.array([""]),
+        label=np.array(["absolute length"]),
+        q_end=row.q_start,
+        sigma=np.array([_ABSOLUTE_SD * cell.wavelength]),
+    )
+
+
+def _blocks(model: CavityModel, sweeps: Sweeps, values: Floats, jacobian: Floats) -> tuple[Block, ...]:
+    """The sweeps as they are, their parts, and what a midpoint each or one absolute length would add."""
+    moved = sweeps.q_start != sweeps.q_end
+    turned = moved[:, model.cell.revolute].any(axis=1)
+    slid = moved[:, ~model.cell.revolute].any(axis=1)
+    parts = {"all": np.ones(len(sweeps), dtype=bool), "rotations": turned & ~slid, "translations": slid & ~turned}
+    blocks = []
+    for name, chosen in parts.items():
+        if not chosen.any() or (name != "all" and chosen.all()):
+            continue
+        part = sweeps.take(chosen)
+        variants = [(name, jacobian if name == "all" else whitened_jacobian(model, part, values))]
+        halved = add_midpoints(part)
+        if len(halved) > len(part):
+            variants.append((f"{name}, midpoints", whitened_jacobian(model, halved, values)))
+        if not sweeps.absolute.any():
+            absolute = whitened_jacobian(model, _absolute_row(model.cell, part), values)
+            variants += [(f"{title}, absolute length", np.vstack([rows, absolute])) for title, rows in variants]
+        for title, rows in variants:
+            spectrum = spectrum_of(rows)
+            blocks.append(Block(title, len(rows), spectrum, indices_of(spectrum, len(rows))))
+    return tuple(blocks)
+
+
+def _bounds(cell: Cell, jacobian: Floats) -> dict[str, tuple[ParameterSet, Bounds]]:
+    bounds = {}
+    for free, names in (("full", "all"), ("extrinsic", "extrinsic"), ("intrinsic", "intrinsic")):
+        chosen = cell.select(names)
+        if len(chosen):
+            bounds[free] = (chosen, bounds_of(jacobian[:, cell.free.positions(chosen.names)]))
+    return bounds
+
+
+def _worth(
+    model: CavityModel, sweeps: Sweeps, values: Floats, jacobian: Floats, candidates: Sweeps | None, sigma: float
+) -> tuple[tuple[str, float], ...]:
+    """Information that one more row would add, best first."""
+    if candidates is None:
+        halved = add_midpoints(sweeps)
+        middles = halved.take(np.char.endswith(halved.label, "-mid") & ~np.isin(halved.label, sweeps.label))
+        candidates = join([middles, _absolute_row(model.cell, sweeps)])
+    alone = replace(
+        candidates,
+        group=np.full(len(candidates), ""),
+        sigma=np.where(np.isfinite(candidates.sigma), candidates.sigma, sigma),
+    )
+    gains = gain_of(jacobian, whitened_jacobian(model, alone, values))
+    order = np.argsort(-gains, kind="stable")
+    return tuple((str(alone.label[i]), float(gains[i])) for i in order)
+
+
+def _profiles(identification: Identification | None, names: Sequence[str]) -> tuple[Profile, ...]:
+    if identification is None:
+        return ()
+    return tuple(profile(identification.problem, identification.solution, name) for name in names)
+
+
+def _profile_content(found: Profile, parameters: ParameterSet) -> dict[str, Any]:
+    scale = parameters[found.name].scale
+    return {
+        "name": found.name,
+        "unit": parameters[found.name].unit,
+        "shape": found.shape,
+        "level": found.level,
+        "low": finite(found.low / scale),
+        "high": finite(found.high / scale),
+        "values": (found.values / scale).tolist(),
+        "excess": found.excess.tolist(),
+    }
+
+
+def finite(value: float) -> float | None:
+    """The value for JSON, which has no infinity."""
+    return value if np.isfinite(value) else None

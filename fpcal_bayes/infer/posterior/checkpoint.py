@@ -1,0 +1,128 @@
+"""Blocks of draws on disk: sampling that is killed goes on where it was.
+
+Each block is a file of its own, written aside and renamed, with the state of the random numbers behind its last step.
+What is on disk is therefore whole at any moment, and a reader never meets a writer.
+"""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import replacing
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.hdf5 import put_array, put_text, reading, writing
+
+_KEY_WORDS = 624  # of a Mersenne Twister, which emcee uses
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some consecutive steps of all ensembles.
+
+    Attributes
+    ----------
+    points
+        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n).
+    log_density, log_proposal
+        Of the target and of the atlas, shape (n_ensembles, n_steps, n_walkers).
+    accepted
+        Accepted steps of each ensemble, shape (n_ensembles,).
+    random
+        State of each ensemble's random numbers after the block, shape (n_ensembles, 627).
+    evaluations
+        Points at which the density was evaluated.
+    seconds
+        Time the block took.
+    """
+
+    points: Floats
+    log_density: Floats
+    log_proposal: Floats
+    accepted: Floats
+    random: Floats
+    evaluations: int
+    seconds: float
+
+
+class BlockStore:
+    """The blocks of one run, in a folder.
+
+    Parameters
+    ----------
+    folder
+        Made when the first block is written.
+    identity
+        Hash of everything the draws depend on.
+    """
+
+    def __init__(self, folder: Path, identity: str) -> None:
+        self.folder, self.identity = folder, identity
+
+    def read(self) -> list[Block]:
+        """All blocks in order, up to the first that is missing.
+
+        Raises
+        ------
+        InputError
+            If they belong to other data, another cell, other priors or another seed.
+        """
+        blocks: list[Block] = []
+        while (path := self._path(len(blocks))).exists():
+            blocks.append(self._read(path))
+        return blocks
+
+    def append(self, number: int, block: Block) -> None:
+        """Write block `number`, whole or not at all."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with replacing(self._path(number)) as temporary, writing(temporary) as root:
+            put_text(root, "identity", self.identity)
+            put_array(root, "points", block.points)
+            put_array(root, "log_density", block.log_density)
+            put_array(root, "log_proposal", block.log_proposal)
+            put_array(root, "accepted", block.accepted)
+            put_array(root, "random", block.random)
+            put_array(root, "cost", np.array([float(block.evaluations), block.seconds]))
+
+    def clear(self) -> None:
+        """Remove all blocks."""
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"block-{number:06d}.h5"
+
+    def _read(self, path: Path) -> Block:
+        with reading(path) as reader:
+            root = reader.root
+            if reader.text_attribute(root, "identity") != self.identity:
+                raise InputError(
+                    f"{self.folder}: holds draws of other data, another cell, other priors or another seed; "
+                    "sample without --resume to start anew"
+                )
+            evaluations, seconds = reader.numbers(root, "cost")
+            return Block(
+                points=reader.numbers(root, "points", 4),
+                log_density=reader.numbers(root, "log_density", 3),
+                log_proposal=reader.numbers(root, "log_proposal", 3),
+                accepted=reader.numbers(root, "accepted"),
+                random=reader.numbers(root, "random", 2),
+                evaluations=int(evaluations),
+                seconds=float(seconds),
+            )
+
+
+def random_to_numbers(state: np.random.RandomState) -> Floats:
+    """State of a random number generator as numbers, shape (627,)."""
+    _, key, position, has_gauss, gauss = state.get_state(legacy=True)
+    return np.concatenate([key.astype(float), [float(position), float(has_gauss), float(gauss)]])
+
+
+def random_from_numbers(numbers: Floats) -> tuple[str, NDArray[np.uint32], int, int, float]:
+    """The state that `random_to_numbers` wrote, for ``RandomState.set_state``."""
+    key = numbers[:_KEY_WORDS].astype(np.uint32)
+    position, has_gauss, gauss = numbers[_KEY_WORDS:]
+    return "MT19937", key, int(position), int(has_gauss), float(gauss)

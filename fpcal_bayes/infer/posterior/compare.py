@@ -1,0 +1,374 @@
+"""Which model do the data favour? Fits and leave-one-out predictions of several, and a verdict in words.
+
+A model that does not fit, or that cannot be sampled, does not end the comparison: it is said.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.goodness import chi2_tail
+from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
+from fpcal_bayes.infer.posterior.sample import Likelihood, sample
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell, Opd
+
+State = Literal["sampled", "no minimum", "not sampled"]
+
+#: Differences below this are within what the theory of leave-one-out resolves (Sivula, Magnusson, Matamoros, Vehtari
+#: 2020).
+LEAST_DIFFERENCE = 4.0
+#: And a difference must exceed so many of its standard errors.
+LEAST_ERRORS = 2.0
+#: A model that its own fit rejects is sampled as far as a sentence on it needs.
+_POOR_DRAWS, _POOR_STEPS, _POOR_REFITS = 400, 300, 40
+_MOST_REFITS = 200
+#: Cavity shorter than this in um: mirror and fibre touch.
+_TOUCHING = 1.0
+
+_PATH_WORDS: dict[Opd, str] = {"axis": "the axis path", "perpendicular": "the perpendicular path"}
+_LIKELIHOOD_WORDS = {"gaussian": "", "student": " with Student-t noise", "slip": " with fringe slips"}
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """What a model is.
+
+    Attributes
+    ----------
+    name
+        As the user wrote it.
+    opd
+        Path model.
+    likelihood
+        Of the rows.
+    """
+
+    name: str
+    opd: Opd
+    likelihood: Likelihood
+
+    @property
+    def words(self) -> str:
+        """The model in a sentence."""
+        return _PATH_WORDS[self.opd] + _LIKELIHOOD_WORDS.get(self.likelihood, f" with {self.likelihood} noise")
+
+
+def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
+    """Parse models like ``opd=axis,opd=perpendicular+likelihood=slip``.
+
+    Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
+    the Gaussian likelihood.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two models, two are the same, or a setting is unknown.
+    """
+    allowed = {"opd": get_args(Opd), "likelihood": get_args(Likelihood)}
+    models: list[ModelSpec] = []
+    for name in text.split(","):
+        settings: dict[str, Any] = {"opd": cell.opd, "likelihood": "gaussian"}
+        for setting in name.strip().split("+"):
+            key, _, value = setting.partition("=")
+            if key not in allowed:
+                raise InputError(f"--models {name!r:.60}: expected opd=... or likelihood=..., found {setting!r:.60}")
+            if value not in allowed[key]:
+                raise InputError(
+                    f"--models {name!r:.60}: expected {key} {' or '.join(allowed[key])}, found {value!r:.60}"
+                )
+            settings[key] = value
+        models.append(ModelSpec(name.strip(), **settings))
+    if len(models) < 2:
+        raise InputError(f"--models {text!r:.60}: expected at least two models, with commas between them")
+    for i, model in enumerate(models):
+        for other in models[:i]:
+            if (model.opd, model.likelihood) == (other.opd, other.likelihood):
+                raise InputError(f"--models: {other.name!r:.60} and {model.name!r:.60} are the same model")
+    return models
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """What is known of one model.
+
+    Attributes
+    ----------
+    spec
+        The model.
+    identification
+        Its fit.
+    loo
+        Predictions, or None if it was not sampled.
+    failures
+        Why it was not.
+    """
+
+    spec: ModelSpec
+    identification: Identification
+    loo: LeaveOneOut | None
+    failures: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """How far the model came."""
+        if self.loo is not None:
+            return "sampled"
+        return "not sampled" if self.identification.converged else "no minimum"
+
+    @property
+    def poor(self) -> bool:
+        """Whether the model is rejected by its own chi-square; only Gaussian noise has one."""
+        if self.spec.likelihood != "gaussian":
+            return False
+        fit = self.identification
+        total = chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))
+        return min(fit.fit.p_value, total) < POOR_FIT_BELOW
+
+    @property
+    def fits(self) -> bool:
+        """Whether the model has a fit that its own chi-square allows."""
+        return self.identification.converged and not self.poor
+
+    def sentence(self) -> str | None:
+        """What is wrong with the model by itself, or None."""
+        fit = self.identification.fit
+        size = f"chi-square {fit.chi2_data:,.0f} where {fit.expected:.0f} is expected"
+        if self.state == "no minimum":
+            touching = ", and the best of them leads the mirror onto the fibre" if self._touches() else ""
+            return (
+                f"{self.spec.words} does not fit: no minimum was found from {self.identification.starts} starting "
+                f"points{touching} ({size})"
+            )
+        unsampled = f"its posterior could not be sampled ({'; '.join(self.failures)})" if self.failures else ""
+        if self.poor:
+            also = f"; {unsampled}" if unsampled else ""
+            return f"{self.spec.words} does not fit: {size}; it is rejected by its own fit{also}"
+        return f"{self.spec.words} is not compared: {unsampled}" if unsampled else None
+
+    def content(self) -> dict[str, Any]:
+        """What ``compare --json`` writes of the model."""
+        fit, loo = self.identification.fit, self.loo
+        return {
+            "name": self.spec.name,
+            "opd": self.spec.opd,
+            "likelihood": self.spec.likelihood,
+            "state": self.state,
+            "elpd": None if loo is None else loo.elpd,
+            "se": None if loo is None else loo.se,
+            "p_loo": None if loo is None else loo.p_loo,
+            "bad_k": None if loo is None else int(loo.bad.sum()),
+            "refitted": None if loo is None else int(loo.refitted.sum()),
+            "max_k": None if loo is None or not np.isfinite(loo.pareto_k).all() else float(loo.pareto_k.max()),
+            "chi2_data": fit.chi2_data,
+            "chi2_expected": fit.expected,
+            "p_value": fit.p_value,
+            "fits": self.fits,
+            "converged": self.identification.converged and not self.failures,
+        }
+
+    def _touches(self) -> bool:
+        problem = self.identification.problem
+        model, sweeps = problem.model, problem.sweeps
+        poses = model.pose_rows(np.vstack([sweeps.q_start, sweeps.q_end]))
+        return bool(
+            np.abs(model.predict(problem.values(self.identification.solution.unknowns), poses)).min() < _TOUCHING
+        )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much better one model predicts than another.
+
+    Attributes
+    ----------
+    better, worse
+        The models.
+    elpd, se
+        Sum over the rows of the difference of their log densities, and its standard error.
+    at_least
+        Whether `elpd` is a lower bound, since rows of the worse model could not be left out.
+    rejected
+        Whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
+        which makes its standard error large, not the verdict doubtful.
+    """
+
+    better: ModelSpec
+    worse: ModelSpec
+    elpd: float
+    se: float
+    at_least: bool
+    rejected: bool = False
+
+    @property
+    def clear(self) -> bool:
+        """Whether the data tell the two apart."""
+        return self.elpd >= LEAST_DIFFERENCE and (self.rejected or self.elpd > LEAST_ERRORS * self.se)
+
+    def sentence(self) -> str:
+        """The difference in words."""
+        size = f"{self.elpd:,.{0 if self.elpd >= 10 else 1}f} +- {self.se:,.{0 if self.se >= 10 else 1}f}"
+        if not self.clear:
+            return f"{self.better.words} and {self.worse.words} cannot be told apart (difference {size})"
+        bound = "at least " if self.at_least else ""
+        return f"the data favour {self.better.words} by {bound}{size} over {self.worse.words}"
+
+    def content(self) -> dict[str, Any]:
+        """What ``compare --json`` writes of the difference."""
+        return {
+            "better": self.better.name,
+            "worse": self.worse.name,
+            "elpd": self.elpd,
+            "se": self.se,
+            "clear": self.clear,
+            "at_least": self.at_least,
+        }
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of `compare`.
+
+    Attributes
+    ----------
+    models
+        In the order asked for.
+    differences
+        Of the best model to every other one that was sampled, closest first.
+    """
+
+    models: tuple[ModelResult, ...]
+    differences: tuple[Difference, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether at least one model was sampled."""
+        return any(model.loo is not None for model in self.models)
+
+    @property
+    def verdict(self) -> str:
+        """The result in words."""
+        said = [d.sentence() for d in self.differences]
+        said += [s for s in (model.sentence() for model in self.models) if s is not None]
+        if not self.sound:
+            said.append("no model could be sampled: nothing can be compared")
+        elif not any(model.fits for model in self.models):
+            said.append("none of the models fits")
+        elif not self.differences:
+            left = next(model for model in self.models if model.loo is not None)
+            said.insert(0, f"the data favour {left.spec.words}, the only model that could be sampled")
+        return "; ".join(said)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about what is not to be trusted."""
+        said = [s for s in (model.sentence() for model in self.models) if s is not None]
+        if not self.sound:
+            said.append("no model could be sampled: nothing can be compared")
+        for model in self.models:
+            left = 0 if model.loo is None else int(model.loo.open.sum())
+            if left:
+                said.append(
+                    f"{model.spec.name}: {left} rows with a Pareto k too large for importance sampling were not left "
+                    "out in earnest; their elpd is an upper bound"
+                )
+            sweeps = model.identification.problem.sweeps
+            if not (sweeps.signed | sweeps.absolute | (sweeps.group == "")).all():
+                said.append(
+                    f"{model.spec.name}: rows of unknown sign that share a reading have the sign that fits best"
+                )
+        return tuple(said)
+
+    def content(self) -> dict[str, Any]:
+        """What ``compare --json`` writes, without schema and command."""
+        return {
+            "models": [model.content() for model in self.models],
+            "difference": self.differences[0].content() if self.differences else None,
+            "differences": [difference.content() for difference in self.differences],
+            "verdict": self.verdict,
+            "warnings": list(self.warnings),
+        }
+
+
+def compare(
+    cell: Cell,
+    sweeps: Sweeps,
+    specs: Sequence[ModelSpec],
+    *,
+    draws: int = 2000,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Fit, sample and compare models on the sweeps of one session.
+
+    Parameters
+    ----------
+    cell
+        Its path model is replaced by that of each model.
+    specs
+        At least two models.
+    draws
+        Effective draws of every parameter of a model that fits.
+    seed
+        Of the draws; the same for every model.
+    progress
+        Called with what is done next, in words.
+
+    Raises
+    ------
+    InputError
+        If the sweeps carry no measurement, or a likelihood does not take them.
+    """
+    fits: dict[Opd, Identification] = {}
+    models = []
+    for spec in specs:
+        if progress is not None:
+            progress(f"sampling {spec.words}")
+        if spec.opd not in fits:
+            fits[spec.opd] = identify(cell.with_opd(spec.opd), sweeps)
+        models.append(_sampled(ModelResult(spec, fits[spec.opd], None), draws, seed))
+    return Comparison(tuple(models), _differences(models))
+
+
+def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
+    """The model with its predictions, or with what failed."""
+    if not model.identification.converged:
+        return model
+    likelihood, limit, refits = model.spec.likelihood, None, _MOST_REFITS
+    problem = model.identification.problem
+    if likelihood != "gaussian" and problem.whitening.batches:
+        raise InputError(
+            f"{problem.sweeps.file}: {model.spec.name!r:.60} needs rows without a group, found rows that share "
+            "a reading"
+        )
+    if model.poor:
+        draws, limit, refits = min(draws, _POOR_DRAWS), _POOR_STEPS, _POOR_REFITS
+    posterior = sample(model.identification, draws=draws, likelihood=likelihood, seed=seed, max_steps=limit)
+    if not posterior.converged:
+        return replace(model, failures=posterior.failures)
+    return replace(model, loo=leave_one_out(posterior, likelihood, most_refits=refits, seed=seed))
+
+
+def _differences(models: Sequence[ModelResult]) -> tuple[Difference, ...]:
+    """Of the best sampled model to the others; a model that fits comes before one that does not."""
+    ranked = sorted(
+        ((model, model.loo) for model in models if model.loo is not None), key=lambda m: (not m[0].fits, -m[1].elpd)
+    )
+    if not ranked:
+        return ()
+    best, best_loo = ranked[0]
+    return tuple(
+        Difference(
+            better=best.spec,
+            worse=model.spec,
+            elpd=best_loo.elpd - loo.elpd,
+            se=standard_error(best_loo.elpd_rows - loo.elpd_rows),
+            at_least=bool(loo.open.any()),
+            rejected=best.fits and model.poor,
+        )
+        for model, loo in ranked[1:]
+    )

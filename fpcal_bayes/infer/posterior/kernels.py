@@ -1,0 +1,127 @@
+"""Compiled kernel: the sum over all ways in which the fringe counts of a group of rows may have slipped.
+
+A slip of one row moves, through the whitening, the rows after it in its group. The sum over the counts of all rows of
+a group runs depth first, each row's likeliest count first; branches that cannot add anything to a number in double
+precision are left out.
+"""
+
+import math
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Bools, Floats, Ints
+from fpcal_bayes.model.kernels.compile import compiled
+
+#: A branch this much below the best so far (natural logarithm) adds less than rounding does.
+_NEGLIGIBLE = 60.0
+
+
+@compiled
+def slip_sums(
+    residuals: Floats,
+    log_eps: Floats,
+    log_not: Floats,
+    factor: Floats,
+    corrected: Ints,
+    can_slip: Bools,
+    half_wave: float,
+    most: int,
+    members: Ints,
+    own: Floats,
+    shared: Floats,
+    gain: Floats,
+    scale: Floats,
+    prefix: int,
+    total: Floats,
+    stayed: Floats,
+) -> None:
+    """Log density of each group's first rows, and the probability that each of them has not slipped.
+
+    Parameters
+    ----------
+    residuals
+        Whitened rows of the corrected problem, over the noise's factor, shape (n_points, n_rows).
+    log_eps, log_not
+        Logarithms of the probabilities of one particular slip and of none, shape (n_points,).
+    factor
+        On the noise, shape (n_points,).
+    corrected, can_slip
+        Half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
+    half_wave, most
+        Half a wavelength in um, and the most that a count is off by.
+    members, own, shared, gain, scale
+        The whitening of the groups, as for `whiten_groups`.
+    prefix
+        How many rows of each group count; the others are as if not measured.
+    total
+        Result, shape (n_points, n_groups): without the constant of the normal density.
+    stayed
+        Result, shape (n_points, n_rows): written for the members.
+    """
+    n_groups, _, n_common = shared.shape
+    n_counts = 2 * most + 1
+    # State before each row: effect of the slips of earlier rows, log density so far, and which count is next.
+    told = np.zeros((prefix + 1, n_common))
+    so_far = np.zeros(prefix + 1)
+    tried = np.zeros((prefix, n_counts), dtype=np.bool_)
+    terms = np.empty((prefix, n_counts))
+    now = np.zeros(prefix, dtype=np.int64)
+    kept = np.empty(prefix)
+    for p in range(residuals.shape[0]):
+        for g in range(n_groups):
+            best, sum_all = -np.inf, 0.0
+            kept[:] = 0.0
+            depth = 0
+            fresh = True
+            while depth >= 0:
+                row = members[g, depth]
+                if fresh:
+                    # Log density of this row for each count, given the counts of the rows before it.
+                    before = 0.0
+                    for c in range(n_common):
+                        before += gain[g, depth, c] * told[depth, c]
+                    for k in range(n_counts):
+                        count = k - most
+                        tried[depth, k] = False
+                        if count != 0 and not can_slip[row]:
+                            terms[depth, k] = -np.inf
+                            continue
+                        moved = (count - corrected[row]) * half_wave * own[g, depth]
+                        value = residuals[p, row] + (moved - before) * scale[g, depth] / factor[p]
+                        weight = (log_eps[p] if count else log_not[p]) if can_slip[row] else 0.0
+                        terms[depth, k] = weight - 0.5 * value * value
+                # The likeliest count that is left.
+                chosen = -1
+                for k in range(n_counts):
+                    if not tried[depth, k] and (chosen < 0 or terms[depth, k] > terms[depth, chosen]):
+                        chosen = k
+                if chosen < 0 or not so_far[depth] + terms[depth, chosen] > best - _NEGLIGIBLE:
+                    depth -= 1
+                    fresh = False
+                    continue
+                tried[depth, chosen] = True
+                now[depth] = chosen
+                reached = so_far[depth] + terms[depth, chosen]
+                if depth + 1 < prefix:
+                    moved = (chosen - most - corrected[row]) * half_wave * own[g, depth]
+                    for c in range(n_common):
+                        told[depth + 1, c] = told[depth, c] + shared[g, depth, c] * moved
+                    so_far[depth + 1] = reached
+                    depth += 1
+                    fresh = True
+                    continue
+                fresh = False
+                if reached > best:
+                    shrink = math.exp(best - reached)
+                    sum_all *= shrink
+                    for m in range(prefix):
+                        kept[m] *= shrink
+                    best = reached
+                weight = math.exp(reached - best)
+                sum_all += weight
+                for m in range(prefix):
+                    if now[m] == most:
+                        kept[m] += weight
+            total[p, g] = best + math.log(sum_all)
+            for m in range(prefix):
+                stayed[p, members[g, m]] = kept[m] / sum_all

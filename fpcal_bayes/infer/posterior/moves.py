@@ -1,0 +1,103 @@
+"""emcee move: a local step shaped by the Jacobian where the walker stands."""
+
+from typing import Any
+
+import numpy as np
+from emcee.moves import Move
+from emcee.state import State
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.posterior.proposal import Atlas, Solved
+from fpcal_bayes.infer.posterior.target import Target
+
+
+class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
+    """Metropolis-Hastings with independent proposals from an atlas.
+
+    Each walker carries the log density with which the atlas proposes its place (the blob), so that the step is exact
+    also for walkers outside every chart: from there any move inside is refused, as none leads back. Another move has to
+    bring them in and out.
+
+    Proposals do not depend on where the walkers stand, so those of several steps are made at once.
+
+    Parameters
+    ----------
+    atlas
+        The charts.
+    ahead
+        For how many steps proposals are made at once.
+    """
+
+    def __init__(self, atlas: Atlas, ahead: int = 1) -> None:
+        self.atlas, self.ahead = atlas, ahead
+        self._ready: list[Solved] = []
+
+    def forget(self) -> None:
+        """Drop the proposals made ahead, which are no part of the random state."""
+        self._ready.clear()
+
+    def propose(self, model: Any, state: State) -> tuple[State, Any]:
+        """Move every walker once."""
+        random = model.random
+        if not self._ready:
+            self._ready = self._propose_ahead(random, *state.coords.shape)
+        solved = self._ready.pop()
+        log_uniform = np.log(random.random_sample(len(state.coords)))
+        with np.errstate(invalid="ignore"):
+            log_ratio = (solved.log_density - solved.log_proposal) - (state.log_prob - state.blobs)
+        accepted = solved.inside & (log_uniform < log_ratio)
+        proposed = State(solved.points, log_prob=solved.log_density, blobs=solved.log_proposal)
+        return self.update(state, proposed, accepted), accepted
+
+    def _propose_ahead(self, random: Any, n_walkers: int, n: int) -> list[Solved]:
+        total = self.ahead * n_walkers
+        solved = self.atlas.propose(random.standard_normal((total, n)), random.random_sample(total))
+        return [solved.take(slice(i, i + n_walkers)) for i in range(0, total, n_walkers)]
+
+
+#: Step sizes, in posterior standard deviations; each step draws one. Curvature allows small ones only where the
+#: posterior is long and bent, large ones reach across a fold.
+SCALES = (0.03, 0.1, 0.3)
+
+
+class LocalMove(Move):  # type: ignore[misc]
+    """Metropolis-Hastings with v' = v + s R(v)^-1 z, R'R = J'J + I at v (a random walk on the posterior's own metric).
+
+    It goes where no chart reaches, and so makes the mixture of moves irreducible.
+    """
+
+    def __init__(self, target: Target, atlas: Atlas) -> None:
+        self.target, self.atlas = target, atlas
+
+    def propose(self, model: Any, state: State) -> tuple[State, Any]:
+        """Move every walker once."""
+        random = model.random
+        scale = SCALES[random.randint(len(SCALES))]
+        _, jacobian = self.target.data_batch(state.coords)
+        factor = _factors(jacobian)
+        normal = random.standard_normal(state.coords.shape)
+        log_uniform = np.log(random.random_sample(len(normal)))
+        points = state.coords + scale * np.linalg.solve(factor.transpose(0, 2, 1), normal[:, :, None])[:, :, 0]
+        residuals, jacobian = self.target.data_batch(points)
+        density = self.target.log_density(residuals, points)
+        back = _factors(jacobian)
+        returned = (back.transpose(0, 2, 1) @ (points - state.coords)[:, :, None])[:, :, 0] / scale
+        forward = _log_determinant(factor) - 0.5 * (normal**2).sum(axis=1)
+        backward = _log_determinant(back) - 0.5 * (returned**2).sum(axis=1)
+        accepted = log_uniform < density - state.log_prob + backward - forward
+        blobs = np.full(len(points), -np.inf)
+        if accepted.any():
+            blobs[accepted] = self.atlas.log_proposal(points[accepted])
+        return self.update(state, State(points, log_prob=density, blobs=blobs), accepted), accepted
+
+
+def _factors(jacobian: Floats) -> Floats:
+    """Lower Cholesky factors of J'J + I, shape (n_points, n, n)."""
+    n = jacobian.shape[2]
+    return np.linalg.cholesky(jacobian.transpose(0, 2, 1) @ jacobian + np.eye(n))
+
+
+def _log_determinant(factor: Floats) -> Floats:
+    """Log determinants of triangular matrices (n_points, n, n)."""
+    result: Floats = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    return result

@@ -1,0 +1,369 @@
+"""A posterior as an ArviZ DataTree in a netCDF file, and its summary."""
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import file_sha256, replacing, require_readable
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.posterior.sample import Posterior
+from fpcal_bayes.infer.posterior.target_slip import SlipTarget
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.parameters import ParameterSet
+
+
+@dataclass(frozen=True)
+class PosteriorDraws:
+    """Draws from the posterior of a cell's parameters.
+
+    Attributes
+    ----------
+    cell
+        The cell they belong to.
+    parameters
+        In the cell's order.
+    values
+        In um and rad, shape (n_draws, n).
+    """
+
+    cell: Cell
+    parameters: ParameterSet
+    values: Floats
+
+    def thinned(self, most: int) -> "PosteriorDraws":
+        """At most `most` of the draws, evenly spaced."""
+        every = -(-len(self.values) // most)
+        return PosteriorDraws(self.cell, self.parameters, self.values[::every])
+
+
+def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
+    """Read the draws of a posterior file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no netCDF file of ``fpcal sample``, of another cell, its sampling did not converge, or
+        a draw is not a number.
+    """
+    import h5py
+
+    path = Path(path)
+    require_readable(path)
+    try:
+        with h5py.File(path, "r") as file:
+            _check(path, dict(file.attrs), cell)
+            group = file.get("posterior")
+            if not isinstance(group, h5py.Group):
+                raise InputError(f"{path}: expected a group posterior, as fpcal sample writes it")
+            parameters = ParameterSet(p for p in cell.parameters if p.name in group)
+            columns = [_column(path, group[p.name], p.name, p.unit) for p in parameters]
+    except OSError as error:
+        raise InputError(f"{path}: not a netCDF file of draws ({error})") from error
+    if not columns:
+        raise InputError(f"{path}: group posterior: expected draws of parameters of cell {cell.name!r}")
+    if len({column.shape for column in columns}) != 1 or columns[0].size == 0:
+        raise InputError(f"{path}: group posterior: expected as many draws of each parameter, one or more")
+    values = parameters.to_internal(np.column_stack([column.ravel() for column in columns]))
+    return PosteriorDraws(cell, parameters, values)
+
+
+def _check(path: Path, attributes: dict[str, object], cell: Cell) -> None:
+    if "cell_sha256" not in attributes:
+        raise InputError(f"{path}: attribute cell_sha256: missing, expected a file that fpcal sample wrote")
+    if attributes["cell_sha256"] != cell.sha256:
+        raise InputError(
+            f"{path}: attribute cell_sha256: the draws are of another cell ({attributes.get('cell_name')!r}, opd "
+            f"{attributes.get('opd')!r}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
+        )
+    if not attributes.get("converged", 1):
+        raise InputError(f"{path}: attribute converged: the sampling did not converge, expected draws to be trusted")
+
+
+def _column(path: Path, data: object, name: str, unit: str) -> Floats:
+    import h5py
+
+    place = f"{path}: posterior/{name}"
+    if not isinstance(data, h5py.Dataset) or data.dtype.kind != "f":
+        raise InputError(f"{place}: expected an array of numbers")
+    stated = data.attrs.get("units", "")
+    if stated != unit:
+        raise InputError(f"{place}: expected the units {unit!r}, found {str(stated)[:40]!r}")
+    values = np.asarray(data[()], dtype=float)
+    if not np.isfinite(values).all():
+        raise InputError(f"{place}: expected finite numbers")
+    return values
+
+
+@dataclass(frozen=True)
+class PosteriorSummary:
+    """Draws of a posterior and what they are worth.
+
+    Attributes
+    ----------
+    file, sha256
+        Name without folder, and hash of the bytes.
+    parameters
+        Sampled parameters, n of them.
+    draws
+        In the units a person reads, shape (n_chains, n_draws, n).
+    prior
+        Draws of the prior in the same units, shape (n_prior_draws, n).
+    n_ensembles
+        Independent ensembles; chains of one ensemble interact.
+    rhat, ess_bulk, ess_tail
+        Nested R-hat and effective sizes, shape (n,).
+    residuals
+        Measured less predicted, in standard deviations of the prediction, shape (n_rows,).
+    command
+        That made the file.
+    """
+
+    file: str
+    sha256: str
+    parameters: ParameterSet
+    draws: Floats
+    prior: Floats
+    n_ensembles: int
+    rhat: Floats
+    ess_bulk: Floats
+    ess_tail: Floats
+    residuals: Floats
+    command: str
+
+    @property
+    def n_draws(self) -> int:
+        """Number of draws."""
+        return int(self.draws.shape[0] * self.draws.shape[1])
+
+
+def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
+    """Read a posterior file and work out its convergence.
+
+    Raises
+    ------
+    InputError
+        As `read_posterior` does, and if the file lacks prior draws or predictions.
+    """
+    import h5py
+
+    from fpcal_bayes.core.errors import InputError
+    from fpcal_bayes.infer.posterior.diagnostics import diagnose
+
+    path = Path(path)
+    parameters = read_posterior(path, cell).parameters
+    with h5py.File(path, "r") as file:
+        try:
+            draws = np.stack([file["posterior"][name][()] for name in parameters.names], axis=-1)
+            prior = np.stack([file["prior"][name][()].ravel() for name in parameters.names], axis=-1)
+            observed, predicted = file["observed_data"]["dl_um"][()], file["posterior_predictive"]["dl_um"][()]
+            attributes = dict(file.attrs)
+        except (KeyError, TypeError, ValueError, OSError) as error:
+            raise InputError(f"{path}: expected the groups that fpcal sample writes ({error})") from error
+    if draws.ndim != 3:
+        raise InputError(f"{path}: group posterior: expected draws by chain and draw")
+    n_ensembles = int(np.ravel(attributes.get("n_ensembles", 1))[0])
+    if n_ensembles < 1 or len(draws) % n_ensembles:
+        raise InputError(f"{path}: attribute n_ensembles: expected a divisor of {len(draws)} chains")
+    walkers = draws.reshape(n_ensembles, -1, draws.shape[1], draws.shape[2]).transpose(0, 2, 1, 3)
+    found = diagnose(walkers)
+    spread = predicted.std(axis=(0, 1))
+    return PosteriorSummary(
+        file=path.name,
+        sha256=file_sha256(path),
+        parameters=parameters,
+        draws=draws,
+        prior=prior,
+        n_ensembles=n_ensembles,
+        rhat=found.rhat,
+        ess_bulk=found.ess_bulk,
+        ess_tail=found.ess_tail,
+        residuals=(observed - predicted.mean(axis=(0, 1))) / spread,
+        command=str(attributes.get("command", "")),
+    )
+
+
+#: Likelihoods and predictions that are kept at most, draws times rows.
+_KEPT_CELLS = 1_000_000
+#: Rows less likely than this to have slipped are not listed.
+_LEAST_SLIP = 0.01
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def summarise(posterior: Posterior) -> dict[str, dict[str, float]]:
+    """Mean, sd, quantiles, effective sizes and nested R-hat of each parameter, in the units a person reads."""
+    parameters = posterior.identification.free
+    draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    diagnostics = posterior.diagnostics
+    return {
+        p.name: {
+            **_summary(draws[:, i]),
+            "ess_bulk": float(diagnostics.ess_bulk[i]),
+            "ess_tail": float(diagnostics.ess_tail[i]),
+            "rhat": float(diagnostics.rhat[i]),
+        }
+        for i, p in enumerate(parameters)
+    }
+
+
+def _summary(draws: Floats) -> dict[str, float]:
+    quantiles = np.quantile(draws, QUANTILES)
+    named = {f"q{100 * q:02.0f}": float(value) for q, value in zip(QUANTILES, quantiles, strict=True)}
+    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), **named}
+
+
+def content(posterior: Posterior) -> dict[str, Any]:
+    """What ``sample --json`` writes, without schema and command."""
+    summary = summarise(posterior)
+    base = posterior.identification.content()
+    parameters = posterior.identification.free
+    draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    for name, entry in summary.items():
+        # Value and sd are those of the posterior; the maximum stands in the fit.
+        base["parameters"][name] |= {"value": entry["mean"], **entry}
+    diagnostics = posterior.diagnostics
+    noise = posterior.target.noise_factors(posterior.points)
+    if noise is not None:
+        base["noise_scale"] = _summary(noise.ravel())
+    slips = slip_probabilities(posterior)
+    if slips is not None:
+        base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
+    return {
+        **base,
+        "covariance": {
+            "names": list(parameters.names),
+            "matrix": np.cov(draws.T).reshape(len(parameters), -1).tolist(),
+        },
+        "sampler": {
+            "draws": int(np.prod(posterior.log_density.shape)),
+            "evaluations": posterior.evaluations,
+            "seconds": posterior.seconds,
+            "acceptance": posterior.acceptance,
+            "min_ess": float(diagnostics.ess_bulk.min()),
+            "min_ess_tail": float(diagnostics.ess_tail.min()),
+            "max_rhat": float(diagnostics.rhat.max()),
+            "autocorrelation_time": diagnostics.autocorrelation_time,
+            "outside_charts": posterior.outside,
+            "charts": posterior.charts,
+            "converged": posterior.converged,
+            "failures": list(posterior.failures),
+        },
+    }
+
+
+def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
+    """Label of each row and the probability that it slipped, likeliest first; None if slips were not thought of."""
+    target = posterior.target
+    if not isinstance(target, SlipTarget):
+        return None
+    points = posterior.points[:, :: max(1, posterior.points.shape[1] // 16)].reshape(-1, target.n_unknowns)
+    mean = target.slip_probabilities(points).mean(axis=0)
+    labels = posterior.identification.problem.sweeps.label
+    return [(str(labels[i]), float(mean[i])) for i in np.argsort(-mean, kind="stable")]
+
+
+def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
+    """The draws as an ArviZ DataTree.
+
+    Groups posterior (in the units a person reads), prior, sample_stats, log_likelihood, posterior_predictive and
+    observed_data. Rows that share a reading have the likelihood of a row given those before it in its group. Of long
+    runs on many rows, likelihoods and predictions of evenly spaced draws are kept.
+    """
+    import arviz as az
+
+    identification = posterior.identification
+    problem, parameters = identification.problem, identification.free
+    values = posterior.values()
+    n_chains, n_draws, _ = values.shape
+    shown = parameters.to_shown(values)
+    rng = np.random.default_rng(seed)
+    prior = parameters.to_shown(problem.prior.values(rng.standard_normal(values.shape)))
+    every = max(1, -(-n_chains * n_draws * len(problem.target) // _KEPT_CELLS))
+    unknowns = posterior.points.transpose(0, 2, 1, 3).reshape(n_chains, n_draws, -1)[:, ::every]
+    log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)
+    shape = (n_chains, unknowns.shape[1], -1)
+    labels = np.array([str(label) for label in problem.sweeps.label])
+    draws = {name: shown[:, :, i] for i, name in enumerate(parameters.names)}
+    noise = posterior.target.noise_factors(posterior.points.transpose(0, 2, 1, 3))
+    if noise is not None:
+        draws["noise_scale"] = noise.reshape(values.shape[:2])
+    if isinstance(posterior.target, SlipTarget):
+        draws["slip_probability"] = posterior.target.eps(posterior.points.transpose(0, 2, 1, 3)).reshape(
+            values.shape[:2]
+        )
+    with warnings.catch_warnings():
+        # Each walker is a chain: there may be more of them than steps.
+        warnings.filterwarnings("ignore", message="Found chain dimension to be longer", category=UserWarning)
+        tree = az.from_dict(
+            {
+                "posterior": draws,
+                "prior": {name: prior[:, :, i] for i, name in enumerate(parameters.names)},
+                "sample_stats": {"lp": posterior.log_density.transpose(0, 2, 1).reshape(n_chains, n_draws)},
+                "log_likelihood": {"dl_um": log_likelihood.reshape(shape)},
+                "posterior_predictive": {"dl_um": predicted.reshape(shape)},
+                "observed_data": {"dl_um": problem.target},
+            },
+            coords={"sweep": labels},
+            dims={"dl_um": ["sweep"]},
+            attrs={"/": _attributes(posterior, seed, command)},
+        )
+    for node in tree.subtree:
+        # The same draws give the same file.
+        node.attrs.pop("created_at", None)
+    for group in ("posterior", "prior"):
+        for p in parameters:
+            tree[group][p.name].attrs.update({"units": p.unit, "long_name": p.latex})
+    for group in ("posterior_predictive", "observed_data"):
+        tree[group]["dl_um"].attrs.update({"units": "um", "long_name": "change of cavity length"})
+    return tree
+
+
+def write_netcdf(tree: Any, path: Path) -> None:
+    """Write a DataTree as netCDF, whole or not at all."""
+    # Made in memory: on a full disk the library fails while it closes the file, where nothing catches it.
+    content = bytes(tree.to_netcdf(engine="h5netcdf"))
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _attributes(posterior: Posterior, seed: int, command: str) -> dict[str, Any]:
+    estimate = posterior.identification.estimate
+    return {
+        "program": f"fpcal_bayes {__version__}",
+        "command": command,
+        "seed": seed,
+        "cell_name": estimate.cell.name,
+        "cell_sha256": estimate.cell.sha256,
+        "opd": estimate.cell.opd,
+        "data_file": estimate.data.get("file", ""),
+        "data_sha256": estimate.data.get("sha256", ""),
+        "converged": int(posterior.converged),
+        "n_ensembles": posterior.points.shape[0],
+    }
+
+
+def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Log likelihood of each row and a prediction of it with noise, at unknowns (n_points, n_unknowns)."""
+    problem = posterior.identification.problem
+    n_rows = len(problem.target)
+    mix = problem.whitening.mix
+    scale = problem.whitening.scale if mix is None else mix.diagonal()
+    likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
+    for i in range(0, len(unknowns), 256):
+        part = slice(i, i + 256)
+        mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
+        if problem.sensitivity is not None:
+            mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
+        likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
+        noise = posterior.target.draw_noise(unknowns[part], rng)
+        if mix is None:
+            predicted[part] = mean + noise / scale
+        else:
+            from scipy.sparse.linalg import spsolve_triangular
+
+            predicted[part] = mean + spsolve_triangular(mix, noise.T, lower=True).T
+    return likelihood, predicted

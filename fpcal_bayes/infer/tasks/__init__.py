@@ -1,0 +1,1 @@
+"""How far a task is off, and what that is made of."""

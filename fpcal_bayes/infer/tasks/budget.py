@@ -1,0 +1,296 @@
+"""The uncertainty budget of a task in the form of the GUM (JCGM 100:2008, 101:2008).
+
+The measurand is the change of cavity length, from the aligned pose to the worst point of a task, that the controller
+does not know of. Its inputs are
+
+- fringe noise and joint repeatability during the calibration, and the prior knowledge of the parameters by block, if
+  the sweeps are given from which the estimate was made: all independent, since e = (I - K J) prior - K noise with the
+  gain K of the fit;
+- without the sweeps the parameters by block as the estimate's covariance has them: blocks are correlated;
+- laser wavelength and air index: a scale of every cavity length that is read. Through the fit it scales the change
+  that the estimate expects along the task, which the controller keeps constant on the axis path: hardly an error there;
+- repeatability and resolution of the joints while the task is driven.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import paper_tables
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import group_blocks
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.tasks import Task
+
+#: Share of the probability inside the coverage interval, and draws of its Monte Carlo evaluation (JCGM 101).
+COVERAGE = 0.95
+_DRAWS = 200_000
+#: Sweeps are those that an estimate was made from if they leave the same standard deviation but for this share.
+_AGREEMENT = 0.01
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known of the laser, the air and the joints beside the estimate; type B.
+
+    Attributes
+    ----------
+    wavelength_ppm
+        Half width of the rectangular distribution of the laser's vacuum wavelength.
+    temperature_k, pressure_hpa
+        Half widths of the air's temperature and pressure around those that the wavelength in air was worked out for.
+    resolution
+        Smallest step of each joint, shape (n_joints,), in um and rad; half of it is the half width of a rectangular
+        distribution. None: those that the paper prints for the built-in cell, zero for others.
+    """
+
+    wavelength_ppm: float = 1.0
+    temperature_k: float = 1.0
+    pressure_hpa: float = 10.0
+    resolution: Floats | None = None
+
+    def resolution_of(self, cell: Cell) -> Floats:
+        """Smallest step of each joint of a cell, shape (n_joints,), in um and rad."""
+        if self.resolution is not None:
+            return self.resolution
+        if cell.name != "femto-st":
+            return np.zeros(len(cell.joints))
+        setup = paper_tables()["setup"]
+        goniometer, rotary = (1e-6 * setup[f"{name}_resolution_udeg"] for name in ("goniometer", "rotary"))
+        stage = 1e-3 * setup["stage_resolution_nm"]
+        return np.array([stage, stage, stage, *np.radians([goniometer, goniometer, rotary])])
+
+    @property
+    def index_ppm(self) -> float:
+        """Half width of the air index that temperature and pressure make, in ppm; Edlen's formula near 20 deg C."""
+        return float(np.hypot(0.93 * self.temperature_k, 0.27 * self.pressure_hpa))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One input of a budget.
+
+    Attributes
+    ----------
+    name
+        Of the input.
+    evaluation
+        ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined.
+    distribution
+        ``normal`` or ``rectangular``.
+    unit
+        Of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``.
+    estimate
+        Best estimate of the input; its deviation from what is used, zero here.
+    standard_uncertainty
+        In `unit`.
+    sensitivity
+        um of the measurand per `unit`; root of the sum of squares where an input acts more than once. Inputs that stand
+        for many parameters are given as their joint contribution, with sensitivity 1.
+    """
+
+    name: str
+    evaluation: str
+    distribution: str
+    unit: str
+    estimate: float
+    standard_uncertainty: float
+    sensitivity: float
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty of the measurand from this input, in um."""
+        return abs(self.sensitivity) * self.standard_uncertainty
+
+
+@dataclass(frozen=True)
+class Budget:
+    """An uncertainty budget.
+
+    Attributes
+    ----------
+    task
+        Name of the task.
+    along, unit
+        Where on it the worst point stands.
+    lines
+        The inputs.
+    correlation
+        Correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n).
+    interval
+        Probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um.
+    """
+
+    task: str
+    along: float
+    unit: str
+    lines: tuple[Line, ...]
+    correlation: Floats
+    interval: tuple[float, float]
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty in um, JCGM 100 equation (16)."""
+        return _combined(self.lines, self.correlation)
+
+
+def budget_of(
+    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None, seed: int = 0
+) -> Budget:
+    """The uncertainty budget of a task at its worst point.
+
+    Parameters
+    ----------
+    estimate
+        What the controller holds.
+    task
+        The joint path that was found with it.
+    sweeps
+        Measured sweeps that the estimate was made from, all parameters of the estimate being free.
+    conditions
+        Of laser, air and joints.
+    seed
+        Of the Monte Carlo evaluation.
+
+    Raises
+    ------
+    InputError
+        If a point of the task is out of reach, or the sweeps carry no measurement or are not those of the estimate.
+    """
+    conditions = Conditions() if conditions is None else conditions
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    jacobian = task_jacobian(model, estimate.values, task)
+    worst = int(np.argmax(linear_task_sd(jacobian, estimate.covariance)))
+    row = jacobian[worst]
+    change = float(model.predict(estimate.values, task_rows(model, task))[worst])
+    if sweeps is None:
+        lines, correlation = _posterior_lines(estimate, row)
+        scale = change
+    else:
+        lines, scale = _prior_lines(estimate, model, row, sweeps)
+        correlation = np.eye(len(lines))
+    lines += [
+        Line("laser wavelength", "B", "rectangular", "ppm", 0.0, conditions.wavelength_ppm / 3**0.5, 1e-6 * scale),
+        Line("air index", "B", "rectangular", "ppm", 0.0, conditions.index_ppm / 3**0.5, 1e-6 * scale),
+    ]
+    lines += _joint_lines(estimate, model, task, worst, conditions)
+    full = np.eye(len(lines))
+    full[: len(correlation), : len(correlation)] = correlation
+    interval = _monte_carlo(lines, full, np.random.default_rng(seed))
+    return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, interval)
+
+
+def _blocks(parameters: ParameterSet) -> list[tuple[str, NDArray[np.int64]]]:
+    """Parameters that belong together, by name: angles and lengths of the robot, mirror, fibre."""
+    blocks: dict[str, list[int]] = {}
+    for i, parameter in enumerate(parameters):
+        if parameter.kind == "extrinsic":
+            name = "mirror on the tool" if parameter.name.endswith("_et") else "fibre in the world"
+        else:
+            name = {"deg": "robot angles", "um": "robot lengths", "ppm": "joint gains"}[parameter.unit]
+        blocks.setdefault(name, []).append(i)
+    return [(name, np.array(members, dtype=np.int64)) for name, members in blocks.items()]
+
+
+def _posterior_lines(estimate: Estimate, row: Floats) -> tuple[list[Line], Floats]:
+    """Parameters by block as the estimate has them, with the correlations of their contributions."""
+    blocks = _blocks(estimate.parameters)
+    parts = np.zeros((len(blocks), len(row)))
+    for k, (_, members) in enumerate(blocks):
+        parts[k, members] = row[members]
+    joint = parts @ estimate.covariance @ parts.T
+    sd = np.sqrt(np.clip(np.diag(joint), 0.0, None))
+    safe = np.where(sd > 0, sd, 1.0)
+    correlation = joint / np.outer(safe, safe)
+    np.fill_diagonal(correlation, 1.0)
+    lines = [Line(name, "A, B", "normal", "um", 0.0, float(sd[k]), 1.0) for k, (name, _) in enumerate(blocks)]
+    return lines, correlation
+
+
+def _prior_lines(estimate: Estimate, model: CavityModel, row: Floats, sweeps: Sweeps) -> tuple[list[Line], float]:
+    """Noise and prior by block, told apart through the gain of the fit, and the change that a unit scale makes."""
+    if not sweeps.measured:
+        raise InputError(f"{sweeps.file}: expected sweeps with dl_um and sigma_um, those the estimate was made from")
+    used = sweeps.take(sweeps.kind != "path")
+    problem = Problem.of(model, used)
+    unknowns = problem.unknowns(estimate.values)
+    problem = problem.relinearised(unknowns)
+    whitened = problem.data_jacobian(unknowns)
+    slopes = problem.prior.slopes(unknowns)
+    # e = seen . (Jw' noise - prior deviation), in whitened units: seen is the row of (Jw'Jw + I)^-1.
+    seen = np.linalg.solve(whitened.T @ whitened + np.eye(len(row)), slopes.T @ row)
+    left, stated = float(row @ slopes @ seen) ** 0.5, float(row @ estimate.covariance @ row) ** 0.5
+    if abs(left - stated) > _AGREEMENT * stated:
+        raise InputError(
+            f"{sweeps.file}: these sweeps, all parameters free, leave {1e3 * left:.3g} nm of the task, the estimate "
+            f"{1e3 * stated:.3g} nm: expected the sweeps that it was made from"
+        )
+    predicted, jacobian = model.predict_with_jacobian(estimate.values, problem.rows)
+    gain = problem.whitening.weigh(jacobian @ (slopes @ seen))
+    fringe = _reading_sd(gain, used)
+    others = float(np.sqrt(max(float(np.sum((whitened @ seen) ** 2)) - fringe**2, 0.0)))
+    typical = float(np.median(used.sigma))
+    lines = [Line("fringe noise", "A", "normal", "um", 0.0, typical, fringe / typical)]
+    if model.cell.repeatability.any():
+        lines.append(Line("joint repeatability, calibration", "B", "normal", "um", 0.0, others, 1.0))
+    for name, members in _blocks(estimate.parameters):
+        part = float(np.linalg.norm(seen[members]))
+        lines.append(Line(f"prior of {name}", "B", "normal", "um", 0.0, part, 1.0))
+    return lines, float(gain @ predicted)
+
+
+def _reading_sd(gain: Floats, sweeps: Sweeps) -> float:
+    """Standard deviation of gain . noise in um; rows of a group share the reading at their start."""
+    scaled = gain * sweeps.sigma
+    variance = float(scaled @ scaled)
+    for members in group_blocks(sweeps):
+        # Half of each row's variance is common to the group.
+        variance += (float(scaled[members].sum()) ** 2 - float(scaled[members] @ scaled[members])) / 2.0
+    return float(np.sqrt(variance))
+
+
+def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int, conditions: Conditions) -> list[Line]:
+    """Repeatability and resolution of the joints at the aligned pose and at the worst point."""
+    slopes = model.joint_jacobian(estimate.values, np.array([task.start, task.q[worst]]))
+    sensitivity = np.hypot(slopes[0], slopes[1])
+    lines = []
+    for kind, distribution, sizes in (
+        ("repeatability", "normal", model.cell.repeatability),
+        ("resolution", "rectangular", conditions.resolution_of(model.cell) / 12**0.5),
+    ):
+        for i, size in enumerate(sizes):
+            if size > 0:
+                unit = "rad" if model.cell.revolute[i] else "um"
+                lines.append(
+                    Line(f"{kind} of q{i + 1}", "B", distribution, unit, 0.0, float(size), float(sensitivity[i]))
+                )
+    return lines
+
+
+def _combined(lines: Sequence[Line], correlation: Floats) -> float:
+    contributions = np.array([line.contribution for line in lines])
+    return float(np.sqrt(max(float(contributions @ correlation @ contributions), 0.0)))
+
+
+def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.Generator) -> tuple[float, float]:
+    """Coverage interval of the sum of the inputs' contributions, in um."""
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    factor = vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+    total = np.zeros(_DRAWS)
+    normal = np.array([line.contribution if line.distribution == "normal" else 0.0 for line in lines])
+    # Inputs that are not normal are independent of all others.
+    total += random.standard_normal((_DRAWS, len(lines))) @ (factor.T @ normal)
+    for line in lines:
+        if line.distribution == "rectangular":
+            total += 3**0.5 * line.contribution * random.uniform(-1.0, 1.0, _DRAWS)
+    low, high = np.quantile(total, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return float(low), float(high)

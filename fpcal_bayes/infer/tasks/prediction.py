@@ -1,0 +1,177 @@
+"""The distribution of a task's error: bands along the path, peak to peak, probability of exceeding a tolerance.
+
+From an estimate with a Laplace covariance the error is propagated to first order: along gauges that covariance is a
+degree wide, and the cavity length is flat only to first order there, so that a nonlinear propagation of Gaussian draws
+would count errors that the posterior, which bends with the gauges, does not have. Draws of a posterior are on the bent
+surface already and are propagated as they are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.tasks.error import (
+    AngularErrors,
+    angular_errors,
+    linear_task_sd,
+    peak_to_peak,
+    task_errors,
+    task_jacobian,
+)
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.tasks import Task, find_task
+
+#: Share of the probability inside a band.
+BAND = 0.95
+#: Draws of which the angular errors are worked out: they are told to two digits.
+_ANGLE_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class TaskPrediction:
+    """What an estimate leaves unknown of a task, as draws.
+
+    Attributes
+    ----------
+    task
+        As the controller drives it.
+    errors
+        Task error along the path, shape (n_draws, n_points), in um.
+    sd
+        Root mean square of the error along the path, shape (n_points,), in um.
+    angles
+        Angular errors along the path, of 2,000 of the draws at most.
+    linear
+        Whether the errors are propagated to first order from a covariance, or are those of posterior draws.
+    """
+
+    task: Task
+    errors: Floats
+    sd: Floats
+    angles: AngularErrors
+    linear: bool
+
+    def __repr__(self) -> str:
+        low, high = 1e3 * self.peak_to_peak_band()
+        return f"TaskPrediction({self.task.name}, {low:.2f} to {high:.2f} nm peak to peak, {len(self.errors)} errors)"
+
+    @property
+    def peak_to_peak(self) -> Floats:
+        """Peak to peak of each draw along the path, shape (n_draws,), in um."""
+        return peak_to_peak(self.errors)
+
+    def band(self, share: float = BAND) -> Floats:
+        """Lower and upper edge of the band that holds `share` of the errors at each point, shape (2, n_points), um."""
+        return np.quantile(self.errors, _edges(share), axis=0)
+
+    def peak_to_peak_band(self, share: float = BAND) -> Floats:
+        """Lower and upper edge of the band that holds `share` of the peak-to-peak values, shape (2,), in um."""
+        return np.quantile(self.peak_to_peak, _edges(share))
+
+    def exceeds(self, tolerance: float) -> float:
+        """Probability that the peak to peak exceeds `tolerance`, in um."""
+        return float((self.peak_to_peak > tolerance).mean())
+
+
+def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
+    """Predict the error of a task from values and covariance, to first order.
+
+    Parameters
+    ----------
+    estimate
+        What the controller holds.
+    task
+        The joint path that was found with it.
+    draws, seed
+        How many errors to draw, and the seed of numpy's default generator.
+
+    Raises
+    ------
+    InputError
+        If the task belongs to another cell or a point of it is out of reach.
+    """
+    _require_cell(estimate, task)
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    jacobian = task_jacobian(model, estimate.values, task)
+    scale = estimate.parameters.prior_sd
+    eigenvalues, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
+    factor = scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+    change = np.random.default_rng(seed).standard_normal((draws, len(scale))) @ factor.T
+    angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
+    sd = linear_task_sd(jacobian, estimate.covariance)
+    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True)
+
+
+def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: Task) -> TaskPrediction:
+    """Predict the error of a task from posterior draws of the truth.
+
+    Parameters
+    ----------
+    model
+        Cavity model whose free parameters the draws hold.
+    draws
+        Shape (n_draws, n_free), in um and rad.
+    values
+        What the controller holds, shape (n_free,).
+    task
+        The joint path that was found with it.
+
+    Raises
+    ------
+    InputError
+        If a point of the task is out of reach.
+    """
+    errors = task_errors(model, draws, values, task)
+    sd = np.sqrt((errors**2).mean(axis=0))
+    angles = angular_errors(model, draws[:: -(-len(draws) // _ANGLE_DRAWS)], values, task)
+    return TaskPrediction(task, errors, sd, angles, linear=False)
+
+
+def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:
+    """The draw whose cavity lengths along a task are nearest to the mean over all draws, shape (n_free,).
+
+    The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.
+
+    Parameters
+    ----------
+    model
+        Cavity model whose free parameters the draws hold.
+    draws
+        Shape (n_draws, n_free), in um and rad.
+    task_name, radius
+        As in `find_task`.
+    """
+    task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
+    changes = task_errors(model, draws, draws[0], task)
+    nearest = int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))
+    result: Floats = draws[nearest].copy()
+    return result
+
+
+def estimate_of_draws(model: CavityModel, draws: Floats, values: Floats) -> Estimate:
+    """An estimate with these values and the mean square of the draws around them as covariance."""
+    free: ParameterSet = model.free
+    around = draws - values
+    return Estimate(
+        cell=model.cell,
+        parameters=free,
+        values=values,
+        covariance=around.T @ around / len(draws),
+        status=("identified",) * len(free),
+    )
+
+
+def _edges(share: float) -> Floats:
+    return np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
+
+
+def _require_cell(estimate: Estimate, task: Task) -> None:
+    if estimate.cell.sha256 != task.cell.sha256:
+        raise InputError(
+            f"the task is of cell {task.cell.name!r}, opd {task.cell.opd!r}, the estimate of {estimate.cell.name!r}, "
+            f"opd {estimate.cell.opd!r}: expected the same cell"
+        )

@@ -1,0 +1,1 @@
+"""The fit to whole traces."""

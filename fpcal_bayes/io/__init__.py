@@ -1,0 +1,1 @@
+"""Every file format: readers and writers of what `model` and `measure` define."""

@@ -1,0 +1,306 @@
+"""Campaign files: sweeps with the cell, the program and the truth or estimates that belong to them, in HDF5."""
+
+import json
+from pathlib import Path
+from typing import Any, get_args
+from urllib.parse import quote
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import replacing
+from fpcal_bayes.io.columns import TEXTS, Column, check_names, from_columns, joint_columns, to_columns
+from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
+from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
+from fpcal_bayes.measure.campaign import _NUMBERS, _TEXTS, Campaign, DoubtfulRecord, TrackRecord
+from fpcal_bayes.measure.truth import TruthRecord
+from fpcal_bayes.model.cell.cell import Cell, Opd
+
+SCHEMA = "fpcal-campaign"
+SCHEMA_VERSION = 1
+
+_UNITS = ("um", "deg", "h", "c")
+
+
+def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
+    """Write a campaign to an HDF5 file, whole or not at all; equal content gives equal bytes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, the campaign is not one of `cell`, or a reader would refuse its sweeps.
+    """
+    path = Path(path)
+    _require_cell(path, campaign.cell_name, campaign.cell_sha256, campaign.opd, cell)
+    table = to_columns(campaign.sweeps, cell, path)
+    if campaign.seed is not None and not 0 <= campaign.seed < 2**63:
+        raise InputError(f"{path}: seed {campaign.seed}: expected a whole number from 0 to 2^63 - 1")
+    with replacing(path) as temporary, writing(temporary) as root:
+        for name in ("program_version", "cell_name", "cell_sha256", "opd", "command"):
+            put_text(root, name, getattr(campaign, name))
+        put_text(root, "schema", SCHEMA)
+        root.attrs["schema_version"] = SCHEMA_VERSION
+        if campaign.seed is not None:
+            root.attrs["seed"] = campaign.seed
+        sweeps = root.create_group("sweeps")
+        for name, values in table.items():
+            unit = name.rpartition("_")[2]
+            put_array(sweeps, name, values, unit if unit in _UNITS else "")
+        if campaign.truth is not None:
+            truth = root.create_group("truth")
+            put_array(truth, "names", campaign.truth.names)
+            put_array(truth, "units", campaign.truth.units)
+            put_array(truth, "time_h", campaign.truth.times_h, "h")
+            put_array(truth, "values", campaign.truth.values)
+        estimates = root.create_group("estimates")
+        for session, estimate in campaign.estimates.items():
+            # A slash or a lone dot means something else in HDF5; the attribute has the session's own name.
+            group = estimates.create_group(_group_name(session))
+            _put_estimate(group, estimate)
+            put_text(group, "session", session)
+        if campaign.track is not None:
+            put_track(root.create_group("track"), campaign.track)
+        if campaign.recordings is not None:
+            put_index(root.create_group("recordings"), campaign.recordings, cell, path)
+        if campaign.doubtful is not None:
+            put_doubtful(root.create_group("doubtful"), campaign.doubtful)
+
+
+def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campaign:
+    """Read a campaign from an HDF5 file.
+
+    Parameters
+    ----------
+    path
+        Written by `write_campaign`, or laid out the same way.
+    cell
+        Must be the cell of the file; its path model may differ.
+    plan
+        Accept sweeps without measurement too.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, newer than this program, of another cell, or not as documented; whatever
+        the file holds, nothing outside it is opened.
+    """
+    path = Path(path)
+    with reading(path) as reader:
+        root = reader.root
+        schema, version = reader.text_attribute(root, "schema"), reader.integer_attribute(root, "schema_version")
+        if schema != SCHEMA:
+            raise InputError(f"{path}: expected an HDF5 file of schema {SCHEMA}, found {schema!r:.40}")
+        if version > SCHEMA_VERSION:
+            raise InputError(f"{path}: written by a newer fpcal: schema {version}, this program reads {SCHEMA_VERSION}")
+        if version < 1:
+            raise InputError(f"{path}: expected schema_version {SCHEMA_VERSION}, found {version}")
+        name, sha256, program, command = (
+            reader.text_attribute(root, key) for key in ("cell_name", "cell_sha256", "program_version", "command")
+        )
+        opd = _opd(path, reader.text_attribute(root, "opd"))
+        seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
+        _require_cell(path, name, sha256, opd, cell)
+        table = _table(reader, cell, plan)
+        truth = _truth(reader) if reader.has(root, "truth") else None
+        texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
+        track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
+        recordings = (
+            get_index(reader, reader.group(root, "recordings"), cell) if reader.has(root, "recordings") else None
+        )
+        doubtful = get_doubtful(reader, reader.group(root, "doubtful")) if reader.has(root, "doubtful") else None
+    if truth is not None:
+        truth.check(cell, f"{path}: /truth")
+    rows = np.arange(1, len(table[joint_columns(cell)[0]]) + 1)
+    return Campaign(
+        sweeps=from_columns(table, cell, str(path), rows, plan=plan),
+        cell_name=name,
+        cell_sha256=sha256,
+        opd=opd,
+        program_version=program,
+        command=command,
+        seed=seed,
+        truth=truth,
+        estimates={session: _estimate(path, session, text) for session, text in texts.items()},
+        track=track,
+        recordings=recordings,
+        doubtful=doubtful,
+    )
+
+
+def _opd(path: Path, text: str) -> Opd:
+    for choice in get_args(Opd):
+        if text == choice:
+            return choice  # type: ignore[no-any-return]
+    raise InputError(f"{path}: attribute opd: expected one of {', '.join(get_args(Opd))}, found {text!r:.40}")
+
+
+def _require_cell(path: Path, name: str, sha256: str, opd: Opd, cell: Cell) -> None:
+    own = cell.with_opd(opd).sha256
+    if own != sha256:
+        raise InputError(
+            f"{path}: made with cell {name!r:.60} (sha256 {sha256[:8]!r:.40}), "
+            f"expected cell {cell.name!r} (sha256 {own[:8]!r}); give the file's own cell with --cell"
+        )
+
+
+def _table(reader: Reader, cell: Cell, plan: bool) -> dict[str, Column]:
+    group = reader.group(reader.root, "sweeps")
+    names = list(group)
+    check_names(names, cell, f"{reader.path}: /sweeps", plan=plan)
+    table: dict[str, Column] = {}
+    for name in names:
+        table[name] = reader.texts(group, name) if name in TEXTS else reader.numbers(group, name)
+    joint = joint_columns(cell)[0]
+    expected = len(table[joint])
+    for name, values in table.items():
+        if len(values) != expected:
+            raise InputError(
+                f"{reader.path}: /sweeps/{name}: expected {expected} values as in {joint}, found {len(values)}"
+            )
+    return table
+
+
+def _truth(reader: Reader) -> TruthRecord:
+    group = reader.group(reader.root, "truth")
+    names, units = reader.texts(group, "names").tolist(), reader.texts(group, "units").tolist()
+    return TruthRecord(tuple(names), tuple(units), reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
+
+
+def _estimate_texts(reader: Reader) -> dict[str, str]:
+    group = reader.group(reader.root, "estimates")
+    found: dict[str, str] = {}
+    for name in group:
+        estimate = reader.group(group, name)
+        text = reader.texts(estimate, "json")
+        if len(text) != 1:
+            raise InputError(f"{reader.path}: {estimate.name}/json: expected one text, found {len(text)}")
+        found[reader.text_attribute(estimate, "session")] = str(text[0])
+    return found
+
+
+def _estimate(path: Path, session: str, text: str) -> dict[str, Any]:
+    try:
+        estimate = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: estimate of session {session!r:.60}: not JSON ({error})") from error
+    if not isinstance(estimate, dict):
+        raise InputError(f"{path}: estimate of session {session!r:.60}: expected a JSON object")
+    return estimate
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number")
+
+
+def _group_name(session: str) -> str:
+    return quote(session, safe=" ").replace(".", "%2E")
+
+
+def _put_estimate(group: Any, estimate: dict[str, Any]) -> None:
+    """The whole estimate as JSON; its scalars, parameters and covariance also for programs that read HDF5 only."""
+    put_array(group, "json", [json.dumps(estimate, allow_nan=False)])
+    for key, value in estimate.items():
+        if isinstance(value, str):
+            put_text(group, key, value)
+        elif isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63):
+            group.attrs[key] = value
+    parameters = estimate.get("parameters", {})
+    if parameters:
+        put_array(group, "names", list(parameters))
+        put_array(group, "unit", [str(entry.get("unit", "")) for entry in parameters.values()])
+        for key in ("value", "sd"):
+            numbers = [entry.get(key) for entry in parameters.values()]
+            put_array(group, key, [np.nan if number is None else float(number) for number in numbers])
+    covariance = estimate.get("covariance")
+    if covariance and covariance["names"]:
+        put_array(group, "covariance_names", covariance["names"])
+        put_array(group, "covariance", np.array(covariance["matrix"], dtype=float))
+
+
+#: Arrays of a record and their number of axes.
+_ARRAYS = {
+    "mean": 2,
+    "covariance": 3,
+    "jump": 2,
+    "onset_response": 3,
+    "onset_information": 3,
+    "onset_score": 2,
+}
+
+
+def put_track(group: Any, record: TrackRecord) -> None:
+    """Store a record in an HDF5 group."""
+    put_text(group, "cell_sha256", record.cell_sha256)
+    put_text(group, "settings_sha256", record.settings_sha256)
+    put_array(group, "names", record.names)
+    put_array(group, "json", [record.summary])
+    for name in _ARRAYS:
+        put_array(group, name, getattr(record, name))
+
+
+def get_track(reader: Reader, group: Any) -> TrackRecord:
+    """Read a record from an HDF5 group.
+
+    Raises
+    ------
+    InputError
+        If anything in it is not as `put_track` writes it.
+    """
+    summary = reader.texts(group, "json")
+    if len(summary) != 1:
+        raise InputError(f"{reader.path}: {group.name}/json: expected one text, found {len(summary)}")
+    arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _ARRAYS.items()}
+    sessions, states = arrays["mean"].shape
+    if arrays["covariance"].shape != (sessions, states, states) or arrays["jump"].shape != (sessions, states):
+        raise InputError(f"{reader.path}: {group.name}/covariance: expected the shape that mean has")
+    if not all(np.isfinite(values).all() for values in arrays.values()):
+        raise InputError(f"{reader.path}: {group.name}: expected finite numbers")
+    return TrackRecord(
+        cell_sha256=reader.text_attribute(group, "cell_sha256"),
+        settings_sha256=reader.text_attribute(group, "settings_sha256"),
+        names=tuple(reader.texts(group, "names").tolist()),
+        summary=str(summary[0]),
+        **arrays,
+    )
+
+
+def put_doubtful(group: Any, record: DoubtfulRecord) -> None:
+    """Store a record in an HDF5 group; alternatives lie one after the other, ``alternatives_end`` cuts them."""
+    for name in _TEXTS:
+        put_array(group, name, getattr(record, name))
+    values = (record.recording, record.dl, record.sigma, record.signed.astype(np.uint8))
+    for (name, unit), array in zip(_NUMBERS.items(), values, strict=True):
+        put_array(group, name, array, unit)
+    put_array(group, "alternatives_um", np.array([x for each in record.alternatives for x in each]), "um")
+    put_array(group, "alternatives_end", np.cumsum([len(each) for each in record.alternatives], dtype=np.int64))
+
+
+def get_doubtful(reader: Reader, group: Any) -> DoubtfulRecord:
+    """Read a record from an HDF5 group.
+
+    Raises
+    ------
+    InputError
+        If anything in it is not as `put_doubtful` writes it.
+    """
+    session, label, reason = (reader.texts(group, name) for name in _TEXTS)
+    recording, dl, sigma, signed = (reader.numbers(group, name) for name in _NUMBERS)
+    values, ends = reader.numbers(group, "alternatives_um"), reader.numbers(group, "alternatives_end")
+    n = len(dl)
+    place = f"{reader.path}: {group.name}"
+    if any(len(column) != n for column in (session, label, reason, recording, sigma, signed, ends)):
+        raise InputError(f"{place}: expected {n} values in every column")
+    whole = np.isfinite(ends).all() and (ends == np.round(ends)).all() and (np.diff(ends, prepend=0) >= 0).all()
+    if not whole or (n and ends[-1] != len(values)) or not np.isfinite(recording).all():
+        raise InputError(f"{place}/alternatives_end: expected whole numbers that rise to {len(values)}")
+    pieces = np.split(values, ends[:-1].astype(np.int64)) if n else []
+    return DoubtfulRecord(
+        session,
+        label,
+        reason,
+        recording.astype(np.int64),
+        dl,
+        sigma,
+        signed == 1,
+        tuple(tuple(piece.tolist()) for piece in pieces),
+    )

@@ -1,0 +1,129 @@
+"""An estimate: values, covariance and provenance of a cell's parameters, and its JSON file."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import read_text
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import _LARGEST, _SMALLEST, SCHEMA, STATUSES, Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+
+
+def read_estimate(path: str | Path, cell: Cell) -> Estimate:
+    """Read an estimate file, as ``identify --json`` writes it.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
+    """
+    text = read_text(Path(path))
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a JSON file: {error}") from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        found = content.get("schema") if isinstance(content, dict) else type(content).__name__
+        raise InputError(f"{path}: key schema: expected {SCHEMA!r}, found {found!r}")
+    stated = content.get("cell")
+    if not isinstance(stated, dict) or not {"name", "sha256"} <= stated.keys():
+        raise InputError(f"{path}: key cell: expected the name and sha256 of the cell the estimate belongs to")
+    if stated["sha256"] != cell.sha256:
+        opd = f", opd {stated['opd']!r}" if "opd" in stated else ""
+        raise InputError(
+            f"{path}: key cell: the estimate is of another cell ({stated['name']!r}{opd}, "
+            f"{str(stated['sha256'])[:12]}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
+        )
+    if content.get("fit", {}).get("converged") is False if isinstance(content.get("fit"), dict) else False:
+        raise InputError(
+            f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
+        )
+    return _Reader(str(path), cell).estimate(content)
+
+
+class _Reader:
+    def __init__(self, path: str, cell: Cell) -> None:
+        self.path, self.cell = path, cell
+
+    def estimate(self, content: dict[str, Any]) -> Estimate:
+        stated = content.get("parameters")
+        if not isinstance(stated, dict) or not stated:
+            raise self.error("parameters", "expected a table of parameters")
+        for name in stated:
+            if name not in self.cell.parameters or self.cell.parameters[name].prior_sd == 0:
+                raise self.error(f"parameters.{name}", f"cell {self.cell.name!r} has no such free parameter")
+        parameters = ParameterSet(p for p in self.cell.parameters if p.name in stated)
+        values, status = [], []
+        for p in parameters:
+            entry = stated[p.name]
+            if not isinstance(entry, dict) or entry.get("unit") != p.unit:
+                raise self.error(f"parameters.{p.name}.unit", f"expected {p.unit!r}")
+            if entry.get("status") not in STATUSES:
+                raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
+            values.append(self.number(entry.get("value"), f"parameters.{p.name}.value") * p.scale)
+            status.append(entry["status"])
+        time_h = self.number(content.get("time_h", 0.0), "time_h")
+        until = content.get("valid_until_h")
+        return Estimate(
+            cell=self.cell,
+            parameters=parameters,
+            values=np.array(values),
+            covariance=self.covariance(content.get("covariance"), parameters, status),
+            status=tuple(status),
+            time_h=time_h,
+            valid_until_h=None if until is None else self.number(until, "valid_until_h"),
+            data=content["data"] if isinstance(content.get("data"), dict) else {},
+        )
+
+    def covariance(self, stated: Any, parameters: ParameterSet, status: Sequence[str]) -> Floats:
+        if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):
+            raise self.error("covariance", "expected names and matrix")
+        names = stated["names"]
+        if len(set(map(str, names))) != len(names) or not all(name in parameters.names for name in names):
+            raise self.error("covariance.names", "expected names of the parameters above, each once")
+        held = {name for name, state in zip(parameters.names, status, strict=True) if state == "fixed"}
+        for name in parameters.names:
+            if name not in names and name not in held:
+                raise self.error("covariance.names", f"expected every parameter that is not fixed, {name} is missing")
+        try:
+            matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
+        if not np.isfinite(matrix).all() or not np.abs(matrix).max(initial=0.0) < _LARGEST:
+            raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
+        if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+            raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
+        matrix = (matrix + matrix.T) / 2
+        variances = np.diag(matrix)
+        if (variances < _SMALLEST).any() or _lowest_eigenvalue(
+            matrix / np.sqrt(np.outer(variances, variances))
+        ) < -1e-6:
+            raise self.error("covariance.matrix", "expected a positive semidefinite matrix")
+        full, chosen = np.zeros((len(parameters), len(parameters))), parameters.positions(names)
+        scales = parameters.scales[chosen]
+        full[np.ix_(chosen, chosen)] = matrix * np.outer(scales, scales)
+        return full
+
+    def number(self, value: Any, key: str) -> float:
+        try:
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(float(value)) < _LARGEST:
+                return float(value)
+        except OverflowError:
+            pass
+        raise self.error(key, f"expected a finite number, found {str(value)[:40]!r}")
+
+    def error(self, key: str, expected: str) -> InputError:
+        return InputError(f"{self.path}: key {key}: {expected}")
+
+
+def _lowest_eigenvalue(correlation: Floats) -> float:
+    """Lowest eigenvalue of a correlation matrix; minus infinity where an entry cannot be a correlation."""
+    if np.abs(correlation).max(initial=0.0) > 1 + 1e-6:
+        return -np.inf
+    return float(np.linalg.eigvalsh(correlation)[:1].min(initial=0.0))

@@ -1,0 +1,123 @@
+"""Recorded sweeps in a MATLAB file.
+
+Variables are named as the columns of an index CSV: one number a row (n by 1), or for texts a cell array (n by 1) of
+char. ``t_s``, ``joint`` and ``irradiance_v`` are cell arrays (n by 1) of vectors, the traces; so are the optional
+``scan_before_wavelength_nm``, ``scan_before_irradiance_v`` and those of ``scan_after``, with ``[]`` where none is.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.columns import TEXTS, check_names, from_columns, joint_columns
+from fpcal_bayes.io.hdf5 import is_hdf5
+from fpcal_bayes.measure.recordings import CONDITIONS, SCANS, TraceIndex, moving_joint
+from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS, Trace, WavelengthScan
+from fpcal_bayes.model.cell.cell import Cell
+
+
+def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
+    """Read an index from a MATLAB file of version 7 or older.
+
+    Raises
+    ------
+    InputError
+        If the file is no MATLAB file, a variable is missing, or is not as the module says.
+    """
+    if is_hdf5(path) or b"MATLAB 7.3" in path.read_bytes()[:128]:
+        raise InputError(f"{path}: a MATLAB file of version 7.3: expected version 7, as save(..., '-v7') makes it")
+    content = _load_apart(path)
+    variables = {name: value for name, value in content.items() if not name.startswith("__")}
+    scan_names = [f"{scan}_{column}" for scan in SCANS for column in SCAN_COLUMNS]
+    apart = {*TRACE_COLUMNS, *scan_names, *CONDITIONS} - {"temperature_c"}
+    for name in (*joint_columns(cell), *TRACE_COLUMNS):
+        if name not in variables:
+            raise InputError(f"{path}: the variable {name} is missing")
+    check_names([name for name in variables if name not in apart], cell, f"{path}: variables", plan=True)
+    n = np.size(variables[joint_columns(cell)[0]])
+    table: dict[str, Any] = {}
+    for name, value in variables.items():
+        if name in TEXTS:
+            table[name] = _texts(path, name, value, n)
+        elif name not in apart:
+            table[name] = _numbers(path, name, value, n)
+    sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True)
+    unknown = np.full(n, np.nan)
+    conditions = [_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS]
+    parts = [_vectors(path, name, variables[name], n) for name in TRACE_COLUMNS]
+    traces = [
+        Trace(time_s, joint * cell.joint_scales[moving_joint(sweeps, i)], irradiance, f"{path}: trace {i + 1}")
+        for i, (time_s, joint, irradiance) in enumerate(zip(*parts, strict=True))
+    ]
+    before, after = (_scans(path, name, variables, n) for name in SCANS)
+    return TraceIndex(sweeps, conditions[0] * 1e-3, conditions[1], conditions[2], conditions[3], traces, before, after)
+
+
+def _load_apart(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file, read by a process of its own: some damaged files end the one that reads them."""
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            return pool.submit(_load, str(path)).result()
+        except BrokenProcessPool as error:
+            raise InputError(f"{path}: a damaged MATLAB file, expected one that can be read") from error
+
+
+def _load(path: str) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    try:
+        return dict(loadmat(path, squeeze_me=False, chars_as_strings=True))
+    except Exception as error:  # scipy raises whatever a damaged file leads to
+        raise InputError(f"{path}: not a MATLAB file, or a damaged one ({str(error)[:100]})") from None
+
+
+def _scans(path: Path, name: str, variables: dict[str, Any], n: int) -> list[WavelengthScan | None]:
+    names = [f"{name}_{column}" for column in SCAN_COLUMNS]
+    if not any(each in variables for each in names):
+        return [None] * n
+    for each in names:
+        if each not in variables:
+            raise InputError(f"{path}: the variable {each} is missing")
+    wavelengths, irradiances = (_vectors(path, each, variables[each], n) for each in names)
+    return [
+        WavelengthScan(wavelength * 1e-3, irradiance, f"{path}: {name} {i + 1}") if len(wavelength) else None
+        for i, (wavelength, irradiance) in enumerate(zip(wavelengths, irradiances, strict=True))
+    ]
+
+
+def _numbers(path: Path, name: str, value: Any, n: int) -> Floats:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub" or array.size != n:
+        raise InputError(f"{path}: variable {name}: expected {n} numbers, found shape {array.shape}, {array.dtype}")
+    return array.astype(float).reshape(-1)
+
+
+def _texts(path: Path, name: str, value: Any, n: int) -> NDArray[np.str_]:
+    array = np.asarray(value)
+    if array.dtype.kind == "U" and array.size == n:
+        return array.reshape(-1)
+    cells = _cells(path, name, array, n, "texts")
+    if any(cell.dtype.kind != "U" and cell.size for cell in cells) or any(cell.size > 1 for cell in cells):
+        raise InputError(f"{path}: variable {name}: expected a cell array of {n} texts")
+    return np.array([str(cell.reshape(-1)[0]) if cell.size else "" for cell in cells], dtype=np.str_)
+
+
+def _vectors(path: Path, name: str, value: Any, n: int) -> list[Floats]:
+    cells = _cells(path, name, np.asarray(value), n, "vectors of numbers")
+    if any(cell.dtype.kind not in "fiub" for cell in cells):
+        raise InputError(f"{path}: variable {name}: expected a cell array of {n} vectors of numbers")
+    return [cell.astype(float).reshape(-1) for cell in cells]
+
+
+def _cells(path: Path, name: str, array: NDArray[Any], n: int, what: str) -> list[NDArray[Any]]:
+    if array.dtype.kind != "O" or array.size != n:
+        raise InputError(f"{path}: variable {name}: expected a cell array of {n} {what}, found shape {array.shape}")
+    return [np.asarray(cell) for cell in array.reshape(-1)]

@@ -1,1 +1,0 @@
-"""The interferometer backwards: from recorded irradiance to changes of the cavity length and their uncertainty."""

@@ -1,0 +1,229 @@
+"""The photodiode along a path of several joints, with the reference scans that go before and after it.
+
+In a file: CSV with the columns ``part,t_s`` and the joints, ``q1_um`` .. ``q6_deg``, then ``irradiance_v``. Lines whose
+part is ``reference`` come first: one joint moves through a few fringes, which tells the height of the fringes and where
+on a fringe the path starts. Lines whose part is ``path`` follow. A second reference scan may come after them; it tells
+how gain and offset drifted meanwhile.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.typing import Floats
+
+#: Tells the line of a sample in its file.
+LineOf = Callable[[int], int]
+
+TRACE_COLUMNS = ("t_s", "joint", "irradiance_v")
+SCAN_COLUMNS = ("wavelength_nm", "irradiance_v")
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """The photodiode during one sweep.
+
+    Attributes
+    ----------
+    time_s
+        Increasing, shape (n,).
+    joint
+        Position of the joint that moves, in um or rad, shape (n,).
+    irradiance
+        In V, shape (n,).
+    file
+        Where it was read, or empty.
+    """
+
+    time_s: Floats
+    joint: Floats
+    irradiance: Floats
+    file: str = ""
+
+    def __len__(self) -> int:
+        return len(self.irradiance)
+
+    def __repr__(self) -> str:
+        return f"Trace({len(self)} samples{f', {self.file}' if self.file else ''})"
+
+
+@dataclass(frozen=True, eq=False)
+class WavelengthScan:
+    """The photodiode while the laser's wavelength is swept and the robot stands still.
+
+    Attributes
+    ----------
+    wavelength
+        In vacuum, in um, rising or falling throughout, shape (n,).
+    irradiance
+        In V, shape (n,).
+    file
+        Where it was read, or empty.
+    """
+
+    wavelength: Floats
+    irradiance: Floats
+    file: str = ""
+
+    def __len__(self) -> int:
+        return len(self.irradiance)
+
+    def __repr__(self) -> str:
+        return f"WavelengthScan({len(self)} samples{f', {self.file}' if self.file else ''})"
+
+
+def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
+    """Raise `InputError` unless a trace holds finite numbers and its time runs forwards.
+
+    Parameters
+    ----------
+    line_of
+        Tells the line of a sample, for the message; by default its number, from 1.
+    """
+    columns = dict(zip(TRACE_COLUMNS, (trace.time_s, trace.joint, trace.irradiance), strict=True))
+    _require_finite(trace.file or "trace", columns, line_of)
+    back = np.diff(trace.time_s) <= 0
+    if back.any():
+        raise located(
+            trace.file or "trace",
+            f"expected a time later than the {trace.time_s[np.argmax(back)]:.10g} s before it",
+            row=_line(line_of, int(np.argmax(back)) + 1),
+            column="t_s",
+        )
+
+
+def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
+    """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way.
+
+    Parameters
+    ----------
+    line_of
+        Tells the line of a sample, for the message; by default its number, from 1.
+    """
+    file = scan.file or "scan"
+    _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
+    low = scan.wavelength <= 0
+    if low.any():
+        raise located(
+            file, "expected a wavelength above zero", row=_line(line_of, int(np.argmax(low))), column=SCAN_COLUMNS[0]
+        )
+    steps = np.diff(scan.wavelength)
+    turned = steps * (scan.wavelength[-1] - scan.wavelength[0]) <= 0
+    if turned.any():
+        raise located(
+            file,
+            "expected wavelengths that only rise or only fall",
+            row=_line(line_of, int(np.argmax(turned)) + 1),
+            column=SCAN_COLUMNS[0],
+        )
+
+
+def _line(line_of: LineOf | None, sample: int) -> int:
+    return sample + 1 if line_of is None else line_of(sample)
+
+
+def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | None) -> None:
+    n = {name: values.shape for name, values in columns.items()}
+    if len(set(n.values())) > 1 or any(len(shape) != 1 for shape in n.values()):
+        raise InputError(f"{file}: expected columns of one length, found {n}")
+    for name, values in columns.items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            first = int(np.argmax(bad))
+            found = f"expected a finite number, found {values[first]}"
+            raise located(file, found, row=_line(line_of, first), column=name)
+    if len(values) < 2:
+        raise InputError(f"{file}: {len(values)} samples, expected two or more")
+
+
+PARTS = ("reference", "path")
+#: Samples of either part that a check needs.
+FEWEST = 8
+
+
+@dataclass(frozen=True, eq=False)
+class PathTrace:
+    """A recorded path.
+
+    Attributes
+    ----------
+    time_s
+        Increasing, shape (n,).
+    q
+        Joint vectors, shape (n, n_joints), in um and rad.
+    irradiance
+        In V, shape (n,).
+    reference
+        Whether a sample belongs to a reference scan, shape (n,); the others to the path, all in one piece.
+    time_h
+        Hours since the campaign began.
+    file
+        Where it was read, or empty.
+    length
+        True cavity length of a simulated recording, in um, shape (n,); else None.
+    """
+
+    time_s: Floats
+    q: Floats
+    irradiance: Floats
+    reference: NDArray[np.bool_]
+    time_h: float = 0.0
+    file: str = ""
+    length: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.irradiance)
+
+    def __repr__(self) -> str:
+        return f"PathTrace({int(self.reference.sum())} samples of reference, {int((~self.reference).sum())} of path)"
+
+    @property
+    def before(self) -> slice:
+        """The samples of the reference scan before the path."""
+        return slice(0, int(np.argmin(self.reference)))
+
+    @property
+    def path(self) -> slice:
+        """The samples of the path."""
+        return slice(int(np.argmin(self.reference)), len(self) - int(np.argmin(self.reference[::-1])))
+
+    @property
+    def after(self) -> slice:
+        """The samples of the reference scan after the path; there may be none."""
+        return slice(self.path.stop, len(self))
+
+    @property
+    def length_change(self) -> float:
+        """True peak to peak of the cavity length along the path, in um; NaN if it is not known."""
+        return float("nan") if self.length is None else float(np.ptp(self.length[~self.reference]))
+
+
+def check_parts(trace: PathTrace, rows: list[int] | None = None) -> None:
+    """Hold a recording to the order of its parts and to samples enough in each.
+
+    Parameters
+    ----------
+    rows
+        Line of each sample, for the message; by default its number, from 1.
+
+    Raises
+    ------
+    InputError
+        If the path is not in one piece after a reference scan, or a part has fewer than 8 samples.
+    """
+    file, back = trace.file or "recording", np.flatnonzero(np.diff(trace.reference.astype(int)) < 0)
+    if not trace.reference[:1].any():
+        raise located(file, "expected a reference scan before the path", row=rows[0] if rows else 1, column="part")
+    if len(back) > 1:
+        sample = int(back[1]) + 1
+        raise located(file, "expected the path in one piece", row=rows[sample] if rows else sample + 1, column="part")
+    counts = {"reference": trace.before, "path": trace.path, "second reference": trace.after}
+    if not len(back):
+        raise InputError(f"{file}: no samples of part path, expected {FEWEST} or more")
+    for part, members in counts.items():
+        n = members.stop - members.start
+        if n < FEWEST and not (part == "second reference" and n == 0):
+            raise InputError(f"{file}: {n} samples of the {part}, expected {FEWEST} or more")

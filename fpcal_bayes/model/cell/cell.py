@@ -1,0 +1,228 @@
+"""A cell: robot chain, mirror, fibre and optics, as described by a TOML file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.joints import Joint
+from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
+from fpcal_bayes.model.priors import Marginal
+
+Opd = Literal["axis", "perpendicular"]
+OpticalAxis = Literal["minus-y", "z"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A robot, its mirror, the fibre that faces it, and the optics.
+
+    Attributes
+    ----------
+    name
+        As given in the TOML file.
+    joints
+        From base to tool.
+    parameters
+        Every parameter of the model vector, in its order, freed or not.
+    wavelength
+        In um.
+    opd
+        Length the interferometer sees: ``axis`` (along the optical axis) or ``perpendicular``.
+    optical_axis
+        Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
+    drift
+        How the parameters drift; those not named stay.
+    optics
+        Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    parameters: ParameterSet
+    wavelength: float
+    opd: Opd
+    optical_axis: OpticalAxis
+    drift: tuple[DriftSize, ...] = ()
+    optics: Interferometer | None = None
+
+    @cached_property
+    def interferometer(self) -> Interferometer:
+        """The interferometer; its defaults where the cell does not state one."""
+        known = Interferometer(self.wavelength) if self.optics is None else self.optics
+        return replace(known, wavelength=self.wavelength)
+
+    @cached_property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Whether each joint turns, shape (n_joints,)."""
+        return np.array([j.kind == "revolute" for j in self.joints])
+
+    @cached_property
+    def joint_scales(self) -> NDArray[np.float64]:
+        """Internal units per shown unit of each joint, shape (n_joints,)."""
+        return np.where(self.revolute, np.pi / 180.0, 1.0)
+
+    @cached_property
+    def joint_columns(self) -> tuple[str, ...]:
+        """Name and unit of each joint as in file headers: ``q1_um``, ``q4_deg``."""
+        return tuple(f"q{i}_{j.unit}" for i, j in enumerate(self.joints, 1))
+
+    @cached_property
+    def low(self) -> NDArray[np.float64]:
+        """Lower joint limits, shape (n_joints,)."""
+        return np.array([j.low for j in self.joints])
+
+    @cached_property
+    def high(self) -> NDArray[np.float64]:
+        """Upper joint limits, shape (n_joints,)."""
+        return np.array([j.high for j in self.joints])
+
+    @cached_property
+    def repeatability(self) -> NDArray[np.float64]:
+        """Standard deviation of each joint's reached position, shape (n_joints,)."""
+        return np.array([j.repeatability for j in self.joints])
+
+    @cached_property
+    def free(self) -> ParameterSet:
+        """The parameters identified by default: those with a prior that are not optional."""
+        return ParameterSet(p for p in self.parameters if p.prior_sd > 0 and not p.optional)
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of everything that the cell's numbers depend on; layout and comments of the file do not."""
+        return content_sha256(
+            {
+                "name": self.name,
+                "wavelength": self.wavelength,
+                "opd": self.opd,
+                "optical_axis": self.optical_axis,
+                "joints": [[j.kind, _finite(j.low), _finite(j.high), j.repeatability] for j in self.joints],
+                "parameters": [
+                    [p.name, p.nominal, p.prior_sd, p.optional, *_settings(p.prior)] for p in self.parameters
+                ],
+            }
+        )
+
+    @cached_property
+    def drift_sha256(self) -> str:
+        """Hash of the drift sizes, which `sha256` leaves out: they change no cavity length."""
+        return content_sha256([size.content() for size in self.drift])
+
+    def with_opd(self, opd: Opd) -> "Cell":
+        """The same cell with the other path model."""
+        return replace(self, opd=opd)
+
+    def select(self, names: str | Sequence[str]) -> ParameterSet:
+        """Choose parameters to identify, in the cell's order.
+
+        Parameters
+        ----------
+        names
+            ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or the cell gives the parameter no prior.
+        """
+        wanted: set[str] = set()
+        for name in names.split(",") if isinstance(names, str) else names:
+            if name in ("all", "intrinsic", "extrinsic"):
+                wanted |= {p.name for p in self.free if name in ("all", p.kind)}
+            elif name not in self.parameters:
+                known = ", ".join(p.name for p in self.parameters if p.prior_sd > 0)
+                raise InputError(f"unknown parameter {name!r}: expected all, intrinsic, extrinsic, or some of {known}")
+            elif self.parameters[name].prior_sd == 0:
+                raise InputError(f"parameter {name!r} has no prior_sd in cell {self.name!r}: it cannot be freed")
+            else:
+                wanted.add(name)
+        return ParameterSet(p for p in self.parameters if p.name in wanted)
+
+    def __repr__(self) -> str:
+        chain = "".join("P" if j.kind == "prismatic" else "R" for j in self.joints)
+        return f"Cell({self.name!r}, chain {chain}, {len(self.free)} free parameters, opd {self.opd!r})"
+
+
+class ParameterEntry(NamedTuple):
+    """What a cell says of a parameter: nominal value, prior standard deviation, whether optional, prior if not normal.
+
+    In internal units.
+    """
+
+    nominal: float
+    prior_sd: float
+    optional: bool
+    prior: Marginal | None = None
+
+
+def make_parameters(
+    entries: Mapping[str, ParameterEntry | tuple[float, float, bool]],
+    n_joints: int,
+) -> ParameterSet:
+    """Every parameter of the model vector of a chain.
+
+    Parameters
+    ----------
+    entries
+        By name; what is missing is zero and cannot be freed.
+    n_joints
+        Number of links of the chain.
+    """
+    names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
+    names += [(name, UNITS[name], "extrinsic") for name in EXTRINSICS]
+    unknown = set(entries) - {name for name, _, _ in names}
+    if unknown:
+        raise InputError(f"unknown parameter {sorted(unknown)[0]!r} for a chain of {n_joints} joints")
+    made = []
+    for slot, (name, unit, kind) in enumerate(names):
+        nominal, prior_sd, optional, prior = ParameterEntry(*entries.get(name, (0.0, 0.0, False)))
+        made.append(Parameter(name, unit, nominal, prior_sd, kind, slot, optional, prior))  # type: ignore[arg-type]
+    return ParameterSet(made)
+
+
+def check_joints(
+    cell: Cell, q: NDArray[np.float64], file: object, rows: Sequence[int] | None, columns: Sequence[str]
+) -> None:
+    """Raise `InputError` at the first joint value outside the cell's limits.
+
+    Parameters
+    ----------
+    q
+        Joint vectors in internal units, shape (n, n_joints).
+    file, rows, columns
+        For the message: the source, the line of each row, the column of each joint.
+    """
+    # The tolerance lets a limit written in degrees survive its conversion to radians.
+    slack = 1e-9 * (1.0 + np.abs(q))
+    outside = (q < cell.low - slack) | (q > cell.high + slack)
+    if not outside.any():
+        return
+    row, column = (int(i) for i in np.argwhere(outside)[0])
+    joint, scale = cell.joints[column], cell.joint_scales[column]
+    raise located(
+        file,
+        f"{q[row, column] / scale:g} {joint.unit} is outside the limits of cell {cell.name!r}, "
+        f"expected {joint.low / scale:g} to {joint.high / scale:g} {joint.unit}",
+        row=rows[row] if rows is not None else row + 1,
+        column=columns[column],
+    )
+
+
+def _settings(prior: Marginal | None) -> list[str | float | None]:
+    return [] if prior is None else [prior.kind, *map(_finite, prior.settings())]
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def describe(cell: Cell) -> dict[str, Any]:
+    """Name and hash of a cell, as written into estimates and campaigns."""
+    return {"name": cell.name, "sha256": cell.sha256, "opd": cell.opd}

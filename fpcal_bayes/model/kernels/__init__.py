@@ -1,0 +1,1 @@
+"""The compiled loops of the model, and how they are compiled."""

@@ -1,0 +1,250 @@
+"""Compiled kernels: cavity lengths for many parameter vectors and poses at once.
+
+A mirror plane {x : n.x = h} is carried from the tool to the base: four numbers a pose instead of a 4x4 transform.
+For one model vector, poses that share all revolute joint values (a group, see `fpcal_bayes.model.cavity`) share n, and
+
+    h = h0 + sum_p slope_p q_p,    slope_p = n . z_p,
+
+is linear in the prismatic joint values q_p; slope_p is the Z component of n in the frame of link p. With fibre end f
+and optical axis a the paper's (24) reads L = (h - n.f) / (n.a).
+"""
+
+import math
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Bools, Floats, Ints
+from fpcal_bayes.model.kernels.compile import compiled
+
+# Positions in the eight numbers of a link, and of the extrinsics behind the last link.
+BETA, ALPHA, D, THETA, R, GAIN, RUNOUT_COS, RUNOUT_SIN = range(8)
+STRIDE = 8
+BETA_ET, THETA_ET, BETA_WF, THETA_WF, Z_ET, X_WF, Y_WF, Z_WF = range(8)
+
+#: Parameter vectors computed side by side, so that one instruction serves several of them.
+LANES = 64
+
+
+@compiled
+def is_angle(slot: int, n_links: int) -> bool:
+    """Whether the entry `slot` of the model vector is an angle whose sine the model needs."""
+    if slot < STRIDE * n_links:
+        kind = slot % STRIDE
+        return kind in (BETA, ALPHA, THETA)
+    return slot - STRIDE * n_links <= THETA_WF
+
+
+@compiled
+def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> tuple[Floats, Floats, Floats]:
+    """Model vectors of a block of equal lanes, with cosines and sines.
+
+    Each has shape (model size, width), of which the first `n_lanes` columns are set.
+    """
+    vector, cosine, sine = np.empty((base.size, width)), np.empty((base.size, width)), np.empty((base.size, width))
+    for slot in range(base.size):
+        c, s = 1.0, 0.0
+        if is_angle(slot, n_links):
+            c, s = math.cos(base[slot]), math.sin(base[slot])
+        for lane in range(n_lanes):
+            vector[slot, lane], cosine[slot, lane], sine[slot, lane] = base[slot], c, s
+    return vector, cosine, sine
+
+
+@compiled
+def fill_block(slots: Ints, values: Floats, n_links: int, vector: Floats, cosine: Floats, sine: Floats) -> None:
+    """Put parameter vectors `values` (n_lanes, n) into the model vectors of a block, with cosines and sines.
+
+    `vector`, `cosine` and `sine` have shape (model size, at least n_lanes).
+    """
+    for j in range(slots.size):
+        slot = slots[j]
+        for lane in range(values.shape[0]):
+            vector[slot, lane] = values[lane, j]
+        if is_angle(slot, n_links):
+            for lane in range(values.shape[0]):
+                cosine[slot, lane] = math.cos(values[lane, j])
+                sine[slot, lane] = math.sin(values[lane, j])
+
+
+@compiled
+def optical_axis(cosine: Floats, sine: Floats, n_links: int, axis_is_z: bool, axis: Floats, n_lanes: int) -> None:
+    """Direction of the light that leaves the fibre, in the world frame; writes `axis` (3, at least n_lanes)."""
+    first = STRIDE * n_links
+    c_beta, s_beta = cosine[first + BETA_WF], sine[first + BETA_WF]
+    c_theta, s_theta = cosine[first + THETA_WF], sine[first + THETA_WF]
+    for lane in range(n_lanes):
+        if axis_is_z:
+            axis[0, lane], axis[1, lane], axis[2, lane] = 0.0, -s_beta[lane], c_beta[lane]
+        else:
+            axis[0, lane] = s_theta[lane]
+            axis[1, lane] = -c_theta[lane] * c_beta[lane]
+            axis[2, lane] = -c_theta[lane] * s_beta[lane]
+
+
+@compiled
+def turn_mirror(link: Floats, q: float, plane: Floats, n_lanes: int) -> None:
+    """What a joint's gain and axial runout add to its turn by `q`, for a block; `link` has shape (8, LANES)."""
+    for lane in range(n_lanes):
+        turned, extra = q * (1.0 + link[GAIN, lane]), q * link[GAIN, lane]
+        c, s = math.cos(extra), math.sin(extra)
+        x, y = plane[0, lane], plane[1, lane]
+        plane[0, lane], plane[1, lane] = c * x - s * y, s * x + c * y
+        runout = link[RUNOUT_COS, lane] * math.cos(turned) + link[RUNOUT_SIN, lane] * math.sin(turned)
+        plane[3, lane] += plane[2, lane] * runout
+
+
+@compiled
+def carry_plane(
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
+    revolute: Bools,
+    used: Bools,
+    joint_q: Floats,
+    joint_cos: Floats,
+    joint_sin: Floats,
+    plane: Floats,
+    slope: Floats,
+    n_lanes: int,
+) -> None:
+    """Carry the mirror plane of one group to the world frame, prismatic joints at zero, for a block of vectors.
+
+    Parameters
+    ----------
+    vector, cosine, sine
+        Model vectors and their trigonometry, shape (model size, LANES).
+    used
+        Whether an entry of the model vector may differ from zero in some lane, shape (model size,).
+    joint_q, joint_cos, joint_sin
+        The group's joint values, shape (n_links,).
+    plane, slope
+        Written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
+    n_lanes
+        Columns in use; the others are neither read nor written.
+    """
+    n_links = revolute.size
+    first = STRIDE * n_links
+    # Flat views whose rows stand LANES apart: the compiler sees that rows do not overlap, and computes lanes together.
+    values, cosines, sines, carried = vector.reshape(-1), cosine.reshape(-1), sine.reshape(-1), plane.reshape(-1)
+    x_row, y_row, z_row, h_row = 0, LANES, 2 * LANES, 3 * LANES
+    cos, sin, value = cosines[first * LANES :], sines[first * LANES :], values[first * LANES :]
+    for lane in range(n_lanes):
+        c_theta, z = cos[THETA_ET * LANES + lane], cos[THETA_ET * LANES + lane] * cos[BETA_ET * LANES + lane]
+        carried[x_row + lane] = sin[THETA_ET * LANES + lane]
+        carried[y_row + lane] = -c_theta * sin[BETA_ET * LANES + lane]
+        carried[z_row + lane] = z
+        carried[h_row + lane] = z * value[Z_ET * LANES + lane]
+    prismatic = slope.shape[0]
+    for link in range(n_links - 1, -1, -1):
+        at = STRIDE * link
+        if not revolute[link]:
+            prismatic -= 1
+            gain, out, nz = vector[at + GAIN], slope[prismatic], plane[2]
+            for lane in range(n_lanes):
+                out[lane] = nz[lane] * (1.0 + gain[lane])
+        elif used[at + GAIN] or used[at + RUNOUT_COS] or used[at + RUNOUT_SIN]:
+            turn_mirror(vector[at : at + STRIDE], joint_q[link], plane, n_lanes)
+        cos, sin, value = cosines[at * LANES :], sines[at * LANES :], values[at * LANES :]
+        q_cos, q_sin = joint_cos[link], joint_sin[link]
+        for lane in range(n_lanes):
+            x, y = carried[x_row + lane], carried[y_row + lane]
+            z, h = carried[z_row + lane], carried[h_row + lane]
+            # The sine of a sum: the joint value's own sine is data.
+            c = cos[THETA * LANES + lane] * q_cos - sin[THETA * LANES + lane] * q_sin
+            s = sin[THETA * LANES + lane] * q_cos + cos[THETA * LANES + lane] * q_sin
+            turned_x = c * x - s * y
+            turned_y = s * x + c * y
+            c, s = cos[ALPHA * LANES + lane], sin[ALPHA * LANES + lane]
+            tilted_z = s * turned_y + c * z
+            carried[h_row + lane] = h + z * value[R * LANES + lane] + turned_x * value[D * LANES + lane]
+            carried[y_row + lane] = c * turned_y - s * z
+            c, s = cos[BETA * LANES + lane], sin[BETA * LANES + lane]
+            carried[x_row + lane] = c * turned_x + s * tilted_z
+            carried[z_row + lane] = c * tilted_z - s * turned_x
+
+
+@compiled
+def batch_lengths(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    perpendicular: bool,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+) -> Floats:
+    """Changes of cavity length, L(end) - L(start), for many parameter vectors.
+
+    Parameters
+    ----------
+    base
+        Model vector of the values that are held.
+    slots, values
+        Positions in the model vector of the free parameters, shape (n,), and their values, shape (n_vectors, n).
+    starts, ends
+        Pose of each row; a start of -1 gives L(end) itself.
+
+    Returns
+    -------
+    ndarray
+        Shape (n_vectors, n_rows), in um.
+    """
+    n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
+    n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
+    n_lanes = max(1, min(n_vectors, LANES))
+    first = STRIDE * n_links
+    out = np.empty((n_vectors, n_rows))
+    vector, cosine, sine = start_block(base, n_links, n_lanes, LANES)
+    used = base != 0.0
+    for j in range(slots.size):
+        used[slots[j]] = True
+    plane, slope, axis = np.empty((4, LANES)), np.empty((n_prismatic, LANES)), np.empty((3, LANES))
+    lengths, inverse = np.empty((n_poses, n_lanes)), np.ones(n_lanes)
+    x, y, z = vector[first + X_WF], vector[first + Y_WF], vector[first + Z_WF]
+    for block in range(0, n_vectors, n_lanes):
+        here = min(n_lanes, n_vectors - block)
+        fill_block(slots, values[block : block + here], n_links, vector, cosine, sine)
+        optical_axis(cosine, sine, n_links, axis_is_z, axis, n_lanes)
+        for g in range(n_groups):
+            carry_plane(
+                vector, cosine, sine, revolute, used, group_q[g], group_cos[g], group_sin[g], plane, slope, n_lanes
+            )
+            nx, ny, nz, height = plane[0], plane[1], plane[2], plane[3]
+            for lane in range(n_lanes):
+                height[lane] -= nx[lane] * x[lane] + ny[lane] * y[lane] + nz[lane] * z[lane]
+            if not perpendicular:
+                for lane in range(n_lanes):
+                    facing = nx[lane] * axis[0, lane] + ny[lane] * axis[1, lane] + nz[lane] * axis[2, lane]
+                    inverse[lane] = 1.0 / facing
+                    height[lane] *= inverse[lane]
+                for p in range(n_prismatic):
+                    for lane in range(n_lanes):
+                        slope[p, lane] *= inverse[lane]
+            for m in range(group_start[g], group_start[g + 1]):
+                length = lengths[m]
+                if n_prismatic == 3:
+                    q0, q1, q2 = prismatic_q[m, 0], prismatic_q[m, 1], prismatic_q[m, 2]
+                    for lane in range(n_lanes):
+                        length[lane] = height[lane] + q0 * slope[0, lane] + q1 * slope[1, lane] + q2 * slope[2, lane]
+                else:
+                    for lane in range(n_lanes):
+                        length[lane] = height[lane]
+                    for p in range(n_prismatic):
+                        for lane in range(n_lanes):
+                            length[lane] += prismatic_q[m, p] * slope[p, lane]
+                if perpendicular:
+                    for lane in range(n_lanes):
+                        length[lane] = abs(length[lane])
+        for lane in range(here):
+            for row in range(n_rows):
+                change = lengths[ends[row], lane]
+                if starts[row] >= 0:
+                    change -= lengths[starts[row], lane]
+                out[block + lane, row] = change
+    return out

@@ -1,0 +1,1 @@
+"""From poses to joints: tasks, their placement in the fibre frame, and the controller."""

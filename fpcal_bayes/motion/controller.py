@@ -1,0 +1,241 @@
+"""The controller of the paper's Fig 7: from operational poses to joint values, with what has been identified."""
+
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.inverse import InverseModel, JointSolutions
+from fpcal_bayes.motion.placement import Placement, turns
+from fpcal_bayes.motion.tasks import Task, follow_offsets
+from fpcal_bayes.motion.validity import StaleEstimateWarning, read_now, stale_text
+
+#: Most points of an interpolated path: a longer one is a mistake in the step.
+_MOST_POINTS = 1_000_000
+
+
+class Controller:
+    """Joint values for mirror poses, from an estimate that may change while the controller runs.
+
+    A pose fX is that of the mirror frame placed at the reflection point tPr, commanded in the fibre frame; the robot
+    goes to q = IGM(wTf fX (eTt tTPr)^-1). The controller remembers where it stands; moves start from there.
+
+    Parameters
+    ----------
+    estimate
+        Of a cell with six joints; from a file, a posterior or the tracker.
+    q
+        Where the joints stand, shape (n_joints,), in um and rad; by default at zero.
+    now_h
+        Tells the time in hours since the campaign began; by default this machine's clock does, where the estimate
+        carries a clock time.
+
+    Warns
+    -----
+    StaleEstimateWarning
+        Once an estimate, when joint values are asked for after the time until which it is valid.
+
+    Raises
+    ------
+    InputError
+        If the cell has other than six joints, or `q` lies outside its limits.
+    """
+
+    def __init__(
+        self, estimate: Estimate, q: Floats | None = None, *, now_h: Callable[[], float] | None = None
+    ) -> None:
+        self._now_h, self._told = now_h, False
+        self._inverse = InverseModel(estimate.cell)
+        self._load(estimate)
+        self._q = self._checked(np.zeros(len(estimate.cell.joints)) if q is None else np.asarray(q, dtype=float))
+
+    def __repr__(self) -> str:
+        return f"Controller({self.estimate!r})"
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate in use."""
+        return self._estimate
+
+    @property
+    def q(self) -> Floats:
+        """Where the joints stand, shape (n_joints,), in um and rad."""
+        return self._q.copy()
+
+    @property
+    def pose(self) -> Floats:
+        """Pose fX where the joints stand, as the estimate sees it, shape (4, 4)."""
+        return self._placement.mirror_poses(self._inverse.tool_poses(self._vector, self._q[None])[0])
+
+    @property
+    def aligned(self) -> Floats:
+        """The aligned pose fX from which tasks start, shape (4, 4)."""
+        return self._placement.aligned.copy()
+
+    def update(self, estimate: Estimate) -> None:
+        """Take a newer estimate of the same cell; the joints stay where they are, their pose is seen anew.
+
+        Raises
+        ------
+        InputError
+            If it is an estimate of another cell.
+        """
+        if estimate.cell.sha256 != self._estimate.cell.sha256:
+            raise InputError(
+                f"the estimate is of another cell ({estimate.cell.name!r}, opd {estimate.cell.opd!r}), expected "
+                f"{self._estimate.cell.name!r}, opd {self._estimate.cell.opd!r}"
+            )
+        self._load(estimate)
+
+    def joints(self, poses: Floats, *, follow: bool = True) -> JointSolutions:
+        """Joint values of poses, without going there.
+
+        Parameters
+        ----------
+        poses
+            fX, shape (4, 4) or (n_poses, 4, 4); one after the other is looked for near the one before it, the first
+            near where the joints stand.
+        follow
+            If false, all are looked for near where the joints stand.
+
+        Raises
+        ------
+        InputError
+            If a pose is not finite or its rotation is not orthonormal.
+        """
+        self._warn_if_stale()
+        tools = self._placement.tool_poses(np.asarray(poses, dtype=float))
+        return self._inverse.solve(self._vector, tools, near=self._q, follow=follow)
+
+    def move_to(self, pose: Floats) -> Floats:
+        """Go to a pose fX (4, 4).
+
+        Returns
+        -------
+        ndarray
+            Joint vector, shape (n_joints,), in um and rad.
+
+        Raises
+        ------
+        InputError
+            If it is no pose, or the joints cannot take it; the controller stays where it is then.
+        """
+        return self._go(self.joints(pose))
+
+    def move(
+        self, translation: Sequence[float] = (0.0, 0.0, 0.0), rotation: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Floats:
+        """Go to a pose relative to the present one: shift, and turn about the reflection point, in the fibre frame.
+
+        Parameters
+        ----------
+        translation
+            Along Xf, Yf, Zf, in um; in the mirror plane of the aligned pose that is Xf and Zf.
+        rotation
+            About the fibre frame's X, then Y, then Z axis through the reflection point, in rad.
+
+        Returns
+        -------
+        ndarray
+            Joint vector, shape (n_joints,), in um and rad.
+
+        Raises
+        ------
+        InputError
+            If the joints cannot take the pose; the controller stays where it is then.
+        """
+        pose = self.pose
+        pose[:3, :3] = turns(np.asarray(rotation, dtype=float)[None])[0] @ pose[:3, :3]
+        pose[:3, 3] += np.asarray(translation, dtype=float)
+        return self.move_to(pose)
+
+    def path(self, pose: Floats, *, step_um: float = 1.0, step_rad: float = float(np.radians(0.1))) -> JointSolutions:
+        """A straight path from where the joints stand to `pose`, in steps that no joint exceeds, without going there.
+
+        The mirror point moves on a straight line while the mirror turns about one axis; where the joints run fastest
+        decides the number of points.
+
+        Parameters
+        ----------
+        pose
+            fX at the end, shape (4, 4).
+        step_um, step_rad
+            Longest step of a prismatic and of a revolute joint from point to point.
+
+        Returns
+        -------
+        JointSolutions
+            One a point, the first where the joints stand.
+
+        Raises
+        ------
+        InputError
+            If `pose` is no pose, a step is not above zero or asks for more than a million points.
+        """
+        if not (step_um > 0 and step_rad > 0):
+            raise InputError(f"steps {step_um:g} um, {step_rad:g} rad: expected numbers above zero")
+        steps = np.where(self._inverse.cell.revolute, step_rad, step_um)
+        self.joints(pose)
+        points = 2
+        while points <= _MOST_POINTS:
+            found = self.joints(interpolate(self.pose, pose, points))
+            known = found.q[np.isfinite(found.q).all(axis=1)]
+            ratio = float((np.abs(np.diff(known, axis=0)) / steps).max(initial=0.0))
+            if ratio <= 1.0:
+                return found
+            points = max(points + 1, int(np.ceil((points - 1) * ratio)) + 1)
+        raise InputError(
+            f"steps {step_um:g} um, {step_rad:g} rad: expected such that a path has a million points or less"
+        )
+
+    def follow(self, name: str, offsets: Floats) -> Task:
+        """Moves away from the aligned pose as a task, without going there (see `follow_offsets`)."""
+        self._warn_if_stale()
+        return follow_offsets(self._estimate.cell, self._vector, name, offsets)
+
+    def _warn_if_stale(self) -> None:
+        if self._told:
+            return
+        now_h = read_now(None, self.estimate) if self._now_h is None else self._now_h()
+        text = stale_text(self.estimate, now_h)
+        if text is not None:
+            self._told = True
+            warnings.warn(text, StaleEstimateWarning, stacklevel=3)
+
+    def _load(self, estimate: Estimate) -> None:
+        self._told = False
+        self._estimate, self._vector = estimate, estimate.vector()
+        self._placement = Placement.of(estimate.cell, self._vector)
+
+    def _go(self, found: JointSolutions) -> Floats:
+        if not found.ok:
+            raise InputError(f"the pose cannot be taken: {found.texts()}")
+        self._q = found.q
+        return self.q
+
+    def _checked(self, q: Floats) -> Floats:
+        cell = self._inverse.cell
+        if q.shape != (len(cell.joints),) or not np.isfinite(q).all():
+            raise InputError(f"joint vector of shape {q.shape}, expected {len(cell.joints)} finite numbers")
+        slack = 1e-9 * (1.0 + np.abs(q))
+        outside = (q < cell.low - slack) | (q > cell.high + slack)
+        if outside.any():
+            number = int(np.argmax(outside))
+            raise InputError(f"q{number + 1} = {q[number] / cell.joint_scales[number]:g} is outside its limits")
+        return q.copy()
+
+
+def interpolate(start: Floats, end: Floats, n_points: int) -> Floats:
+    """Poses from `start` to `end` (4, 4): positions on a line, turns about one axis; shape (n_points, 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    share = np.linspace(0.0, 1.0, n_points)
+    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
+    poses = np.zeros((n_points, 4, 4))
+    poses[:, :3, :3] = Rotation.from_rotvec(share[:, None] * turn).as_matrix() @ start[:3, :3]
+    poses[:, :3, 3] = start[:3, 3] + share[:, None] * (end[:3, 3] - start[:3, 3])
+    poses[:, 3, 3] = 1.0
+    return poses

@@ -1,0 +1,97 @@
+"""Where the mirror stands while it is controlled: the scheme of the paper's Fig 7 for one or many model vectors.
+
+The operational pose X is that of the mirror frame placed at the reflection point; with extrinsics eTt and wTf and the
+reflection point tPr in the mirror frame, a pose fX that is commanded in the fibre frame asks of the robot
+
+    wTe = wTf fX (eTt tTPr)^-1,    q = IGM(wTe).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cell.cell import Cell
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Frames of a model vector that a command in the fibre frame needs.
+
+    Attributes
+    ----------
+    fibre
+        wTf, shape (4, 4).
+    tool_in_point
+        (eTt tTPr)^-1: the tool in the mirror frame placed at the reflection point, shape (4, 4).
+    aligned
+        fX of the aligned pose, shape (4, 4): mirror normal against the light, Xt along Xf, the mirror point that
+        reflects at joint vector zero where it reflects there.
+    """
+
+    fibre: Floats
+    tool_in_point: Floats
+    aligned: Floats
+
+    @classmethod
+    def of(cls, cell: Cell, vector: Floats) -> "Placement":
+        """Frames of the model vector `vector` (model size,), in um and rad."""
+        home = np.zeros(len(cell.joints))
+        world, mirror = chain.reflection_point(cell, vector, home)
+        fibre = chain.fibre_in_world(vector)
+        point = chain.mirror_in_tool(vector) @ chain.translation(*mirror)
+        aligned = np.eye(4)
+        # The light leaves along -Yf, or along Zf in the literal reading of the paper's (13).
+        aligned[:3, :3] = chain.rot_x(-np.pi / 2 if cell.optical_axis == "minus-y" else np.pi)[:3, :3]
+        aligned[:3, 3] = fibre[:3, :3].T @ (world - fibre[:3, 3])
+        return cls(fibre, _inverse(point), aligned)
+
+    def moved(self, offsets: Floats) -> Floats:
+        """Poses fX away from the aligned one.
+
+        Parameters
+        ----------
+        offsets
+            Shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y, then
+            Z axis through the reflection point.
+
+        Returns
+        -------
+        ndarray
+            Shape (n, 4, 4).
+        """
+        poses = np.zeros((len(offsets), 4, 4))
+        poses[:, :3, :3] = turns(offsets[:, 3:]) @ self.aligned[:3, :3]
+        poses[:, :3, 3] = self.aligned[:3, 3] + offsets[:, :3]
+        poses[:, 3, 3] = 1.0
+        return poses
+
+    def tool_poses(self, poses: Floats) -> Floats:
+        """Tool frames wTe of poses fX (..., 4, 4); same shape."""
+        result: Floats = self.fibre @ poses @ self.tool_in_point
+        return result
+
+    def mirror_poses(self, tools: Floats) -> Floats:
+        """Poses fX of tool frames wTe (..., 4, 4); same shape."""
+        result: Floats = _inverse(self.fibre) @ tools @ _inverse(self.tool_in_point)
+        return result
+
+
+def turns(angles: Floats) -> Floats:
+    """Rotations Rz(c) Ry(b) Rx(a) of `angles` (n, 3) in rad: about fixed axes, X first; shape (n, 3, 3)."""
+    ca, cb, cc = np.cos(angles).T
+    sa, sb, sc = np.sin(angles).T
+    rows = [
+        [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
+        [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
+        [-sb, cb * sa, cb * ca],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), -1, 0))
+
+
+def _inverse(transform: Floats) -> Floats:
+    result = np.eye(4)
+    result[:3, :3] = transform[:3, :3].T
+    result[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
+    return result

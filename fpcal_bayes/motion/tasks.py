@@ -1,0 +1,225 @@
+"""Tasks: the paths that a calibrated robot is judged on, and a user's own."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.task_paths import read_path
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.inverse import InverseModel
+from fpcal_bayes.motion.placement import Placement
+
+TASKS: tuple[str, ...] = ("circle", "line-x", "line-z", "tilt-x", "tilt-z", "spin")
+
+#: Half the length of the lines in um, half the tilt and the farthest spin in rad.
+HALF_LINE = 150.0
+HALF_TILT = float(np.radians(3.0))
+FARTHEST_SPIN = float(np.radians(90.0))
+#: Steps in which a spin looks for the first joint limit, and how closely it is found, in rad.
+_SPIN_STEP, _SPIN_GOAL = float(np.radians(1.0)), 1e-9
+
+
+@dataclass(frozen=True)
+class Task:
+    """A commanded path, and the joint path that a model vector makes of it.
+
+    Attributes
+    ----------
+    name
+        One of `TASKS`, or the name of a path file.
+    cell
+        Whose joints follow the path.
+    offsets
+        Commanded moves away from the aligned pose, shape (n_points, 6), in um and rad (see `Placement.moved`).
+    poses
+        Commanded poses fX of the mirror frame at the reflection point, in the fibre frame, shape (n_points, 4, 4).
+    q
+        Joint path, shape (n_points, n_joints), in um and rad; NaN where a pose is out of reach, beyond a limit where
+        it is saturated: drive to points whose status is ``ok`` only.
+    status
+        Of each point: ``ok`` or the reason why it cannot be driven to, shape (n_points,).
+    start
+        Joint vector of the aligned pose, from which the changes of cavity length are counted, shape (n_joints,).
+    along
+        Where each point stands on the path, shape (n_points,), in `unit`.
+    unit
+        ``um`` or ``deg``, or ``point`` for a user's path.
+    """
+
+    name: str
+    cell: Cell
+    offsets: Floats
+    poses: Floats
+    q: Floats
+    status: NDArray[np.str_]
+    start: Floats
+    along: Floats
+    unit: str
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Whether each point can be driven to, shape (n_points,)."""
+        good: NDArray[np.bool_] = self.status == "ok"
+        return good
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """Whether the model gives joint values for each point, inside the limits or not, shape (n_points,)."""
+        return np.isfinite(self.q).all(axis=1)
+
+    def driven(self) -> "Task":
+        """The same task at the points that can be driven to.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if not self.ok.any():
+            raise InputError(f"task {self.name!r}: no point can be driven to; point 1: {self.status[0]}")
+        return self.take(self.ok)
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Task":
+        """The same task at some of its points, shape (n_points,)."""
+        return replace(
+            self,
+            offsets=self.offsets[chosen],
+            poses=self.poses[chosen],
+            q=self.q[chosen],
+            status=self.status[chosen],
+            along=self.along[chosen],
+        )
+
+
+def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
+    """A task as a joint path.
+
+    All tasks start from the aligned pose, q0: mirror normal Zt along +Yf, Xt along Xf, and the mirror point that
+    reflects at joint vector zero, tPr, where it reflects there, wPr. ``circle`` translates around wPr in the mirror
+    plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
+    about Xf and Zf through wPr; ``spin`` turns about Yf through wPr, to either side until a joint limit or 90 deg.
+
+    Parameters
+    ----------
+    cell
+        A cell with six joints.
+    vector
+        Model vector that the joint path is found with, shape (model size,), in um and rad.
+    name
+        One of `TASKS`.
+    radius
+        Of the circle, in um.
+    n_points
+        Points of the path, both ends included; the circle ends where it starts.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the radius is not above zero, there are fewer than two points, or the aligned pose
+        that a spin starts from cannot be reached.
+    """
+    if name not in TASKS:
+        raise InputError(f"unknown task {name!r}: expected one of {', '.join(TASKS)}, or the name of a path CSV")
+    if not (np.isfinite(radius) and radius > 0):
+        raise InputError(f"radius {radius:g} um: expected a number above zero")
+    if n_points < 2:
+        raise InputError(f"task {name!r} with {n_points} points: expected at least two")
+    placement, offsets = Placement.of(cell, vector), np.zeros((n_points, 6))
+    if name == "circle":
+        phase = np.linspace(0.0, 2.0 * np.pi, n_points)
+        offsets[:, 0], offsets[:, 2] = radius * np.cos(phase), radius * np.sin(phase)
+        return _follow(cell, vector, placement, name, offsets, np.degrees(phase), "deg")
+    if name.startswith("line"):
+        along = np.linspace(-HALF_LINE, HALF_LINE, n_points)
+        offsets[:, 0 if name == "line-x" else 2] = along
+        return _follow(cell, vector, placement, name, offsets, along, "um")
+    if name.startswith("tilt"):
+        angle = np.linspace(-HALF_TILT, HALF_TILT, n_points)
+    else:
+        first, last = (_spin_end(cell, vector, placement, side) for side in (-1.0, 1.0))
+        angle = np.linspace(first, last, n_points)
+    offsets[:, {"tilt-x": 3, "spin": 4, "tilt-z": 5}[name]] = angle
+    return _follow(cell, vector, placement, name, offsets, np.degrees(angle), "deg")
+
+
+def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
+    """A user's path as a task.
+
+    Parameters
+    ----------
+    path
+        CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
+        turns in the order x, y, z about axes through wPr.
+
+    Raises
+    ------
+    InputError
+        If the file is not as documented or has fewer than two rows.
+    """
+    offsets = read_path(path)
+    placement = Placement.of(cell, vector)
+    return _follow(cell, vector, placement, Path(path).name, offsets, np.arange(1.0, len(offsets) + 1.0), "point")
+
+
+def find_task(cell: Cell, vector: Floats, task: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
+    """A task by name, or a user's path by file name; as `task_path` and `user_path`."""
+    if task in TASKS or not task.lower().endswith(".csv"):
+        return task_path(cell, vector, task, radius=radius, n_points=n_points)
+    return user_path(cell, vector, task)
+
+
+def follow_offsets(cell: Cell, vector: Floats, name: str, offsets: Floats) -> Task:
+    """Moves `offsets` (n_points, 6) away from the aligned pose, in um and rad, as a task (see `Placement.moved`)."""
+    along = np.arange(1.0, len(offsets) + 1.0)
+    return _follow(cell, vector, Placement.of(cell, vector), name, offsets, along, "point")
+
+
+def _follow(
+    cell: Cell, vector: Floats, placement: Placement, name: str, offsets: Floats, along: Floats, unit: str
+) -> Task:
+    inverse, zero = InverseModel(cell), np.zeros(len(cell.joints))
+    first = inverse.solve(vector, placement.tool_poses(placement.aligned), near=zero)
+    poses = placement.moved(offsets)
+    found = inverse.solve(vector, placement.tool_poses(poses), near=zero, follow=True)
+    return Task(name, cell, offsets, poses, found.q, found.texts(), first.q, along, unit)
+
+
+def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> float:
+    """The farthest angle about Yf, in rad, up to which every pose on the way can be reached."""
+    inverse = InverseModel(cell)
+
+    def reached(angles: Floats) -> NDArray[np.bool_]:
+        offsets = np.zeros((len(angles), 6))
+        offsets[:, 4] = side * angles
+        tools = placement.tool_poses(placement.moved(offsets))
+        found = inverse.solve(vector, tools, near=np.zeros(len(cell.joints)), follow=True)
+        # A joint a rounding error beyond its limit is ok elsewhere; a path that seeks the limit ends inside it.
+        good: NDArray[np.bool_] = found.ok & ((found.q >= cell.low) & (found.q <= cell.high)).all(axis=1)
+        if angles[0] == 0.0 and not good[0]:
+            if not found.ok[0]:
+                raise InputError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
+            good[0] = True
+        return good
+
+    steps = np.linspace(0.0, FARTHEST_SPIN, round(FARTHEST_SPIN / _SPIN_STEP) + 1)
+    good = reached(steps)
+    if good.all():
+        return side * FARTHEST_SPIN
+    first_bad = int(np.argmin(good))
+    inside, outside = float(steps[first_bad - 1]), float(steps[first_bad])
+    while outside - inside > _SPIN_GOAL:
+        between = np.linspace(inside, outside, 18)[1:-1]
+        good = reached(between)
+        place = len(good) if good.all() else int(np.argmin(good))
+        inside, outside = (
+            float(between[place - 1]) if place > 0 else inside,
+            float(between[place]) if place < len(good) else outside,
+        )
+    return side * inside

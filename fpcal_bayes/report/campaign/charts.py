@@ -1,0 +1,140 @@
+"""The log of a campaign's report: what was decided, what it gave, and how long each estimate held."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.analysis.campaign import CampaignFacts
+from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.report.campaign.words import shown_time
+from fpcal_bayes.report.table import Cell, PageTable, figure_of, table
+from fpcal_bayes.tracking.record import decisions_of
+
+#: Rows of the residual chart at most: the latest ones.
+_MOST_ROWS = 5000
+#: Digits that are shown.
+_DIGITS = 6
+
+
+def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
+    """Each parameter through time: filter with band, sessions alone, truth, alarms."""
+    assert facts.track is not None
+    hours = _increasing(found.hours)
+    at = [_after(found, time_h) for _, time_h, _ in found.stored]
+    alarms = [_after(found, time_h) for _, time_h, _ in found.alarms]
+    parameters = []
+    for i, parameter in enumerate(facts.track.drift.parameters):
+        mean, sd = found.mean[:, i], found.sd[:, i]
+        alone = np.full(len(hours), np.nan)
+        for place, (_, _, values) in zip(at, found.stored, strict=True):
+            if parameter.name in values:
+                alone[place] = values[parameter.name][0]
+        marked = np.full(len(hours), np.nan)
+        marked[alarms] = mean[alarms]
+        series = {
+            "filter": mean,
+            "low": mean - 2 * sd,
+            "high": mean + 2 * sd,
+            "session alone": alone,
+            "alarm": marked,
+        }
+        if found.truth is not None:
+            series["truth"] = found.truth[:, i]
+        parameters.append(
+            {
+                "name": f"{parameter.name} [{parameter.unit}]",
+                "series": {name: _numbers(values) for name, values in series.items() if np.isfinite(values).any()},
+            }
+        )
+    return {"hours": _numbers(hours, 9), "now": facts.now_h, "parameters": parameters}
+
+
+def outlook_chart(facts: CampaignFacts, found: Outlooks) -> dict[str, Any]:
+    """The error of the worst task through time, in nm."""
+    series = {"median": found.median, "low": found.low, "high": found.high}
+    return {
+        "hours": _numbers(_increasing(found.hours), 9),
+        "now": facts.now_h,
+        "tolerance": 1e3 * facts.goal.tolerance,
+        "series": {name: _numbers(1e3 * values) for name, values in series.items()},
+        "risk": _numbers(found.risk, 4),
+    }
+
+
+def residual_chart(parts: list[SessionResiduals]) -> dict[str, Any]:
+    """Residuals of the rows of all sessions, one after the other, with their names."""
+    names = [f"{part.session}: {label}" for part in parts for label in part.labels][-_MOST_ROWS:]
+    values = np.concatenate([part.values for part in parts])[-_MOST_ROWS:]
+    return {"names": names, "values": _numbers(values, 4)}
+
+
+def _increasing(hours: Floats) -> Floats:
+    """The times with ties apart by a second, as a chart wants them."""
+    apart = hours.copy()
+    for i in range(1, len(apart)):
+        apart[i] = max(apart[i], apart[i - 1] + 1.0 / 3600.0)
+    return apart
+
+
+def _numbers(values: Iterable[float], digits: int = _DIGITS) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
+
+
+def _after(found: History, time_h: float) -> int:
+    """Position on the grid just after a session."""
+    return max(0, int(np.searchsorted(found.hours, time_h, side="right")) - 1)
+
+
+#: A session this much after the end of the hold still comes in time.
+_SLACK_H = 0.1
+_DONE = {"hold": "held", "extrinsic": "re-identified", "full": "recalibrated"}
+
+
+def log_table(facts: CampaignFacts) -> PageTable | None:
+    """A line a session: the saved decision that led to it, until when its estimate held, and what the tests say.
+
+    None where the sessions cannot be followed, or the tasks cannot be judged.
+    """
+    if facts.track is None or facts.forecast is None:
+        return None
+    decided = _decided(facts)
+    rows, outcomes, forecast = [], facts.track.outcomes, facts.forecast
+    for i, outcome in enumerate(outcomes):
+        last = i + 1 == len(outcomes)
+        until = facts.now_h if last else outcomes[i + 1].time_h
+        horizon = max(until - outcome.time_h, facts.costs.horizon_h)
+        held = forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
+        at_least = "at least " if held >= horizon else ""
+        rows.append(
+            [
+                Cell(outcome.session),
+                figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
+                *([Cell(decided.get(outcome.session, ""))] if decided else []),
+                figure_of(held, f"{at_least}{held:.1f} h"),
+                _next(until - outcome.time_h - held, last=last),
+                Cell("; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report"),
+            ]
+        )
+    decision = ["decision before it"] if decided else []
+    columns = ("session", "time", *decision, "estimate good for", "next session", "evidence and warnings")
+    return table("Log", columns, rows, (0, *([2] if decided else []), len(columns) - 2, len(columns) - 1))
+
+
+def _next(late: float, *, last: bool) -> Cell:
+    """Whether the next session, or the present after the last one, comes before the hold has ended."""
+    if late <= _SLACK_H:
+        return Cell("latest" if last else "in time", f"{late:.6g}", "good")
+    return Cell(f"overdue by {late:.1f} h" if last else f"{late:.1f} h late", f"{late:.6g}", "caution")
+
+
+def _decided(facts: CampaignFacts) -> dict[str, str]:
+    """The decisions that the file holds, in words, by the session that followed."""
+    if facts.campaign is None or facts.campaign.track is None:
+        return {}
+    found = {}
+    for entry in decisions_of(facts.campaign.track):
+        action, reason = str(entry.get("action", "")), str(entry.get("reason", ""))
+        found[str(entry.get("session", ""))] = f"{_DONE.get(action, action)}: {reason}"
+    return found

@@ -1,0 +1,190 @@
+"""Figures of a campaign's report, as SVG text."""
+
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.analysis.campaign import CampaignFacts
+from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.report.svg import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
+
+_MOST_SESSIONS, _MOST_LABELS = 6, 80
+_HOURS_PER_DAY = 24.0
+
+
+def task_figure(facts: CampaignFacts) -> str:
+    """The 95 % band of each task's error along its path, with the tolerance."""
+    drawn = [outlook for outlook in facts.tasks if outlook.prediction is not None]
+    n_rows = -(-len(drawn) // 3)
+    if not drawn:
+        return ""
+    with svg_figure(9.6, 0.6 + 2.3 * n_rows) as (figure, svg):
+        axes = figure.subplots(n_rows, 3, squeeze=False).ravel()
+        for axis in axes[len(drawn) :]:
+            axis.remove()
+        half = 1e3 * facts.goal.tolerance / 2
+        for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=False)):
+            found = outlook.prediction
+            assert found is not None
+            low, high = 1e3 * found.band()
+            axis.fill_between(found.task.along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
+            axis.plot(found.task.along, 1e3 * found.errors[0], color=BLUE, linewidth=0.9, label="one possible error")
+            label = f"tolerance, {2 * half:g} nm peak to peak"
+            axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
+            axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
+            most = 1.15 * max(half, float(np.abs([low, high]).max()))
+            axis.set_ylim(-most, most)
+            axis.set_title(
+                drawable(outlook.name) + (" (to be held)" if outlook.asked else ""), fontsize=9, parse_math=False
+            )
+            axis.set_xlabel(f"along the path [{found.task.unit}]")
+            if i % 3 == 0:
+                axis.set_ylabel("error of cavity length [nm]")
+            axis.grid(alpha=0.3)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    return svg[0]
+
+
+def outlook_figure(facts: CampaignFacts, found: Outlooks) -> str:
+    """Error of the worst task through time: it grows between sessions and falls at each."""
+    with svg_figure(9.6, 3.4) as (figure, svg):
+        axis = figure.subplots()
+        days = found.hours / _HOURS_PER_DAY
+        axis.fill_between(
+            days, 1e3 * found.low, 1e3 * found.high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band"
+        )
+        axis.plot(days, 1e3 * found.median, color=BLUE, label="median")
+        tolerance = 1e3 * facts.goal.tolerance
+        axis.axhline(tolerance, color=VERMILION, linestyle="--", linewidth=1, label=f"tolerance {tolerance:g} nm")
+        axis.axvline(facts.now_h / _HOURS_PER_DAY, color="black", linestyle=":", linewidth=1, label="now")
+        axis.set_yscale("log")
+        # What is far below the tolerance needs no room.
+        axis.set_ylim(bottom=min(tolerance / 50, 1e3 * float(found.median.min()) / 2))
+        axis.set_xlabel("time [days]")
+        axis.set_ylabel("peak to peak of the\nworst task [nm]")
+        axis.grid(alpha=0.3)
+        figure.legend(loc="outside upper center", ncols=4, frameon=False)
+    return svg[0]
+
+
+def drift_figure(facts: CampaignFacts, found: History) -> str:
+    """The parameters of mirror and fibre through time."""
+    assert facts.track is not None
+    parameters = facts.track.drift.parameters
+    chosen = [i for i, parameter in enumerate(parameters) if parameter.kind == "extrinsic"]
+    n_rows = -(-len(chosen) // 2)
+    with svg_figure(9.6, 0.7 + 2.0 * n_rows) as (figure, svg):
+        axes = figure.subplots(n_rows, 2, squeeze=False, sharex=True).ravel()
+        for axis in axes[len(chosen) :]:
+            axis.remove()
+        for axis, i in zip(axes, chosen, strict=False):
+            _draw_track(axis, facts, found, i)
+            axis.set_ylabel(f"{parameters[i].name} [{parameters[i].unit}]")
+        for axis in axes[max(0, len(chosen) - 2) : len(chosen)]:
+            axis.set_xlabel("time [days]")
+            axis.tick_params(labelbottom=True)
+        handles: dict[str, Any] = {}
+        for axis in axes[: len(chosen)]:
+            handles |= {text: handle for handle, text in zip(*axis.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4, frameon=False)
+    return svg[0]
+
+
+def _draw_track(axis: Any, facts: CampaignFacts, found: History, i: int) -> None:
+    assert facts.track is not None
+    name = facts.track.drift.parameters[i].name
+    days, mean, sd = found.hours / _HOURS_PER_DAY, found.mean[:, i], found.sd[:, i]
+    axis.fill_between(days, mean - 2 * sd, mean + 2 * sd, color=BLUE, alpha=0.2, linewidth=0, label="filter, 2 sd")
+    axis.plot(days, mean, color=BLUE, linewidth=1)
+    smooth_days = found.smooth_hours / _HOURS_PER_DAY
+    axis.plot(smooth_days, found.smooth_mean[:, i], color=ORANGE, linestyle="--", linewidth=1.2, label="smoothed")
+    points = [(time_h, *values[name]) for _, time_h, values in found.stored if name in values]
+    if points:
+        hours, values, sds = np.array(points).T
+        axis.errorbar(
+            hours / _HOURS_PER_DAY, values, 2 * sds, fmt="s", color=GREY, markersize=3, capsize=2, linewidth=0.8,
+            label="session alone, 2 sd",
+        )  # fmt: skip
+    if found.truth is not None and np.isfinite(found.truth[:, i]).any():
+        axis.plot(days, found.truth[:, i], color="black", linewidth=1, linestyle=":", label="truth (simulated)")
+    for n, (_, time_h, _) in enumerate(found.alarms):
+        axis.axvline(time_h / _HOURS_PER_DAY, color=VERMILION, linewidth=1, label="alarm" if n == 0 else None)
+    axis.axvline(facts.now_h / _HOURS_PER_DAY, color="black", linestyle=":", linewidth=0.8)
+    # A session that is far off must not flatten the others.
+    low, high = np.min(mean - 2.6 * sd), np.max(mean + 2.6 * sd)
+    axis.set_ylim(low, high)
+    axis.grid(alpha=0.3)
+
+
+def residual_figure(parts: list[SessionResiduals], alarmed: set[str]) -> str:
+    """Residuals of each row, a panel a session: the first, those with an alarm, and the latest."""
+    chosen = _chosen(parts, alarmed)
+    with svg_figure(9.6, 0.5 + 1.75 * len(chosen)) as (figure, svg):
+        axes = figure.subplots(len(chosen), 1, squeeze=False).ravel()
+        for axis, part in zip(axes, chosen, strict=True):
+            place, outside = np.arange(len(part.values)), np.abs(part.values) > 3
+            axis.axhspan(-2, 2, color=BLUE, alpha=0.12, linewidth=0)
+            axis.axhline(0, color=GREY, linewidth=0.8)
+            axis.plot(place[~outside], part.values[~outside], "o", color="black", markersize=3)
+            axis.plot(place[outside], part.values[outside], "D", color=VERMILION, markersize=4)
+            axis.set_ylim(-1.15 * max(3.2, np.abs(part.values).max()), 1.15 * max(3.2, np.abs(part.values).max()))
+            axis.set_xlim(-1, len(place))
+            axis.set_ylabel(f"{drawable(part.session)}\n[sigma]", parse_math=False)
+            axis.grid(axis="y", alpha=0.3)
+            axis.tick_params(labelbottom=False)
+        last = chosen[-1]
+        if len(last.labels) <= _MOST_LABELS:
+            labels = [drawable(label) for label in last.labels]
+            axes[-1].set_xticks(np.arange(len(labels)), labels, rotation=90, fontsize=6.5, parse_math=False)
+        axes[-1].tick_params(labelbottom=True)
+        axes[-1].set_xlabel("sweep, in the order of the file")
+    return svg[0]
+
+
+def _chosen(parts: list[SessionResiduals], alarmed: set[str]) -> list[SessionResiduals]:
+    if len(parts) <= _MOST_SESSIONS:
+        return parts
+    wanted = [0, *(i for i, part in enumerate(parts) if part.session in alarmed)][: _MOST_SESSIONS - 2]
+    wanted += [len(parts) - 2, len(parts) - 1]
+    return [parts[i] for i in sorted(set(wanted))]
+
+
+def posterior_figure(facts: CampaignFacts) -> str:
+    """Intervals of prior, draws and normal approximation of each parameter, in prior standard deviations."""
+    found, first = facts.posterior, facts.observability.identification
+    assert found is not None
+    assert first is not None
+    parameters = found.parameters
+    scale = parameters.to_shown(parameters.prior_sd)
+    centre = parameters.to_shown(parameters.nominal)
+    n = len(parameters)
+    with svg_figure(7.2, 1.0 + 0.26 * n) as (figure, svg):
+        axis = figure.subplots()
+        place = np.arange(n)
+        draws = (found.draws.reshape(-1, n) - centre) / scale
+        prior = (found.prior - centre) / scale
+        shown = first.estimate.shown()
+        laplace = np.array([(shown[p.name]["value"], shown[p.name]["sd"]) for p in parameters])
+        values, sds = (laplace[:, 0] - centre) / scale, laplace[:, 1] / scale
+        styles = (
+            (np.quantile(prior, [0.025, 0.5, 0.975], axis=0), GREY, 5.0, 0.25, "prior", 0.0),
+            (
+                np.array([values - 1.96 * sds, values, values + 1.96 * sds]),
+                ORANGE,
+                1.2,
+                1.0,
+                "normal approximation",
+                0.18,
+            ),
+            (np.quantile(draws, [0.025, 0.5, 0.975], axis=0), BLUE, 2.2, 1.0, "posterior draws", -0.18),
+        )
+        for edges, colour, width, alpha, label, shift in styles:
+            axis.hlines(place + shift, edges[0], edges[2], color=colour, linewidth=width, alpha=alpha, label=label)
+            if label != "prior":
+                axis.plot(edges[1], place + shift, "o" if shift < 0 else "|", color=colour, markersize=3.5)
+        axis.set_yticks(place, parameters.names)
+        axis.set_ylim(n - 0.4, -0.6)
+        axis.set_xlabel("95 % interval, from nominal [prior sd]")
+        axis.grid(axis="x", alpha=0.3)
+        figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return svg[0]

@@ -1,0 +1,156 @@
+"""The report of a campaign: one page that needs nothing else."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from fpcal_bayes.analysis.campaign import CampaignFacts, gather
+from fpcal_bayes.analysis.history import history, outlooks, residuals
+from fpcal_bayes.core.files import write_text
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report import observe as observe_words
+from fpcal_bayes.report import observe_figures
+from fpcal_bayes.report.campaign import charts as data
+from fpcal_bayes.report.campaign import figures, words
+from fpcal_bayes.report.campaign.charts import log_table
+from fpcal_bayes.report.table import Cell as Entry
+from fpcal_bayes.report.table import PageTable, of_text, table
+from fpcal_bayes.report.track import sweep_table
+
+
+def write_campaign_report(
+    file: str | Path,
+    cell: Cell,
+    output: str | Path,
+    *,
+    goal: Goal | None = None,
+    now: str | None = None,
+    posterior: str | Path | None = None,
+    command: str = "",
+) -> CampaignFacts:
+    """Write the report of a campaign as one HTML file; the same input gives the same bytes.
+
+    Parameters
+    ----------
+    file
+        Campaign (HDF5) or CSV of measured sweeps; its first session calibrates.
+    cell
+        The cell that was measured.
+    output
+        The HTML file, replaced if it is there.
+    goal
+        What must be held; by default a circle of 100 um radius within 50 nm.
+    now
+        Time that the report is for, as in `gather`.
+    posterior
+        Draws of the calibration's posterior (.nc), or None.
+    command
+        For the provenance.
+
+    Returns
+    -------
+    CampaignFacts
+        What the report says.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used or the page cannot be written.
+    """
+    facts = gather(file, cell, goal=goal, now=now, posterior=posterior, command=command)
+    write_text(Path(output), campaign_html(facts))
+    return facts
+
+
+def campaign_html(facts: CampaignFacts) -> str:
+    """The page as text."""
+    environment = Environment(
+        loader=PackageLoader("fpcal_bayes.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    seen = facts.observability
+    track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
+    alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
+    drawn = {
+        "tasks": figures.task_figure(facts),
+        "outlook": "" if outlook is None else figures.outlook_figure(facts, outlook),
+        "drift": "" if track is None else figures.drift_figure(facts, track),
+        "spectrum": observe_figures.spectrum_figure(seen),
+        "contraction": observe_figures.contraction_figure(seen),
+        "correlation": observe_figures.correlation_figure(seen),
+        "residuals": figures.residual_figure(rows, alarmed),
+        "posterior": "" if facts.posterior is None else figures.posterior_figure(facts),
+    }
+    charts = {
+        "track": None if track is None else data.track_chart(facts, track),
+        "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
+        "residuals": data.residual_chart(rows),
+    }
+    flat = [(part.session, label, float(v)) for part in rows for label, v in zip(part.labels, part.values, strict=True)]
+    return environment.get_template("campaign.html").render(
+        file=facts.file,
+        cell=facts.cell,
+        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows",
+        style=Markup(_vendored("uPlot.min.css") + _template("campaign.css")),
+        scripts=Markup(_vendored("sortable.auto.min.js") + _vendored("uPlot.iife.min.js") + _template("campaign.js")),
+        data=charts,
+        verdict=words.verdict(facts),
+        level=f"{100 * facts.goal.level:g} %",
+        warnings=_warnings(facts),
+        tasks=words.task_table(facts),
+        measured=words.measured_sentence(facts),
+        sessions=words.session_table(facts),
+        track_reason=facts.track_reason,
+        decision_reason=facts.decision_reason,
+        log=log_table(facts),
+        parameters=words.parameter_table(facts),
+        headline=observe_words.headline(seen),
+        gauges=[(observe_words.gauge_sentence(g), observe_words.gauge_direction(g, seen)) for g in seen.gauges],
+        blocks=of_text(observe_words.block_table(seen), "Parts of the sweeps, and additions"),
+        posterior=words.posterior_table(facts),
+        posterior_sentence=words.posterior_sentence(facts),
+        worst=words.residual_table(flat),
+        budget=None if facts.budget is None else words.budget_table(facts.budget),
+        budget_sentence=words.budget_sentence(facts),
+        budget_reason=facts.budget_reason,
+        provenance=words.provenance(facts),
+        # Drawn here, and their texts escaped by the SVG writer.
+        figures={name: Markup(svg) for name, svg in drawn.items()},
+        **_next_sweeps(facts),
+    )
+
+
+def _warnings(facts: CampaignFacts) -> list[str]:
+    """What speaks against trusting the page, each sentence once."""
+    found = list(facts.observability.warnings)
+    if facts.track is not None:
+        found += [f"{o.session}: {w}" for o in facts.track.outcomes[1:] for w in (*o.evidence, *o.warnings)]
+    return list(dict.fromkeys(found))
+
+
+def _next_sweeps(facts: CampaignFacts) -> dict[str, Any]:
+    """The sweeps that are recommended now, if any."""
+    decision = facts.decision
+    if decision is None or decision.sweeps is None or decision.action == "hold":
+        return {"next_sweeps": None, "next_title": ""}
+    columns = sweep_table(decision.sweeps, facts.cell).columns
+    rows = zip(*(map(str, column.cells) for column in columns), strict=True)
+    heads = [str(column.header) for column in columns]
+    content: PageTable = table("Recommended sweeps", heads, [[Entry(text) for text in row] for row in rows], (0, 1))
+    return {"next_sweeps": content, "next_title": f"To be measured now, about {decision.minutes:.0f} min:"}
+
+
+def _vendored(name: str) -> str:
+    return files("fpcal_bayes.report").joinpath("vendor", name).read_text(encoding="utf-8") + "\n"
+
+
+def _template(name: str) -> str:
+    return files("fpcal_bayes.report").joinpath("templates", name).read_text(encoding="utf-8")

@@ -1,0 +1,320 @@
+"""An observability analysis as one page that needs nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from rich.console import Console
+from rich.markup import escape
+
+from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE
+from fpcal_bayes.infer.observability.gauges import Gauge
+from fpcal_bayes.infer.observability.information import REDUNDANT_BITS
+from fpcal_bayes.infer.observability.observe import Observability
+from fpcal_bayes.infer.observability.profile import Profile
+from fpcal_bayes.report import observe as words
+from fpcal_bayes.report import observe_figures as figures
+from fpcal_bayes.report.fit import STATUS_STYLES, number, plain_table
+
+_MOST_NAMED = 10
+_MOST_CANDIDATES = 5
+_MOST_SWEEPS = 8
+_LEAST_CORRELATION = 0.3
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Rows of text under column heads; the first `n_text` columns hold words, the others numbers."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    n_text: int = 1
+
+
+def headline(result: Observability) -> list[str]:
+    """How many combinations are seen, how clearly, and at which point this was found."""
+    spectrum, n = result.spectrum, len(result.parameters)
+    if spectrum.rank == n:
+        sentence = f"All {n} combinations are seen"
+    else:
+        gap = "nothing" if spectrum.gap == np.inf else f"10^{np.log10(spectrum.gap):.0f}"
+        clear = "a clear gap" if spectrum.gap >= 1e3 else "NO clear gap"
+        sentence = f"{spectrum.rank} of {n} combinations are seen; {clear} of {gap} sets them off from the others"
+        if spectrum.gap == np.inf:
+            sentence = f"{spectrum.rank} of {n} combinations are seen; the others leave no trace at all"
+    if spectrum.rank:
+        sentence += f"; condition number of the seen ones {result.indices.condition:.3g}"
+    counts = [f"{sum(s == kind for s in result.status)} {kind}" for kind in ("identified", "weak", "gauge")]
+    where = (
+        f"Linearised at {len(result.ranks)} draws of the prior (a plan: standard deviations are those to be expected)."
+        if result.identification is None
+        else "Linearised at the maximum of the posterior of the measured sweeps."
+    )
+    if len(set(result.ranks)) > 1:
+        where += f" The rank differs between the draws: {min(result.ranks)} to {max(result.ranks)}."
+    return [
+        sentence + ".",
+        f"Parameters: {', '.join(counts)}. A gauge stands by more than {100 * GAUGE_SHARE:.0f} % in directions that "
+        f"nothing sees; weak means that more than {100 * result.weak_share:g} % of the prior variance is left.",
+        f"{len(result.sweeps)} rows, {len(result.information.labels)} sweeps; path model {result.cell.opd}. {where}",
+    ]
+
+
+def parameter_table(result: Observability) -> TextTable:
+    """Each parameter: value if measured, standard deviations, contraction, status, strongest correlations."""
+    measured = result.identification is not None
+    parameters = result.parameters
+    values = parameters.to_shown(result.values)
+    sds = parameters.to_shown(np.sqrt(np.diag(result.covariance)) * parameters.prior_sd)
+    prior = parameters.to_shown(parameters.prior_sd)
+    rows = []
+    for i, parameter in enumerate(parameters):
+        strong = [(n, c) for n, c in result.strongest_correlations(parameter.name, 2) if abs(c) >= _LEAST_CORRELATION]
+        rows.append(
+            (
+                parameter.name,
+                parameter.unit,
+                result.status[i],
+                *([number(float(values[i]), float(sds[i]))] if measured else []),
+                number(float(sds[i]), float(sds[i])),
+                f"{prior[i]:g}",
+                percent(float(result.contraction[i])),
+                ", ".join(f"{name} {correlation:+.2f}" for name, correlation in strong),
+            )
+        )
+    sd = "sd" if measured else "expected sd"
+    columns = ("parameter", "unit", "status", *(["value"] if measured else []), sd, "prior sd", "contraction")
+    return TextTable((*columns, "strongest correlations"), tuple(rows), n_text=3)
+
+
+def percent(share: float) -> str:
+    """A share from 0 to 1 as a percentage; one and zero are kept for what is exact within rounding."""
+    if share > 0.9995:
+        return "> 99.9 %"
+    return f"{100 * max(share, 0.0):.1f} %"
+
+
+def gauge_sentence(gauge: Gauge) -> str:
+    """Cause and remedy of one unseen direction."""
+    none = "none, and none is needed: " if gauge.layer == "model" else ""
+    return f"{_capital(gauge.explanation)}. Remedy: {none}{gauge.remedy}."
+
+
+def gauge_direction(gauge: Gauge, result: Observability) -> str:
+    """How far each parameter moves along one unseen direction."""
+    moves = [
+        f"{name} {move:+.4g} {result.parameters[name].unit}"
+        for name, move in zip(gauge.parameters, gauge.direction, strict=True)
+    ]
+    return shortened(moves, 6)
+
+
+def base_sentence(result: Observability) -> str:
+    """What the base parameters are."""
+    if not result.base:
+        return "The data determine nothing, so there is no base parameter."
+    return (
+        f"The data determine these {len(result.base)} combinations and no others; a parameter that is regrouped into "
+        "others may be held at any value."
+    )
+
+
+def block_table(result: Observability) -> TextTable:
+    """Rank and observability indices of the sweeps, of their parts, and with additions."""
+    rows = []
+    for block in result.blocks:
+        seen = block.spectrum.rank > 0
+        rows.append(
+            (
+                block.name,
+                str(block.n_rows),
+                str(block.spectrum.rank),
+                f"{block.indices.condition:.3g}" if seen else "-",
+                *(f"{value:.3g}" for value in block.indices.content().values()),
+            )
+        )
+    return TextTable(("sweeps", "rows", "rank", "condition", "O1", "O2", "O3", "O4", "O5"), tuple(rows))
+
+
+def sweep_table(result: Observability) -> TextTable:
+    """The sweeps that tell most."""
+    information = result.information
+    order = np.argsort(-information.bits, kind="stable")[:_MOST_SWEEPS]
+    rows = tuple((information.labels[i], f"{information.bits[i]:.2f}", f"{information.leverage[i]:.2f}") for i in order)
+    return TextTable(("sweep", "bits lost without it", "leverage"), rows)
+
+
+def information_sentences(result: Observability) -> list[str]:
+    """What the sweeps tell together, which are redundant, which additions would tell most."""
+    information = result.information
+    total = float(information.cumulative_bits[-1])
+    sentences = [
+        f"Together the sweeps tell {total:.1f} bits: the volume of what is possible shrinks by a factor 2^{total:.0f}."
+    ]
+    redundant = information.redundant
+    if redundant:
+        sentences.append(
+            f"Each of {len(redundant)} sweeps could be left out alone at a loss of less than {REDUNDANT_BITS:g} bits: "
+            f"{shortened(redundant, _MOST_NAMED)}."
+        )
+    else:
+        sentences.append(f"No sweep is redundant: leaving out any one of them loses {REDUNDANT_BITS:g} bits or more.")
+    best = [f"{label} (+{bits:.2f} bits)" for label, bits in result.candidates[:_MOST_CANDIDATES]]
+    if best:
+        sentences.append(f"Best additions, each counted alone: {', '.join(best)}.")
+    return sentences
+
+
+def bounds_table(result: Observability) -> TextTable:
+    """Cramer-Rao bounds by what is identified; the others are taken as known exactly."""
+    columns, names = (
+        ["parameter", "unit"],
+        {"full": "all", "extrinsic": "extrinsic only", "intrinsic": "intrinsic only"},
+    )
+    chosen = [free for free in names if free in result.bounds]
+    for free in chosen:
+        columns += [names[free], "with prior"]
+    rows = []
+    for parameter in result.parameters:
+        cells = [parameter.name, parameter.unit]
+        for free in chosen:
+            parameters, bounds = result.bounds[free]
+            if parameter.name not in parameters:
+                cells += ["", ""]
+                continue
+            at, scale = parameters.position(parameter.name), parameter.shown(parameter.prior_sd)
+            unbiased, with_prior = float(bounds.unbiased[at]) * scale, float(bounds.with_prior[at]) * scale
+            cells += ["unbounded" if unbiased == np.inf else f"{unbiased:.3g}", f"{with_prior:.3g}"]
+        rows.append(tuple(cells))
+    return TextTable(tuple(columns), tuple(rows), n_text=2)
+
+
+def profile_sentence(profile: Profile, result: Observability) -> str:
+    """Shape and interval of one profile."""
+    parameter = result.parameters[profile.name]
+    low, high = parameter.shown(profile.low), parameter.shown(profile.high)
+    width = high - low if profile.shape == "finite" else np.nan
+    level = f"{100 * profile.level:g} %"
+    if profile.shape == "flat":
+        return f"{profile.name}: flat; the data bound it on neither side"
+    if profile.shape == "finite":
+        return (
+            f"{profile.name}: finite; {level} interval {number(low, width)} to {number(high, width)} {parameter.unit}"
+        )
+    side = f"at least {low:.6g}" if np.isfinite(low) else f"at most {high:.6g}"
+    return f"{profile.name}: one-sided; {level} bound: {side} {parameter.unit}"
+
+
+def shortened(names: Sequence[str], most: int) -> str:
+    """Names in a row, the first `most` of them."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _capital(sentence: str) -> str:
+    """The sentence with a capital, unless it begins with the name of a parameter."""
+    first = sentence.split(maxsplit=1)[0].rstrip(",")
+    return sentence if "_" in first else sentence[0].upper() + sentence[1:]
+
+
+def print_observability(result: Observability, title: str, out: Console) -> None:
+    """Print what sweeps can tell about a cell.
+
+    Parameters
+    ----------
+    title
+        What was analysed: file and session. Any text: nothing in it is taken as markup.
+    out
+        Where to print; a quiet console prints nothing.
+    """
+
+    def lines(*sentences: str) -> None:
+        for sentence in sentences:
+            out.print(sentence, markup=False, soft_wrap=True)
+
+    def table(heading: str, content: words.TextTable) -> None:
+        made = plain_table(heading, content.columns)
+        for i, column in enumerate(made.columns):
+            # Correlations are words at the end of a row.
+            wordy = i < content.n_text or content.columns[i] == "strongest correlations"
+            column.justify = "left" if wordy else "right"
+        for row in content.rows:
+            made.add_row(*(_styled(cell) for cell in row))
+        out.print(made)
+
+    lines(title, *words.headline(result), "")
+    table("Parameters", words.parameter_table(result))
+    lines("Directions that the data do not see")
+    for gauge in result.gauges:
+        lines(f"- {words.gauge_sentence(gauge)}", f"    moves: {words.gauge_direction(gauge, result)}")
+    if not result.gauges:
+        lines("- none")
+    lines("", "Base parameters", words.base_sentence(result))
+    lines(*(f"- {base}" for base in result.base), "")
+    table("What parts of the sweeps tell, and what additions would", words.block_table(result))
+    table("Sweeps that tell most", words.sweep_table(result))
+    lines(*words.information_sentences(result), "")
+    table("Cramer-Rao bounds: least standard deviations, by what is identified", words.bounds_table(result))
+    if result.profiles:
+        lines("Profile likelihoods")
+        lines(*(f"- {words.profile_sentence(profile, result)}" for profile in result.profiles), "")
+
+
+def _styled(cell: str) -> str:
+    style = STATUS_STYLES.get(cell)
+    return f"[{style}]{cell}[/{style}]" if style else escape(cell)
+
+
+def write_observe_html(result: Observability, title: str, path: Path) -> None:
+    """Write a page with text, tables and figures; the same analysis gives the same bytes.
+
+    Parameters
+    ----------
+    title
+        What was analysed: file and session. Any text: it is escaped.
+    path
+        Of the HTML file.
+    """
+    write_text(path, observe_html(result, title))
+
+
+def observe_html(result: Observability, title: str) -> str:
+    """The page as text."""
+    environment = Environment(
+        loader=PackageLoader("fpcal_bayes.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    drawn = {
+        "spectrum": figures.spectrum_figure(result),
+        "contraction": figures.contraction_figure(result),
+        "correlation": figures.correlation_figure(result),
+        "information": figures.information_figure(result),
+        "profiles": figures.profile_figure(result) if result.profiles else "",
+    }
+    return environment.get_template("observe.html").render(
+        title=title,
+        version=__version__,
+        cell=result.cell,
+        headline=words.headline(result),
+        warnings=result.warnings,
+        parameters=words.parameter_table(result),
+        gauges=[(words.gauge_sentence(g), words.gauge_direction(g, result)) for g in result.gauges],
+        base=words.base_sentence(result),
+        base_parameters=[str(base) for base in result.base],
+        blocks=words.block_table(result),
+        sweeps=words.sweep_table(result),
+        information=words.information_sentences(result),
+        bounds=words.bounds_table(result),
+        profiles=[words.profile_sentence(profile, result) for profile in result.profiles],
+        # Drawn here, and their texts escaped by the SVG writer.
+        figures={name: Markup(svg) for name, svg in drawn.items()},
+    )

@@ -1,0 +1,342 @@
+"""The table of a model comparison."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from rich.table import Table
+
+from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
+from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut
+from fpcal_bayes.infer.posterior.netcdf import summarise
+from fpcal_bayes.infer.posterior.sample import Posterior
+from fpcal_bayes.report.fit import number, plain_table
+from fpcal_bayes.report.week import save_figure
+
+# Okabe and Ito's colours, told apart by colour-blind readers; posterior and prior differ in line style too.
+_BLUE, _ORANGE, _GREEN, _VERMILION, _GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
+_SETTINGS: dict[Any, Any] = {
+    "axes.prop_cycle": cycler(color=[_BLUE, _ORANGE, _GREEN, _VERMILION]),
+    "axes.axisbelow": True,
+    "font.size": 9,
+}
+#: Draws that a figure shows at most, of an ensemble or altogether; evenly spaced ones of longer runs.
+_SHOWN_DRAWS, _FEWEST_DRAWS = 500, 20
+_PAIR_DRAWS = 8000
+_CHOSEN_PAIRS = 5
+_MOST_LABELS = 80
+_N_COLUMNS = 4
+
+
+def write_posterior_figures(
+    tree: Any, loo: LeaveOneOut, folder: Path, *, pairs: Sequence[str] | None = None
+) -> list[Path]:
+    """Draw a posterior: ranks, prior against posterior, pairs, residuals, Pareto k.
+
+    Parameters
+    ----------
+    tree
+        DataTree as `fpcal_bayes.infer.posterior.netcdf.data_tree` builds it.
+    loo
+        Leave-one-out of the same posterior.
+    folder
+        Made if it is not there; files of the same names are replaced.
+    pairs
+        Parameters of the pair plot; by default the most correlated ones.
+
+    Returns
+    -------
+    list of Path
+        The PNG files.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    make_folder(folder)
+    names = most_correlated(tree) if pairs is None else list(pairs)
+    drawn: dict[str, Callable[[], Figure]] = {
+        "ranks": lambda: rank_figure(tree),
+        "prior-posterior": lambda: prior_posterior_figure(tree),
+        "residuals": lambda: residual_figure(tree),
+        "pareto-k": lambda: pareto_k_figure(tree, loo),
+    }
+    if len(names) > 1:
+        drawn["pairs"] = lambda: pair_figure(tree, names)
+    written = []
+    for name, draw in drawn.items():
+        with _off_screen():
+            path = folder / f"{name}.png"
+            save_figure(draw(), path)
+            written.append(path)
+    return written
+
+
+def most_correlated(tree: Any, n: int = _CHOSEN_PAIRS) -> list[str]:
+    """Names of `n` parameters that take part in the largest correlations, in the order of the tree."""
+    names, draws = _draws(tree)
+    if len(names) <= n:
+        return names
+    size = np.abs(np.corrcoef(draws.reshape(len(names), -1)))
+    first, second = np.triu_indices(len(names), 1)
+    chosen: list[int] = []
+    for k in np.argsort(-size[first, second], kind="stable"):
+        new = [int(i) for i in (first[k], second[k]) if i not in chosen]
+        chosen += new[: n - len(chosen)]
+        if len(chosen) == n:
+            break
+    return [names[i] for i in sorted(chosen)]
+
+
+def rank_figure(tree: Any) -> Figure:
+    """Distribution of the ranks of each ensemble's draws among all draws, less the uniform one."""
+    import arviz_plots as azp
+    from arviz_stats.base import array_stats
+
+    names, draws = _draws(tree)
+    n_ensembles = int(tree.attrs["n_ensembles"])
+    # The walkers of an ensemble together are one chain, as in the nested R-hat. The test in each panel is for
+    # independent draws: of each ensemble as many are ranked as it is worth.
+    ensembles = draws.reshape(len(names), n_ensembles, -1)
+    effective = float(np.min(array_stats.ess(draws, chain_axis=1, draw_axis=2))) / n_ensembles
+    every = -(-ensembles.shape[2] // int(np.clip(effective, _FEWEST_DRAWS, _SHOWN_DRAWS)))
+    plot = azp.plot_rank(
+        _tree_of({"posterior": dict(zip(names, ensembles[:, :, ::every], strict=True))}),
+        backend="matplotlib",
+        visuals={"title": False, "xlabel": False, "remove_axis": False},
+        **_layout(len(names), sharex=False, sharey=True),
+    )
+    figure: Figure = plot.get_viz("figure")
+    for i, name in enumerate(names):
+        axis = plot.get_viz("plot", name)
+        axis.set_title(name, fontsize=9)
+        axis.axhline(0.0, color=_GREY, linewidth=0.8)
+        axis.tick_params(labelbottom=True)
+        axis.set_xlabel("rank / number of draws [1]")
+        if i % _N_COLUMNS == 0:
+            axis.set_ylabel("share of draws\nabove uniform [1]")
+    handles = [Line2D([], [], color=f"C{i}") for i in range(n_ensembles)]
+    figure.legend(
+        handles, [f"ensemble {i + 1}" for i in range(n_ensembles)], loc="outside upper center", ncols=4, frameon=False
+    )
+    return figure
+
+
+def prior_posterior_figure(tree: Any) -> Figure:
+    """Distribution functions of prior and posterior, which stay legible where one is far narrower than the other."""
+    import arviz_plots as azp
+
+    styles: dict[str, tuple[str, Literal["--", "-"]]] = {"prior": (_VERMILION, "--"), "posterior": (_BLUE, "-")}
+    names, draws = _draws(tree)
+    _, prior = _draws(tree, "prior")
+    flat, every = draws.reshape(len(names), 1, -1), -(-draws[0].size // (2 * _SHOWN_DRAWS))
+    before = prior.reshape(len(names), 1, -1)
+    plot = azp.plot_prior_posterior(
+        _tree_of(
+            {
+                "posterior": dict(zip(names, flat[:, :, ::every], strict=True)),
+                "prior": dict(zip(names, before[:, :, ::every], strict=True)),
+            }
+        ),
+        var_names=names,
+        kind="ecdf",
+        backend="matplotlib",
+        visuals={"title": False, "remove_axis": False},
+        **_layout(len(names)),
+    )
+    figure: Figure = plot.get_viz("figure")
+    for i, name in enumerate(names):
+        axis = plot.get_viz("plot", name)
+        for line, (colour, style) in zip(axis.lines, styles.values(), strict=True):
+            line.set(color=colour, linestyle=style, linewidth=1.4)
+        axis.set_xlabel(_label(tree, name))
+        axis.grid(alpha=0.3)
+        if i % _N_COLUMNS == 0:
+            axis.set_ylabel("probability [1]")
+    # The legend of arviz-plots knows one colour a group only, and takes a column of the page.
+    for legend in list(figure.legends):
+        legend.remove()
+    handles = [Line2D([], [], color=colour, linestyle=style) for colour, style in styles.values()]
+    figure.legend(handles, list(styles), loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def pair_figure(tree: Any, names: Sequence[str]) -> Figure:
+    """Draws of each pair of some parameters."""
+    import corner
+
+    known, draws = _draws(tree)
+    flat = draws.reshape(len(known), -1)
+    chosen = flat[[known.index(name) for name in names], :: -(-flat.shape[1] // _PAIR_DRAWS)]
+    side = 1.0 + 1.7 * len(names)
+    figure = Figure(figsize=(side, side))
+    corner.corner(
+        chosen.T,
+        labels=[_label(tree, name) for name in names],
+        fig=figure,
+        color=_BLUE,
+        bins=30,
+        max_n_ticks=4,
+        # Of a two-dimensional normal distribution: 50 % and 90 % of the draws.
+        levels=(0.5, 0.9),
+        label_kwargs={"fontsize": 9},
+        labelpad=0.1,
+    )
+    # Room for the labels, an inch on either side.
+    figure.subplots_adjust(left=1.0 / side, bottom=1.0 / side)
+    return figure
+
+
+def residual_figure(tree: Any) -> Figure:
+    """What was measured of each row, against what the posterior predicts, in standard deviations of the prediction."""
+    observed = tree["observed_data"]["dl_um"]
+    predicted = tree["posterior_predictive"]["dl_um"]
+    residuals = ((observed - predicted.mean(("chain", "draw"))) / predicted.std(("chain", "draw"))).to_numpy()
+    labels, n = [str(label) for label in observed["sweep"].to_numpy()], len(residuals)
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    axis = figure.subplots()
+    axis.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.12, linewidth=0, label="95 % of what is predicted")
+    axis.axhspan(-0.674, 0.674, color=_BLUE, alpha=0.22, linewidth=0, label="50 %")
+    axis.axhline(0.0, color=_GREY, linewidth=0.8)
+    outside = np.abs(residuals) > 1.96
+    place = np.arange(n)
+    axis.plot(place[~outside], residuals[~outside], "o", color="black", markersize=3.5, label="measured")
+    if outside.any():
+        axis.plot(place[outside], residuals[outside], "D", color=_VERMILION, markersize=4.5, label="measured, outside")
+    axis.set_xlim(-1, n)
+    _label_rows(axis, labels)
+    axis.set_ylabel("measured less predicted\n[sd of the prediction]")
+    figure.legend(loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def pareto_k_figure(tree: Any, loo: LeaveOneOut) -> Figure:
+    """Shape of the tail of the leave-one-out weights of each row, with the limit of what can be trusted."""
+    import arviz_plots as azp
+    import xarray as xr
+    from arviz_stats import ELPDData
+
+    labels = [str(label) for label in tree["observed_data"]["sweep"].to_numpy()]
+    n = len(labels)
+    data = ELPDData(
+        elpd=loo.elpd,
+        se=loo.se,
+        p=loo.p_loo,
+        n_samples=0,
+        n_data_points=n,
+        scale="log",
+        warning=bool(loo.bad.any()),
+        good_k=loo.good_k,
+        pareto_k=xr.DataArray(loo.pareto_k, dims=["sweep"], coords={"sweep": np.arange(n)}),
+    )
+    plot = azp.plot_khat(
+        data,
+        color=_BLUE,
+        backend="matplotlib",
+        visuals={"hlines": False, "bin_text": False, "xlabel": False, "ylabel": False, "title": False, "ticks": False},
+        figure_kwargs={"figsize": (10.0, 4.2), "layout": "constrained"},
+    )
+    figure: Figure = plot.get_viz("figure")
+    axis = figure.axes[0]
+    for row in np.flatnonzero(loo.bad).tolist():
+        axis.annotate(labels[row], (row, loo.pareto_k[row]), (3, 3), textcoords="offset points", fontsize=8)
+    axis.axhline(loo.good_k, color=_VERMILION, linestyle="--", linewidth=1.2, label=f"trusted up to {loo.good_k:.2f}")
+    axis.set_xlim(-1, n)
+    axis.set_ylim(top=max(1.1 * loo.good_k, 1.1 * float(np.nanmax(loo.pareto_k))))
+    _label_rows(axis, labels)
+    axis.set_ylabel("Pareto k of leaving\nthe row out [1]")
+    figure.legend(loc="outside upper center", frameon=False)
+    return figure
+
+
+def _draws(tree: Any, group: str = "posterior") -> tuple[list[str], Floats]:
+    """Names and draws of the cell's parameters, shape (n, n_chains, n_draws)."""
+    # What belongs to the likelihood has no prior in the tree.
+    names = [str(name) for name in tree["prior"].data_vars]
+    return names, np.array([tree[group][name].transpose("chain", "draw").to_numpy() for name in names])
+
+
+def _tree_of(groups: dict[str, dict[str, Floats]]) -> Any:
+    import arviz as az
+
+    return az.from_dict(groups)
+
+
+def _label(tree: Any, name: str) -> str:
+    return f"{name} [{tree['posterior'][name].attrs['units']}]"
+
+
+def _layout(n: int, **shared: bool) -> dict[str, Any]:
+    """Panels of `n` parameters."""
+    size = (11.0, 0.5 + 1.9 * -(-n // _N_COLUMNS))
+    return {"col_wrap": _N_COLUMNS, "figure_kwargs": {"figsize": size, "layout": "constrained", **shared}}
+
+
+def _label_rows(axis: Any, labels: list[str]) -> None:
+    if len(labels) <= _MOST_LABELS:
+        axis.set_xticks(np.arange(len(labels)), labels, rotation=90, fontsize=7, parse_math=False)
+    axis.set_xlabel("sweep, in order of measurement")
+    axis.grid(axis="y", alpha=0.3)
+
+
+@contextmanager
+def _off_screen() -> Iterator[None]:
+    """Draw into memory, with settings that end with the block: arviz-plots draws through pyplot."""
+    import matplotlib.pyplot as plt
+
+    before = matplotlib.get_backend(auto_select=False)
+    known = set(plt.get_fignums())
+    plt.switch_backend("agg")
+    try:
+        with matplotlib.rc_context(_SETTINGS):
+            yield
+    finally:
+        for number in set(plt.get_fignums()) - known:
+            plt.close(number)
+        if before is not None:
+            plt.switch_backend(before)
+
+
+def posterior_table(posterior: Posterior, title: str) -> Table:
+    """Mean, standard deviation and interval of each parameter, with what the draws are worth."""
+    columns = ["parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "ess bulk", "ess tail", "R-hat"]
+    table = plain_table(title, columns)
+    for name, entry in summarise(posterior).items():
+        numbers = [number(entry[key], entry["sd"]) for key in ("mean", "sd", "q05", "q50", "q95")]
+        sizes = [f"{entry['ess_bulk']:.0f}", f"{entry['ess_tail']:.0f}", f"{entry['rhat']:.4f}"]
+        table.add_row(name, posterior.identification.free[name].unit, *numbers, *sizes)
+    return table
+
+
+def compare_table(comparison: Comparison, title: str) -> Table:
+    """Fit and leave-one-out prediction of each model."""
+    columns = ["model", "fit", "chi-square", "expected", "p", "elpd", "se", "p_loo", "bad k", "refits"]
+    table = plain_table(title, columns)
+    for model in comparison.models:
+        fit = model.identification.fit
+        numbers = [f"{fit.chi2_data:.1f}", f"{fit.expected:.1f}", f"{fit.p_value:.1g}"]
+        table.add_row(model.spec.name, _fit_words(model), *numbers, *_predictions(model))
+    return table
+
+
+def _fit_words(model: ModelResult) -> str:
+    if model.state == "no minimum":
+        return "no minimum"
+    return "poor" if model.poor else "good" if model.spec.likelihood == "gaussian" else "not judged"
+
+
+def _predictions(model: ModelResult) -> list[str]:
+    loo = model.loo
+    if loo is None:
+        return ["-"] * 5
+    sizes = [number(loo.elpd, loo.se), number(loo.se, loo.se), f"{loo.p_loo:.1f}"]
+    return [*sizes, str(int(loo.bad.sum())), str(int(loo.refitted.sum()))]

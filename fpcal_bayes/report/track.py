@@ -1,0 +1,148 @@
+"""A decision as a sentence, as tables and as JSON."""
+
+from datetime import timedelta
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from fpcal_bayes.core.times import clock
+from fpcal_bayes.decision.decision import Decision
+from fpcal_bayes.decision.forecast import Goal, Outlook
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.tracker import Track, innovation_bounds
+
+VERDICT_STYLES = {"as-modelled": "green", "extrinsics-moved": "yellow", "intrinsics-moved": "red"}
+
+
+def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:
+    """A time as clock time where the sessions carry one, else in hours since the campaign began."""
+    for outcome in reversed(outcomes):
+        if outcome.utc:
+            return f"{clock(outcome.utc) + timedelta(hours=time_h - outcome.time_h):%Y-%m-%d %H:%M %Z}".strip()
+    return f"{time_h:.2f} h"
+
+
+def session_table(track: Track, title: str) -> Table:
+    """One line a session: when, how many sweeps, innovation with its 95 % bounds, verdict."""
+    table = plain_table(title, ["session", "verdict", "time", "sweeps", "innovation", "95 % bounds"])
+    for i, outcome in enumerate(track.outcomes):
+        style = VERDICT_STYLES[outcome.verdict]
+        if i == 0:
+            verdict, bounds = "calibration", ""
+        else:
+            verdict = f"[{style}]{outcome.verdict}[/{style}]"
+            bounds = "{:.1f} .. {:.1f}".format(*innovation_bounds(outcome.dof)) if outcome.dof else ""
+        table.add_row(
+            escape(outcome.session),
+            verdict,
+            time_text(outcome.time_h, track.outcomes),
+            str(outcome.n_sweeps),
+            f"{outcome.nis:.1f}" if outcome.dof else "",
+            bounds,
+        )
+    return table
+
+
+def verdict_lines(track: Track) -> list[str]:
+    """What was found, a sentence a session that was not as modelled, and what follows."""
+    lines = [
+        f"{outcome.session}: {outcome.verdict}: {outcome.evidence[0]}"
+        for outcome in track.outcomes
+        if outcome.verdict != "as-modelled" and outcome.evidence
+    ]
+    if track.calibration_due is not None:
+        lines.append(f"a full calibration is due: the robot itself moved before session {track.calibration_due}")
+    return lines
+
+
+def decision_sentence(decision: Decision, track: Track) -> str:
+    """What to do, in one sentence."""
+    if decision.action == "hold":
+        until = time_text(decision.now_h + decision.hold_hours, track.outcomes)
+        return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
+    count = 0 if decision.sweeps is None else len(decision.sweeps)
+    cost = f"about {decision.minutes:.0f} min"
+    after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
+    if decision.action == "full":
+        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
+    these = "this sweep" if count == 1 else f"these {count} sweeps"
+    return f"re-identify extrinsics now with {these} ({cost}): {decision.reason}; {after}"
+
+
+def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
+    """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
+    table = plain_table(
+        f"peak to peak of the worst of: {', '.join(goal.tasks)}",
+        ["when", "time", "median nm", "95 % band nm", f"P(> {1e3 * goal.tolerance:g} nm)"],
+    )
+    after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
+    for name, outlook in (
+        ("now", decision.now),
+        (after, decision.after),
+        ("at the horizon, nothing measured", decision.at_horizon),
+    ):
+        low, high = outlook.band()
+        table.add_row(
+            name,
+            time_text(outlook.time_h, track.outcomes),
+            f"{1e3 * outlook.median:.1f}",
+            f"{1e3 * low:.1f} .. {1e3 * high:.1f}",
+            f"{outlook.exceeds(goal.tolerance):.3f}",
+        )
+    return table
+
+
+def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
+    """A line a sweep: its start, and where the joints that move end; um and deg."""
+    table = plain_table("sweeps, the most useful first", ["sweep", "moves", *cell.joint_columns])
+    scales = cell.joint_scales
+    for i in range(len(sweeps)):
+        start, end = sweeps.q_start[i] / scales, sweeps.q_end[i] / scales
+        moving = [column for column, a, b in zip(cell.joint_columns, start, end, strict=True) if a != b]
+        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
+        table.add_row(str(i + 1), " ".join(name.split("_")[0] for name in moving), *shown)
+    return table
+
+
+def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:
+    """A decision as JSON; errors are medians of the worst task's peak to peak in nm."""
+    outlooks = {"now": decision.now, "at_horizon": decision.at_horizon, "after": decision.after}
+    return {
+        "action": decision.action,
+        "sentence": decision_sentence(decision, track),
+        "reason": decision.reason,
+        "now_h": decision.now_h,
+        "hold_hours": decision.hold_hours,
+        "hold_until": time_text(decision.now_h + decision.hold_hours, track.outcomes),
+        "then_hold_hours": decision.then_hours,
+        "minutes": decision.minutes,
+        "level": decision.level,
+        "tolerance_nm": 1e3 * goal.tolerance,
+        "tasks": list(goal.tasks),
+        "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
+        "task_error_nm": {name: 1e3 * outlook.median for name, outlook in outlooks.items()},
+        "task_error_band_nm": {name: _band(outlook) for name, outlook in outlooks.items()},
+        "probability_out": {name: outlook.exceeds(goal.tolerance) for name, outlook in outlooks.items()},
+        "horizon_h": decision.at_horizon.time_h - decision.now_h,
+    }
+
+
+def _band(outlook: Outlook) -> list[float]:
+    return [1e3 * edge for edge in outlook.band()]
+
+
+def _sweeps(sweeps: Sweeps, cell: Cell) -> list[dict[str, Any]]:
+    """Each sweep under the names of a CSV's columns."""
+    columns = [column.split("_") for column in cell.joint_columns]
+    found: list[dict[str, Any]] = []
+    for i in range(len(sweeps)):
+        entry: dict[str, Any] = {"label": str(sweeps.label[i])}
+        for end, q in (("start", sweeps.q_start[i]), ("end", sweeps.q_end[i])):
+            values = q / cell.joint_scales
+            entry |= {f"{name}_{end}_{unit}": float(v) for (name, unit), v in zip(columns, values, strict=True)}
+        found.append(entry)
+    return found

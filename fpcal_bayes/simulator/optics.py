@@ -1,0 +1,259 @@
+"""The simulated rig's optics: from joint positions to the voltages that its photodiode shows."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.measure.traces import WavelengthScan
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.air_index import air_index
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.interferometer import fringe, mirror_views, read_out, reflected
+
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """Motion, disturbances and noise of a recording; the defaults are those of a good laboratory.
+
+    With the defaults the fastest of the paper's sweeps, 40 um along the optical axis, has 35 samples a fringe, all
+    others more than 50.
+
+    Attributes
+    ----------
+    duration_s
+        Of the motion of a sweep or a path.
+    rest_s
+        For how long the photodiode is read before and after the motion of a sweep, at rest.
+    rate_hz
+        Samples a second, where `samples_per_fringe` is None.
+    samples_per_fringe
+        Samples of a fringe where the cavity length changes fastest, which then sets the rate: one number, or one a
+        sweep, shape (n,). The robot is simulated, so the rig knows.
+    fewest_samples
+        Of a trace, where `samples_per_fringe` sets the rate.
+    velocity_ripple, ripple_cycles
+        Relative amplitude of a sine in the velocity and its periods in a recording, a whole number; its phase is drawn.
+    envelope_change
+        Peak to peak change of the signal's gain during a recording, about, relative: a ramp and a bow in drawn shares.
+    offset_drift
+        The same of a voltage added to the signal, relative to the trace's mean fringe amplitude.
+    cyclic_error
+        Second harmonic relative to the fringe amplitude, with a drawn phase.
+    noise
+        Standard deviation of a sample's voltage relative to the trace's mean fringe amplitude; None takes the volts
+        that the cell states.
+    length_noise
+        Standard deviation of independent noise on the cavity length at each sample (vibration), in um.
+    fading
+        Whether visibility follows the mirror's distance and tilt along a trace; else it stays as at the trace's start.
+    wavelength_error, wavelength_drift
+        What the laser is off by, and its drift during a recording, in um; they multiply L, so 1 pm does as 0.6 nm of L.
+    temperature_c, pressure_hpa, humidity_pct
+        Of the air, recorded with the data; NaN: unknown, index 1.
+    scan_from, scan_to, scan_samples
+        Ends of a wavelength scan in um and its samples.
+    reference_fringes
+        Fringes that the reference scans before and after a path span.
+    quadrature
+        Whether a path starts from the nearest point at half fringe height, to which the reference joint is moved.
+    """
+
+    duration_s: float = 10.0
+    rest_s: float = 0.0
+    rate_hz: float = 200.0
+    samples_per_fringe: float | Floats | None = None
+    fewest_samples: int = 40
+    velocity_ripple: float = 0.1
+    ripple_cycles: int = 7
+    envelope_change: float = 0.01
+    offset_drift: float = 0.005
+    cyclic_error: float = 0.0
+    noise: float | None = None
+    length_noise: float = 0.0
+    fading: bool = True
+    wavelength_error: float = 0.0
+    wavelength_drift: float = 0.0
+    temperature_c: float = float("nan")
+    pressure_hpa: float = float("nan")
+    humidity_pct: float = float("nan")
+    scan_from: float = 1.520
+    scan_to: float = 1.600
+    scan_samples: int = 1601
+    reference_fringes: float = 3.0
+    quadrature: bool = True
+
+    def __post_init__(self) -> None:
+        positive = ("duration_s", "rate_hz", "fewest_samples", "scan_from", "scan_to", "reference_fringes")
+        for name in positive:
+            self._require(name, getattr(self, name) > 0, "a number above zero")
+        for name in ("rest_s", "envelope_change", "offset_drift", "cyclic_error", "length_noise"):
+            self._require(name, getattr(self, name) >= 0, "zero or more")
+        self._require("velocity_ripple", 0 <= self.velocity_ripple < 1, "0 to below 1: the joint must not turn back")
+        self._require("ripple_cycles", int(self.ripple_cycles) == self.ripple_cycles > 0, "a whole number above zero")
+        self._require("noise", self.noise is None or self.noise >= 0, "zero or more")
+        self._require("scan_samples", self.scan_samples >= 2, "two or more")
+        if self.samples_per_fringe is not None:
+            self._require("samples_per_fringe", bool((np.asarray(self.samples_per_fringe) > 0).all()), "above zero")
+
+    def _require(self, name: str, good: bool, expected: str) -> None:
+        if not good:
+            raise InputError(f"recorder: {name} = {getattr(self, name)}: expected {expected}")
+
+
+#: A poor day: gain, offset, second harmonic and noise relative to the fringes.
+HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
+#: Cavity length, perpendicular distance and tilt along a recording, each of shape (n,).
+Views = tuple[Floats, Floats, Floats]
+
+#: Points at which the speed of a sweep is looked at before it is recorded.
+_COARSE = 257
+
+
+@dataclass(frozen=True)
+class Chances:
+    """What is drawn for one recording: phases and shapes of its disturbances, and the stream of its noise.
+
+    Attributes
+    ----------
+    random
+        Stream of the noise.
+    ripple, envelope, offset, cyclic
+        Phases in rad.
+    start, end
+        Standard normals for the joints' repeatability at either end, shape (n_joints,).
+    """
+
+    random: np.random.Generator
+    ripple: float
+    envelope: float
+    offset: float
+    cyclic: float
+    start: Floats
+    end: Floats
+
+    @classmethod
+    def draw(cls, stream: np.random.SeedSequence, n_joints: int) -> "Chances":
+        """Draw from one stream, which then goes on as that of the noise."""
+        random = np.random.default_rng(stream)
+        ripple, envelope, offset, cyclic = random.uniform(0.0, 2.0 * np.pi, 4).tolist()
+        start, end = random.standard_normal((2, n_joints))
+        return cls(random, ripple, envelope, offset, cyclic, start, end)
+
+    @classmethod
+    def several(cls, seed: int, n: int, n_joints: int) -> list["Chances"]:
+        """One for each of `n` recordings; `InputError` if the seed is negative."""
+        if seed < 0:
+            raise InputError(f"seed {seed}: expected a whole number, zero or more")
+        return [cls.draw(stream, n_joints) for stream in np.random.SeedSequence(seed).spawn(n)]
+
+
+@dataclass(frozen=True)
+class OpticalRig:
+    """A cell with a truth, recorded with some settings."""
+
+    cell: Cell
+    truth: Truth
+    settings: RecorderSettings
+
+    @cached_property
+    def model(self) -> CavityModel:
+        """Cavity model whose free parameters the truth holds."""
+        return CavityModel.of(self.cell, self.truth.parameters)
+
+    @cached_property
+    def index(self) -> float:
+        """Refractive index of the air at the cell's wavelength."""
+        s = self.settings
+        return float(air_index(self.cell.wavelength, s.temperature_c, s.pressure_hpa, s.humidity_pct))
+
+    def views(self, q: Floats, time_h: Floats, of: Ints) -> Views:
+        """How the mirror stands at joint vectors `q` (n, n_joints), the truth taken at time ``time_h[of]``."""
+        result = np.empty((3, len(q)))
+        times, epoch = np.unique(np.clip(time_h, self.truth.times_h[0], self.truth.times_h[-1]), return_inverse=True)
+        for i, values in enumerate(self.truth.at(times)):
+            now = (epoch == i)[of]
+            result[:, now] = mirror_views(self.model, values, q[now])
+        return result[0], result[1], result[2]
+
+    def counts(self, q_start: Floats, q_end: Floats, time_h: Floats) -> Ints:
+        """Samples of each sweep's motion, shape (n,)."""
+        n, s = len(q_start), self.settings
+        if s.samples_per_fringe is None:
+            return np.full(n, max(s.fewest_samples, round(s.rate_hz * s.duration_s) + 1), dtype=np.int64)
+        share = np.linspace(0.0, 1.0, _COARSE)
+        coarse = q_start[:, None] + (q_end - q_start)[:, None] * share[:, None]
+        of = np.repeat(np.arange(n), _COARSE)
+        lengths = self.views(coarse.reshape(-1, q_start.shape[1]), time_h, of)[0].reshape(n, _COARSE)
+        fastest = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_COARSE - 1) * (1.0 + s.velocity_ripple)
+        wanted = np.ceil(np.asarray(s.samples_per_fringe) * fastest / (self.cell.wavelength / 2.0)).astype(np.int64) + 1
+        return np.maximum(wanted, s.fewest_samples)
+
+    def progress(self, n: int, ripple: float) -> Floats:
+        """Share of a sweep that is done at each of its samples, from 0 to 1, with the ripple of its velocity.
+
+        Parameters
+        ----------
+        n
+            Samples of the motion; those at rest are added on either side.
+        ripple
+            Phase of the ripple.
+        """
+        if n == 0:
+            return np.zeros(0)
+        time, s = np.linspace(0.0, 1.0, n), self.settings
+        turn = 2.0 * np.pi * s.ripple_cycles
+        done: Floats = time + s.velocity_ripple / turn * (np.sin(turn * time + ripple) - np.sin(ripple))
+        done[-1] = 1.0
+        rest = round(s.rest_s / s.duration_s * (n - 1))
+        return np.concatenate([np.zeros(rest), done, np.ones(rest)])
+
+    def voltages(self, seen: Views, chances: Chances, at: Floats | None = None) -> Floats:
+        """What is recorded along a trace.
+
+        Parameters
+        ----------
+        seen
+            From `views`.
+        at
+            Share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
+        """
+        s, optics = self.settings, self.cell.interferometer
+        length, distance, tilt = seen
+        time = np.linspace(0.0, 1.0, len(length)) if at is None else at
+        if not s.fading:
+            distance, tilt = distance[:1], tilt[:1]
+        if s.length_noise > 0:
+            length = length + s.length_noise * chances.random.standard_normal(len(length))
+        light = optics.wavelength + s.wavelength_error + s.wavelength_drift * time
+        share = reflected(optics, length, distance, tilt, wavelength=light, index=self.index)
+        amplitude = fringe(optics, distance, tilt)[1]
+        if s.cyclic_error > 0:
+            phase = 4.0 * np.pi * self.index * length / light
+            share = share + s.cyclic_error * amplitude * np.cos(2.0 * phase + chances.cyclic)
+        height = optics.gain * float(np.mean(amplitude))
+        signal = optics.gain * share * (1.0 + s.envelope_change * _shape(time, chances.envelope))
+        signal = signal + optics.dark + height * s.offset_drift * _shape(time, chances.offset)
+        noise = optics.noise if s.noise is None else s.noise * height
+        return read_out(optics, signal + noise * chances.random.standard_normal(len(signal)))
+
+    def scan(self, q: Floats, time_h: float, chances: Chances) -> WavelengthScan:
+        """A wavelength scan at rest at one joint vector (n_joints,)."""
+        s, optics = self.settings, self.cell.interferometer
+        told = np.linspace(s.scan_from, s.scan_to, s.scan_samples)
+        length, distance, tilt = self.views(q[None], np.array([time_h]), np.zeros(1, dtype=np.int64))
+        share = reflected(optics, length, distance, tilt, wavelength=told + s.wavelength_error, index=self.index)
+        height = optics.gain * float(fringe(optics, distance, tilt)[1][0])
+        noise = optics.noise if s.noise is None else s.noise * height
+        signal = optics.gain * share + optics.dark + noise * chances.random.standard_normal(len(told))
+        return WavelengthScan(told, read_out(optics, signal))
+
+
+def _shape(time: Floats, phase: float) -> Floats:
+    """A ramp and a bow, mixed by a phase: about zero, about one from peak to peak."""
+    ramp, bow = time - 0.5, 4.0 * time * (1.0 - time) - 0.5
+    mixed: Floats = np.cos(phase) * ramp + np.sin(phase) * bow
+    return mixed

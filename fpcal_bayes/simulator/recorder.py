@@ -1,0 +1,213 @@
+"""The simulated rig records: irradiance along sweeps, wavelength scans at rest, irradiance along paths of all joints.
+
+The seed spawns one stream of random numbers for each sweep, so that a sweep's recording does not depend on how many
+others are recorded with it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.reference import fit_fringe
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint, no_trace
+from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell, check_joints
+from fpcal_bayes.simulator.optics import Chances, OpticalRig, RecorderSettings
+
+#: Samples of the reference scan for each of its fringes.
+_REFERENCE_SAMPLES = 40
+
+
+def check_recordable(sweeps: Sweeps) -> None:
+    """Hold sweeps to what a trace can hold.
+
+    Raises
+    ------
+    InputError
+        If a row is a path, belongs to a group, or is a sweep of several joints: a trace holds one joint.
+    """
+    several = ((sweeps.q_start != sweeps.q_end).sum(axis=1) > 1) & (sweeps.kind == "sweep")
+    refusals = (
+        (sweeps.kind == "path", "kind", "expected a sweep or an absolute length: a path is recorded by itself"),
+        (sweeps.group != "", "group", "expected no group: one trace holds all points of a sweep"),
+        (several, None, "expected a sweep of one joint: a trace holds one"),
+    )
+    for bad, column, expected in refusals:
+        if bad.any():
+            raise located(sweeps.file, expected, row=int(sweeps.rows[np.argmax(bad)]), column=column)
+
+
+def record_sweeps(
+    cell: Cell,
+    truth: Truth,
+    sweeps: Sweeps,
+    settings: RecorderSettings | None = None,
+    *,
+    seed: int = 0,
+    scans: NDArray[np.bool_] | bool = True,
+) -> TraceIndex:
+    """Record sweeps on the simulated cell.
+
+    Parameters
+    ----------
+    sweeps
+        A plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time. Joints
+        reach either end with the cell's repeatability; the traces hold the positions that the controller believes.
+    settings
+        By default `RecorderSettings`.
+    seed
+        Equal seeds give equal recordings.
+    scans
+        Which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one at
+        their end in any case.
+
+    Returns
+    -------
+    TraceIndex
+        Its sweeps are a plan, without measurement.
+
+    Raises
+    ------
+    InputError
+        If the sweeps are not such (see `check_recordable`, `check_sweeps`), or the seed is negative.
+    """
+    settings = RecorderSettings() if settings is None else settings
+    rig, n = OpticalRig(cell, truth, settings), len(sweeps)
+    check_sweeps(sweeps, cell)
+    check_recordable(sweeps)
+    chances = Chances.several(seed, n, len(cell.joints))
+    q_start = sweeps.q_start + cell.repeatability * np.array([c.start for c in chances])
+    q_end = sweeps.q_end + cell.repeatability * np.array([c.end for c in chances])
+
+    counts = np.where(sweeps.absolute, 0, rig.counts(q_start, q_end, sweeps.time_h))
+    done = [rig.progress(k, c.ripple) for k, c in zip(counts.tolist(), chances, strict=True)]
+    sizes = [len(part) for part in done]
+    first, share, of = np.concatenate([[0], np.cumsum(sizes)]), np.concatenate(done), np.repeat(np.arange(n), sizes)
+    views = rig.views(q_start[of] + (q_end - q_start)[of] * share[:, None], sweeps.time_h, of)
+    traces = []
+    for i, chance in enumerate(chances):
+        if sweeps.absolute[i]:
+            traces.append(no_trace())
+            continue
+        part, joint = slice(first[i], first[i + 1]), moving_joint(sweeps, i)
+        start, end = sweeps.q_start[i, joint], sweeps.q_end[i, joint]
+        believed = np.where(share[part] == 1.0, end, start + (end - start) * share[part])
+        read = rig.voltages((views[0][part], views[1][part], views[2][part]), chance)
+        step = settings.duration_s / (counts[i] - 1)
+        traces.append(Trace(step * np.arange(sizes[i]), believed, read))
+
+    swept = np.broadcast_to(scans, n) & ~sweeps.absolute
+    before, after = (
+        [rig.scan(q[i], sweeps.time_h[i], chance) if wanted[i] else None for i, chance in enumerate(chances)]
+        for q, wanted in ((q_start, swept), (q_end, swept | sweeps.absolute))
+    )
+    # What an index does not hold: changes of length, and which signs are known; the scans tell these.
+    plan = replace(sweeps.with_measurement(np.full(n, np.nan), np.nan), signed=np.ones(n, dtype=bool))
+    celsius, pressure, humidity = (
+        np.full(n, value) for value in (settings.temperature_c, settings.pressure_hpa, settings.humidity_pct)
+    )
+    return TraceIndex(plan, np.full(n, np.nan), celsius, pressure, humidity, traces, before, after)
+
+
+def record_path(
+    cell: Cell,
+    truth: Truth,
+    path: Floats,
+    time_h: float = 0.0,
+    settings: RecorderSettings | None = None,
+    seed: int = 0,
+) -> PathTrace:
+    """Record a path of all joints, between two reference scans of the joint that changes the cavity length most.
+
+    A reference scan goes through a few fringes and back to where it began. Where `settings.quadrature` is set the rig
+    fits the first one with the nominal geometry, and moves that joint to the nearest point at half fringe height along
+    the whole path. The second one shows how gain and offset drifted meanwhile.
+
+    Parameters
+    ----------
+    path
+        Joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
+    time_h
+        When; the truth of that time is used.
+
+    Returns
+    -------
+    PathTrace
+        With the true cavity lengths.
+
+    Raises
+    ------
+    InputError
+        If the path has fewer than two points or holds a value that is no number, a joint leaves its limits, or the rig
+        cannot move to half fringe height within the limits of the reference joint.
+    """
+    path = np.asarray(path, dtype=float)
+    if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():
+        raise InputError(f"path of shape {path.shape}: expected two or more vectors of {len(cell.joints)} joint values")
+    check_joints(cell, path, "path", range(1, len(path) + 1), cell.joint_columns)
+    rig = OpticalRig(cell, truth, RecorderSettings() if settings is None else settings)
+    chance = Chances.several(seed, 1, len(cell.joints))[0]
+    n_reference = max(FEWEST, round(_REFERENCE_SAMPLES * rig.settings.reference_fringes))
+    n_path = max(FEWEST, round(rig.settings.rate_hz * rig.settings.duration_s) + 1)
+    reference = np.repeat([True, False, True], [n_reference, n_path, n_reference])
+    at = np.linspace(0.0, 1.0, len(reference))
+    joint, slope = reference_joint(cell, path[0])
+
+    def record(q: Floats, during: slice) -> tuple[Floats, Floats]:
+        seen = rig.views(q, np.array([time_h]), np.zeros(len(q), dtype=np.int64))
+        return seen[0], rig.voltages(seen, chance, at[during])
+
+    def scan_at(pose: Floats) -> Floats:
+        moved = np.repeat(pose[None], n_reference, axis=0)
+        moved[:, joint] += _swing(cell, pose, joint, slope, rig.settings.reference_fringes, n_reference)
+        return moved
+
+    first = scan_at(path[0])
+    length, read = record(first, slice(None, n_reference))
+    places = np.linspace(0.0, len(path) - 1.0, n_path)
+    along = np.column_stack([np.interp(places, np.arange(len(path)), column) for column in path.T])
+    if rig.settings.quadrature:
+        change = slope * (first[:, joint] - path[0, joint])
+        room = slope * (np.array([cell.low[joint], cell.high[joint]]) - [along[:, joint].min(), along[:, joint].max()])
+        fitted = fit_fringe(change, read, cell.wavelength / rig.index)
+        along[:, joint] += fitted.to_quadrature(room.min(), room.max()) / slope
+    last = scan_at(along[-1])
+    later, later_read = record(np.vstack([along, last]), slice(n_reference, None))
+    return PathTrace(
+        time_s=np.arange(len(reference)) / rig.settings.rate_hz,
+        q=np.vstack([first, along, last]),
+        irradiance=np.concatenate([read, later_read]),
+        reference=reference,
+        time_h=time_h,
+        length=np.concatenate([length, later]),
+    )
+
+
+def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:
+    """The prismatic joint that changes the nominal cavity length most at a pose (n_joints,), and um of it per um.
+
+    Raises
+    ------
+    InputError
+        If the cell has no prismatic joint.
+    """
+    if cell.revolute.all():
+        raise InputError(f"cell {cell.name!r} has no prismatic joint for a reference scan")
+    model = CavityModel.of(cell)
+    slopes = np.where(cell.revolute, 0.0, model.joint_jacobian(model.free.nominal, q[None])[0])
+    joint = int(np.argmax(np.abs(slopes)))
+    return joint, float(slopes[joint])
+
+
+def _swing(cell: Cell, q: Floats, joint: int, slope: float, fringes: float, n: int) -> Floats:
+    """Moves of the reference joint, out and back, towards the middle of its range; shape (n,)."""
+    low, high = cell.low[joint], cell.high[joint]
+    inwards = -1.0 if np.isfinite(low + high) and q[joint] > (low + high) / 2 else 1.0
+    moves: Floats = inwards * fringes * cell.wavelength / 2.0 / abs(slope) * np.sin(np.linspace(0.0, np.pi, n)) ** 2
+    return moves

@@ -1,0 +1,98 @@
+"""The simulated cell: what the interferometer would read."""
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+
+
+def noise_free(
+    cell: Cell, truth: Truth, sweeps: Sweeps, q_start: Floats | None = None, q_end: Floats | None = None
+) -> Floats:
+    """Changes of cavity length that the truth makes, each at the time of its row.
+
+    Parameters
+    ----------
+    sweeps
+        Which sweeps; measurements in them are not looked at. The sign is that of the change, known or not.
+    q_start, q_end
+        Joint vectors reached, shape (n, n_joints), in um and rad; by default those commanded.
+
+    Returns
+    -------
+    ndarray
+        In um, shape (n,); the cavity length itself in absolute rows.
+    """
+    model = CavityModel.of(cell, truth.parameters)
+    q_start = sweeps.q_start if q_start is None else q_start
+    q_end = sweeps.q_end if q_end is None else q_end
+    # Times outside the epochs see the same truth as the nearest epoch.
+    times, epoch = np.unique(np.clip(sweeps.time_h, truth.times_h[0], truth.times_h[-1]), return_inverse=True)
+    order = np.argsort(epoch, kind="stable")
+    bounds = np.searchsorted(epoch[order], np.arange(len(times) + 1))
+    dl = np.empty(len(sweeps))
+    for i, values in enumerate(truth.at(times)):
+        now = order[bounds[i] : bounds[i + 1]]
+        dl[now] = model.predict(values, model.rows(q_start[now], q_end[now], sweeps.absolute[now]))
+    return dl
+
+
+def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int) -> Sweeps:
+    """Measure sweeps on the simulated cell.
+
+    A row's reading is the difference of one at its end and one at its start, each with the noise sigma / sqrt(2).
+    Rows of a group share the reading and the pose reached at their start, so their noises have correlation 1/2.
+    An absolute length is one reading with the noise sigma. Joints reach each pose with the cell's repeatability;
+    the sweeps that come back hold the pose commanded, as a controller would.
+
+    Parameters
+    ----------
+    sweeps
+        A plan; measurements in it are replaced. Rows that are not signed get the size of their change.
+    sigma
+        Standard deviation of a row's noise in um: one, or one a row, shape (n,).
+    seed
+        Of numpy's default generator. Drawn as standard normals, whatever is used of them, one set a row: joints at
+        the start (n, n_joints), joints at the end (n, n_joints), reading at the start (n,), reading at the end (n,).
+        A group uses the start of its first row. Equal seeds thus give equal noise for any sigma and repeatability.
+
+    Returns
+    -------
+    Sweeps
+        The same rows with measurement.
+
+    Raises
+    ------
+    InputError
+        If sigma is not above zero, the seed is negative, or the sweeps break a rule of `check_sweeps`.
+    """
+    sigma = np.broadcast_to(np.asarray(sigma, dtype=float), len(sweeps))
+    if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+        raise InputError("expected a noise sigma above zero")
+    if seed < 0:
+        raise InputError(f"seed {seed}: expected a whole number, zero or more")
+    check_sweeps(sweeps.with_measurement(np.zeros(len(sweeps)), sigma), cell)
+    generator = np.random.default_rng(seed)
+    shape = sweeps.q_start.shape
+    first = _first_of_group(sweeps)
+    start_joints = generator.standard_normal(shape)[first]
+    end_joints = generator.standard_normal(shape)
+    start_reading = generator.standard_normal(len(sweeps))[first]
+    end_reading = generator.standard_normal(len(sweeps))
+
+    q_start = sweeps.q_start + cell.repeatability * start_joints
+    q_end = sweeps.q_end + cell.repeatability * end_joints
+    noise = np.where(sweeps.absolute, end_reading, (end_reading - start_reading) / np.sqrt(2.0))
+    dl = noise_free(cell, truth, sweeps, q_start, q_end) + sigma * noise
+    return sweeps.with_measurement(np.where(sweeps.signed, dl, np.abs(dl)), sigma)
+
+
+def _first_of_group(sweeps: Sweeps) -> Ints:
+    """The first row of each row's group, shape (n,); a row without group is its own first."""
+    first: dict[tuple[str, str], int] = {}
+    keys = zip(sweeps.session.tolist(), sweeps.group.tolist(), strict=True)
+    return np.array([first.setdefault(key, i) if key[1] else i for i, key in enumerate(keys)], dtype=np.int64)

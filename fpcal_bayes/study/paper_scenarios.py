@@ -1,0 +1,200 @@
+"""Three ways through the same simulated week: the paper's protocol, a filter on the same sweeps, and our policy."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.decision.closed_loop import ClosedLoop, run_policy, task_peaks
+from fpcal_bayes.decision.decision import Costs, Decision
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.decision.policy import Policy
+from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.tracker import Track, track
+
+#: The task error is looked at so often.
+LOOK_H = 0.1
+_GOAL = Goal(0.05)
+
+
+@dataclass(frozen=True)
+class Course:
+    """One way through the week.
+
+    Attributes
+    ----------
+    name
+        In words.
+    session_h, session_sweeps
+        When something was measured, and how many sweeps, shape (n_sessions,); the first is day 0's calibration.
+    minutes
+        Spent on measuring after day 0.
+    times_h, peaks
+        Peak to peak of the circle's error with the estimate held at each time, shapes (t,), in um.
+    tolerance
+        In um.
+    """
+
+    name: str
+    session_h: Floats
+    session_sweeps: NDArray[np.int64]
+    minutes: float
+    times_h: Floats
+    peaks: Floats
+    tolerance: float
+
+    @property
+    def share(self) -> float:
+        """Share of the time in tolerance."""
+        return float((self.peaks <= self.tolerance).mean())
+
+    @property
+    def spent(self) -> int:
+        """Sweeps after day 0."""
+        return int(self.session_sweeps[1:].sum())
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What following the week gave.
+
+    Attributes
+    ----------
+    track
+        The filter on the sweeps of the paper's protocol.
+    loop, policy_track, policy_sweeps
+        What the policy did, its sessions as a track, and all its sweeps, those of day 0 included.
+    goal, costs
+        Of the policy.
+    courses
+        The paper's, the filter's, the policy's.
+    """
+
+    track: Track
+    loop: ClosedLoop
+    policy_track: Track
+    policy_sweeps: Sweeps
+    goal: Goal
+    costs: Costs
+    courses: tuple[Course, ...]
+
+
+def follow_week(
+    cell: Cell,
+    truth: Truth,
+    sweeps: Sweeps,
+    identifications: dict[str, Identification],
+    *,
+    sigma: float,
+    seed: int,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Followed:
+    """Follow the week with the filter, live it again under the policy, and judge both beside the paper's protocol.
+
+    Parameters
+    ----------
+    sweeps, identifications
+        Of the paper's sessions, in order of time; the first is day 0.
+    sigma, seed
+        Noise of the policy's sweeps in um, and its seed.
+    progress
+        Told what is done next.
+
+    Raises
+    ------
+    InputError
+        If the cell states no drift, or the tolerance cannot be met.
+    """
+    drift = DriftModel.of(cell)
+    model = CavityModel.of(cell, drift.parameters)
+    progress("following the sessions with the filter")
+    followed = track(cell, sweeps, drift=drift)
+    progress("living the week again under the policy")
+    first = sweeps.of_session(followed.outcomes[0].session)
+    goal, costs = _GOAL, Costs(most_sweeps=2, sigma=sigma, diagnosis_h=24.0)
+    policy = Policy.of(drift, model, goal, costs, paper_protocol(cell))
+    rig = _Rig(cell, truth, sigma, seed)
+    end_h = float(truth.times_h[-1])
+    loop = run_policy(policy, followed.outcomes[0], rig.measure, end_h)
+    progress("judging the week")
+    times = np.arange(0.0, end_h + LOOK_H / 2.0, LOOK_H)
+    slots = drift.parameters.slots
+    paper = [(found.estimate.time_h, found.estimate.vector()[slots]) for found in identifications.values()]
+    paper_sweeps = np.array([len(found.problem.sweeps) for found in identifications.values()])
+    held = {
+        "the paper's protocol": (paper, paper_sweeps),
+        "filter, the same sweeps": (_held(drift, followed.outcomes), paper_sweeps),
+        "policy": (_held(drift, loop.outcomes), np.array([len(first), *(len(part) for part in loop.sweeps)])),
+    }
+    courses = tuple(
+        Course(
+            name,
+            np.array([time for time, _ in estimates]),
+            counts,
+            sum(costs.minutes(int(count)) for count in counts[1:]),
+            times,
+            task_peaks(model, truth, estimates, goal.tasks, times, radius=goal.radius)[0],
+            goal.tolerance,
+        )
+        for name, (estimates, counts) in held.items()
+    )
+    everything = join([first, *loop.sweeps], file="policy.h5")
+    policy_track = replace(followed, outcomes=loop.outcomes)
+    return Followed(followed, loop, policy_track, everything, goal, costs, courses)
+
+
+def decision_log(
+    decisions: Sequence[Decision], outcomes: Sequence[SessionOutcome], tolerance: float
+) -> list[dict[str, Any]]:
+    """The decisions as JSON: when, what, why, and the session that followed.
+
+    Parameters
+    ----------
+    decisions, outcomes
+        As many of each: what was ordered, and what it gave.
+    tolerance
+        In um.
+    """
+    return [
+        {
+            "now_h": decision.now_h,
+            "action": decision.action,
+            "reason": decision.reason,
+            "n_sweeps": 0 if decision.sweeps is None else len(decision.sweeps),
+            "minutes": decision.minutes,
+            "session": outcome.session,
+            "then_hold_hours": decision.then_hours,
+            "probability_out": decision.now.exceeds(tolerance),
+            "task_error_nm": {"now": 1e3 * decision.now.median, "after": 1e3 * decision.after.median},
+        }
+        for decision, outcome in zip(decisions, outcomes, strict=True)
+    ]
+
+
+def _held(drift: DriftModel, outcomes: tuple[SessionOutcome, ...]) -> list[tuple[float, Floats]]:
+    return [(outcome.time_h, drift.values(outcome.state.mean)) for outcome in outcomes]
+
+
+class _Rig:
+    """Measures the policy's plans on the simulated cell, each with noise of its own."""
+
+    def __init__(self, cell: Cell, truth: Truth, sigma: float, seed: int) -> None:
+        self._cell, self._truth, self._sigma = cell, truth, sigma
+        self._seeds = np.random.SeedSequence([seed, 1])
+
+    def measure(self, plan: Sweeps, time_h: float) -> Sweeps:
+        n = len(plan)
+        timed = replace(plan, session=np.full(n, f"h{time_h:06.2f}"), time_h=np.full(n, time_h))
+        seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
+        return simulate(self._cell, self._truth, timed, sigma=self._sigma, seed=seed)

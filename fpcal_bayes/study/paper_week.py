@@ -1,0 +1,225 @@
+"""The paper's week on the simulated cell: sweeps on days 0, 1, 2, 7 and 8, each identified as the paper did.
+
+Between the tables of the paper the truth either moves steadily, or walks at random with the drift sizes of the cell.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.tasks.error import task_errors
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.traces import PathTrace
+from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.motion.tasks import Task, task_path
+from fpcal_bayes.simulator.recorder import record_path
+from fpcal_bayes.simulator.sweeps import simulate
+
+#: The paper's Fig 13: every 2 h for 14 h.
+CHECK_HOURS = tuple(2.0 * number for number in range(8))
+RADIUS = 100.0
+_POINTS = 181
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle in the mirror plane, driven once with an estimate.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    time_h
+        When it was driven.
+    estimate
+        Name of the session that the estimate is of.
+    phase
+        Of its points in deg, shape (n,).
+    change
+        True change of cavity length beyond what the estimate expects, shape (n,), in um.
+    trace
+        Irradiance along the circle, with its reference scans, as the rig records it.
+    """
+
+    name: str
+    time_h: float
+    estimate: str
+    phase: Floats
+    change: Floats
+    trace: PathTrace
+
+    @property
+    def peak_to_peak(self) -> float:
+        """Of the change, in um."""
+        return float(np.ptp(self.change))
+
+
+def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed: int) -> list[Circle]:
+    """The circle of one estimate, driven at `CHECK_HOURS` after it.
+
+    Parameters
+    ----------
+    name
+        Of the session that the estimate is of.
+    seed
+        Of the recordings' noise.
+
+    Raises
+    ------
+    InputError
+        If the circle cannot be driven.
+    """
+    task = _circle(estimate)
+    times = [estimate.time_h + hours for hours in CHECK_HOURS]
+    return [
+        _driven(cell, truth, task, estimate, f"check-{hours:02.0f}h", time_h, name, seed + number)
+        for number, (hours, time_h) in enumerate(zip(CHECK_HOURS, times, strict=True))
+    ]
+
+
+def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int) -> list[Circle]:
+    """The circle of each identification at its own time, and before it with that of the identification before.
+
+    Parameters
+    ----------
+    estimates
+        By session, in order of time.
+    seed
+        Of the recordings' noise.
+
+    Raises
+    ------
+    InputError
+        If a circle cannot be driven.
+    """
+    circles: list[Circle] = []
+    before = ""
+    for name, estimate in estimates.items():
+        used = [(before, "before")] if before else []
+        for held, when in [*used, (name, "after")]:
+            task = _circle(estimates[held])
+            number = seed + len(circles)
+            circles.append(_driven(cell, truth, task, estimates[held], f"{when}-{name}", estimate.time_h, held, number))
+        before = name
+    return circles
+
+
+def _circle(estimate: Estimate) -> Task:
+    return task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS).driven()
+
+
+def _driven(
+    cell: Cell, truth: Truth, task: Task, estimate: Estimate, name: str, time_h: float, held: str, seed: int
+) -> Circle:
+    model = CavityModel.of(cell, truth.parameters)
+    expected = estimate.vector()[truth.parameters.slots]
+    change = task_errors(model, truth.at(time_h), expected, task)[0]
+    trace = record_path(cell, truth, task.q, time_h, seed=seed)
+    return Circle(name, time_h, held, task.along, change - change[0], trace)
+
+
+#: How the truth gets from one table to the next.
+BETWEEN = ("steady", "walk")
+_STEP_H = 0.5
+
+Free = Literal["all", "extrinsic"]
+
+
+@dataclass(frozen=True)
+class Session:
+    """One session of the week.
+
+    Attributes
+    ----------
+    name, day
+        As in the campaign.
+    free
+        What is identified; the rest is held at the last full identification.
+    tables
+        The tables of the paper that it makes anew.
+    """
+
+    name: str
+    day: float
+    free: Free
+    tables: str
+
+
+SESSIONS = (
+    Session("full-T0", 0.0, "all", "Tables II and III"),
+    Session("full-day1", 1.0, "all", "Tables V and IV"),
+    Session("full-day2", 2.0, "all", "Tables VI and IV"),
+    Session("extrinsic-day7", 7.0, "extrinsic", "Table IV"),
+    Session("full-day8", 8.0, "all", "Tables VII and IV"),
+)
+
+
+@dataclass(frozen=True)
+class Week:
+    """What the week gave: the truth, the sweeps of all sessions, and an identification of each."""
+
+    cell: Cell
+    truth: Truth
+    sweeps: Sweeps
+    identifications: dict[str, Identification]
+
+
+def week_truth(cell: Cell, between: str, seed: int) -> Truth:
+    """The truth through the week: the paper's tables on days 0, 1, 2 and 8, and what lies between them.
+
+    Parameters
+    ----------
+    between
+        One of `BETWEEN`: ``steady``, or ``walk`` for a random walk with the cell's drift sizes, given the tables.
+    seed
+        Of the walk.
+    """
+    tables = paper_truth(cell)
+    if between == "steady":
+        return tables
+    sizes = {size.name: size.walk for size in cell.drift}
+    walk = np.array([sizes.get(name, 0.0) for name in tables.parameters.names]) * np.sqrt(_STEP_H / 24.0)
+    times = np.arange(0.0, tables.times_h[-1] + _STEP_H / 2.0, _STEP_H)
+    random = np.random.default_rng([seed, 2])
+    path = np.cumsum(np.vstack([0.0 * walk, walk * random.standard_normal((len(times) - 1, len(walk)))]), axis=0)
+    # A walk less its own line between the days of the tables is a Brownian bridge.
+    at_tables = Truth(tables.parameters, tables.times_h, path[np.searchsorted(times, tables.times_h - 1e-9)])
+    return Truth(tables.parameters, times, tables.at(times) + path - at_tables.at(times))
+
+
+def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady") -> tuple[Truth, Sweeps]:
+    """Simulate the sweeps of every session.
+
+    Parameters
+    ----------
+    sigma
+        Standard deviation of each change of cavity length, in um.
+    seed
+        Of the noise.
+    between
+        As in `week_truth`.
+
+    Returns
+    -------
+    tuple
+        The truth through the week, and the sweeps of all sessions in order of time.
+    """
+    truth = week_truth(cell, between, seed)
+    plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")
+    return truth, simulate(cell, truth, plan, sigma=sigma, seed=seed)
+
+
+def identify_session(
+    cell: Cell, sweeps: Sweeps, session: Session, full: Identification | None, data: dict[str, str]
+) -> Identification:
+    """Identify one session; `full` is the last full identification, at which an extrinsic one holds the rest."""
+    start = None if session.free == "all" or full is None else full.estimate
+    result = identify(cell, sweeps.of_session(session.name), free=session.free, start=start)
+    return replace(result, estimate=replace(result.estimate, data={**data, "session": session.name}))

@@ -1,1 +1,0 @@
-"""How the parameters drift, followed from session to session."""

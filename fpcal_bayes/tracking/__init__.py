@@ -1,0 +1,1 @@
+"""The parameters from session to session."""

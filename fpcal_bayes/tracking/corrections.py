@@ -1,0 +1,318 @@
+"""Rows that are not what they seem: changes whose sign is not known, and fringe counts that slipped.
+
+Both are judged against the predicted state: with a tracked cell, what a sweep will read is mostly known beforehand.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse, stats
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Whitening
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+
+
+class RowChanges(Protocol):
+    """An innovation whose rows change by whole half wavelengths.
+
+    With `w` half wavelengths taken off row i, its square becomes ``squared - 2 w along[i] + w**2 size[i]``.
+    """
+
+    @property
+    def squared(self) -> float:
+        """Normalised innovation squared with the changes made so far."""
+        ...
+
+    @property
+    def along(self) -> Floats:
+        """See above, shape (n_rows,)."""
+        ...
+
+    @property
+    def size(self) -> Floats:
+        """See above, shape (n_rows,)."""
+        ...
+
+    def taken_off(self, row: int, waves: int) -> Self:
+        """With whole half wavelengths taken off one row."""
+        ...
+
+
+@dataclass(frozen=True)
+class FewRows:
+    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows.
+
+    Attributes
+    ----------
+    whitened
+        Innovation in units of its own standard deviations, shape (n_rows,).
+    units, half_wave
+        One um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um.
+    columns, size
+        Half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,).
+    """
+
+    whitened: Floats
+    units: Floats
+    half_wave: float
+    columns: Floats
+    size: Floats
+
+    @classmethod
+    def of(cls, whitening: Whitening, innovation: Innovation, half_wave: float) -> Self:
+        """Of an innovation that holds every row."""
+        single = whitening.apply(np.eye(innovation.dof))
+        units = linalg.solve_triangular(innovation.factor, single, lower=True)
+        columns = units * half_wave
+        return cls(innovation.whitened, units, half_wave, columns, (columns**2).sum(axis=0))
+
+    @property
+    def squared(self) -> float:
+        """See `RowChanges`."""
+        return float(self.whitened @ self.whitened)
+
+    @property
+    def along(self) -> Floats:
+        """See `RowChanges`."""
+        result: Floats = self.columns.T @ self.whitened
+        return result
+
+    def taken_off(self, row: int, waves: int) -> Self:
+        """See `RowChanges`."""
+        return replace(self, whitened=self.whitened - waves * self.half_wave * self.units[:, row])
+
+
+@dataclass(frozen=True)
+class ManyRows:
+    """A `RowChanges` whose cost is linear in rows, by the Woodbury identity.
+
+    With the whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
+    ``M = I - (I + R P R')^-1`` has a row for each state.
+
+    Attributes
+    ----------
+    squared, along, size
+        See `RowChanges`.
+    own
+        Product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero.
+    seen, weighed
+        Half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states).
+    """
+
+    squared: float
+    along: Floats
+    size: Floats
+    own: sparse.csc_array
+    seen: Floats
+    weighed: Floats
+
+    @classmethod
+    def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: float) -> Self:
+        """Of a linearisation of all rows.
+
+        Parameters
+        ----------
+        misfit, jacobian
+            Whitened, shapes (n_rows,) and (n_rows, n_states).
+        covariance
+            Of the predicted state, shape (n_states, n_states).
+        half_wave
+            Half a wavelength in um.
+        """
+        mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
+        waves = half_wave * sparse.csr_array(mix)
+        directions, triangle = np.linalg.qr(jacobian)
+        spread = np.eye(len(triangle)) + triangle @ covariance @ triangle.T
+        explained = np.eye(len(triangle)) - np.linalg.inv(spread)
+        left = misfit - directions @ (explained @ (directions.T @ misfit))
+        own, seen = sparse.csc_array(waves.T @ waves), waves.T @ directions
+        weighed = seen @ explained
+        size = own.diagonal() - (seen * weighed).sum(axis=1)
+        return cls(float(misfit @ left), waves.T @ left, size, own, seen, weighed)
+
+    def taken_off(self, row: int, waves: int) -> Self:
+        """See `RowChanges`."""
+        squared = self.squared - 2.0 * waves * self.along[row] + waves**2 * self.size[row]
+        along = self.along + waves * (self.weighed @ self.seen[row])
+        entries = slice(self.own.indptr[row], self.own.indptr[row + 1])
+        along[self.own.indices[entries]] -= waves * self.own.data[entries]
+        return replace(self, squared=float(squared), along=along)
+
+
+def row_changes(measurement: SweepMeasurement, innovation: Innovation, predicted: State) -> RowChanges:
+    """The changes of half a wavelength that the rows of a session may have.
+
+    Parameters
+    ----------
+    innovation, predicted
+        Of the session, and the state that it is linearised at.
+    """
+    half_wave = 0.5 * measurement.model.cell.wavelength
+    if len(innovation.misfit) == innovation.dof:
+        return FewRows.of(measurement.whitening, innovation, half_wave)
+    misfit, jacobian = measurement.linearise(predicted.mean)
+    return ManyRows.of(measurement.whitening, misfit, jacobian, predicted.covariance, half_wave)
+
+
+#: A predicted sign is taken when its odds exceed e^12 with a predictive standard deviation three times as wide.
+_DECISIVE_LOG_ODDS = 12.0
+_WIDENING = 3.0
+#: Probability of a slip somewhere in a session, and of a jump of the parameters before it.
+_SLIP = 1e-3
+_JUMP = 1e-3
+#: A slip is corrected when it is this much likelier than anything else (e^7: a thousand times).
+_DECISIVE = 7.0
+#: Half wavelengths that a count may slip by.
+_WAVES = np.array([k for k in range(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1) if k])
+#: Probability of the corrected innovation that a correction must reach.
+_ACCEPT = 1e-3
+
+
+def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
+    """The rows of a session with their signs, decided by what the state predicts.
+
+    Rows with a clear sign are taken in first, which may make those of others clear. Rows that stay open are left out.
+
+    Returns
+    -------
+    tuple
+        Signed rows, and a warning if rows were left out.
+    """
+    known = sweeps.signed | sweeps.absolute
+    if known.all():
+        return sweeps, []
+    dl = sweeps.dl.copy()
+    while not known.all():
+        state = predicted
+        if known.any():
+            part = sweeps.take(known).with_measurement(dl[known], sweeps.sigma[known])
+            state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
+        scaled = jacobian * drift.scale
+        n = drift.n_parameters
+        variance = ((scaled @ state.covariance[:n, :n]) * scaled).sum(axis=1) + sweeps.sigma**2
+        clear = ~known & (2.0 * np.abs(expected) * np.abs(dl) > _DECISIVE_LOG_ODDS * _WIDENING**2 * variance)
+        if not clear.any():
+            break
+        dl[clear] = np.copysign(dl[clear], expected[clear])
+        known |= clear
+    signed = sweeps.with_measurement(dl, sweeps.sigma).take(known)
+    left = int((~known).sum())
+    if not left:
+        return signed, []
+    named = ", ".join(sweeps.label[~known].tolist()[:5]) + (", ..." if left > 5 else "")
+    return signed, [f"the sign of {left} rows cannot be told, they are not used: {named}"]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Rows corrected for slips.
+
+    Attributes
+    ----------
+    dl
+        Corrected changes, shape (n_rows,), in um.
+    warnings
+        One a corrected row, or one that says that a slip is as likely as all else.
+    """
+
+    dl: Floats
+    warnings: tuple[str, ...]
+
+
+def correct_slips(
+    sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
+) -> Correction:
+    """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
+
+    Parameters
+    ----------
+    sweeps, measurement, innovation
+        The session, signed; its innovation is too large.
+    jumps
+        Standard deviations of the jumps that may explain it instead, each of shape (n_states,).
+    """
+    half_wave = 0.5 * measurement.model.cell.wavelength
+    count = len(sweeps)
+    rows, dl = row_changes(measurement, innovation, predicted), sweeps.dl.copy()
+    changes = np.zeros(count, dtype=np.int64)
+    log_odds = float(np.log(_SLIP / (2 * MOST_HALF_WAVES * count)))
+    gain = _other_gains(innovation, predicted, jumps)
+    evidence, needed = 0.0, (count + 1) // 2
+    for _ in range(needed):
+        left = _left(rows, changes)
+        row, waves, squared = _best_slip(left)
+        if _most(evidence, log_odds, innovation, rows.squared, left) < gain - 2.0 * _DECISIVE:
+            return Correction(sweeps.dl, ())
+        evidence += log_odds
+        changes[row] = waves
+        rows = rows.taken_off(row, waves)
+        dl[row] -= waves * half_wave
+        if stats.chi2.sf(squared, count) > _ACCEPT:
+            break
+    else:
+        return Correction(sweeps.dl, ())
+    best = innovation.log_likelihood + gain
+    slipped = evidence + innovation.log_likelihood + 0.5 * (innovation.squared - squared)
+    if slipped < best + _DECISIVE:
+        doubt = f"slipped fringe counts would explain the session about as well: {_named(sweeps, changes)}"
+        return Correction(sweeps.dl, (doubt,) if slipped > best - _DECISIVE else ())
+    text = f"fringe counts slipped, corrected by whole half wavelengths: {_named(sweeps, changes)}"
+    return Correction(dl, (text,))
+
+
+def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]) -> float:
+    """How much the best explanation without a slip raises the log likelihood, its rarity taken off; at least zero.
+
+    Explanations are chance, each of `jumps`, and each parameter of the last of them jumping alone.
+    """
+    gains = [0.0]
+    rarity = float(np.log(_JUMP))
+    for jump in jumps:
+        wide = innovation.under(predicted.covariance + np.diag(jump**2))
+        gains.append(rarity + wide.log_likelihood - innovation.log_likelihood)
+    moving = np.flatnonzero(jumps[-1])
+    columns = innovation.whiten(innovation.jacobian[:, moving] * jumps[-1][moving])
+    size = (columns**2).sum(axis=0)
+    alone = 0.5 * ((columns.T @ innovation.whitened) ** 2 / (1.0 + size) - np.log1p(size))
+    return max(*gains, rarity - float(np.log(len(moving))) + float(alone.max()))
+
+
+def _left(rows: RowChanges, changes: NDArray[np.int64]) -> Floats:
+    """What is left of the square after each further correction, shape (2 MOST_HALF_WAVES, n_rows)."""
+    left = rows.squared - 2.0 * _WAVES[:, None] * rows.along + _WAVES[:, None] ** 2 * rows.size
+    return np.where(changes == 0, left, np.inf)
+
+
+def _best_slip(left: Floats) -> tuple[int, int, float]:
+    """Row, number of half wavelengths and what is left of the square, for the best further correction."""
+    k, row = (int(i) for i in np.unravel_index(np.argmin(left), left.shape))
+    return row, int(_WAVES[k]), float(left[k, row])
+
+
+def _most(evidence: float, log_odds: float, innovation: Innovation, squared: float, left: Floats) -> float:
+    """How much the log likelihood can rise at most by the slips found so far and further ones.
+
+    Among few rows the state may hide a slip behind another one, and one more slip may explain all that is left. Among
+    many, each shows by itself: further slips give what each gives alone, and none is left if none lowers the square.
+    """
+    if len(innovation.misfit) == innovation.dof:
+        return evidence + log_odds + 0.5 * innovation.squared
+    falls = squared - left.min(axis=0)
+    if falls.max() <= 0.0:
+        return -np.inf
+    further = np.maximum(0.5 * falls + log_odds, 0.0).sum()
+    return float(evidence + 0.5 * (innovation.squared - squared) + further)
+
+
+def _named(sweeps: Sweeps, changes: NDArray[np.int64]) -> str:
+    return ", ".join(f"{sweeps.label[i]} ({-changes[i]:+d})" for i in np.flatnonzero(changes))

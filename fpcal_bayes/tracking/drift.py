@@ -1,0 +1,218 @@
+"""An estimate some time later: as good as drift has left it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+
+HOURS_PER_DAY = 24.0
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`.
+
+    Attributes
+    ----------
+    matrix, noise
+        Shape (n_states, n_states).
+    shift
+        Shape (n_states,).
+    """
+
+    matrix: Floats
+    noise: Floats
+    shift: Floats
+
+
+@dataclass(frozen=True)
+class DriftModel:
+    """Drift of a set of parameters.
+
+    The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
+    then what drives them: rates, returning motions, temperature coefficients, each in units of its own standard
+    deviation.
+
+    Attributes
+    ----------
+    parameters
+        The parameters that are followed.
+    sizes
+        One a parameter, in the same order.
+    hidden
+        Variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None
+        (see `hidden_noise`).
+    """
+
+    parameters: ParameterSet
+    sizes: tuple[DriftSize, ...]
+    hidden: Floats | None = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
+        """The drift that a cell states, of its free parameters by default.
+
+        Raises
+        ------
+        InputError
+            If the cell states no drift at all: its parameters would be taken as constant.
+        """
+        if not cell.drift:
+            raise InputError(
+                f"cell {cell.name!r} states no drift: expected it in its file, for example "
+                "[extrinsic.drift] x_wf = { walk_um = 0.5 } (per square-root day)"
+            )
+        parameters = cell.free if parameters is None else parameters
+        known = {size.name: size for size in cell.drift}
+        return cls(parameters, tuple(known.get(name, DriftSize(name)) for name in parameters.names))
+
+    def resized(self, change: Callable[[DriftSize], DriftSize]) -> "DriftModel":
+        """The same model with each size replaced by `change` of it, without `hidden`."""
+        return replace(self, sizes=tuple(change(size) for size in self.sizes), hidden=None)
+
+    @cached_property
+    def n_parameters(self) -> int:
+        """Number of parameters, which come first in the state."""
+        return len(self.parameters)
+
+    @cached_property
+    def n_states(self) -> int:
+        """Length of the state."""
+        return self.n_parameters + len(self._rates) + len(self._bounded) + len(self._sensitive)
+
+    @cached_property
+    def scale(self) -> Floats:
+        """Units of the parameter states in um and rad, shape (n_parameters,)."""
+        return self.parameters.prior_sd
+
+    @cached_property
+    def walk(self) -> Floats:
+        """Random walk after one day in scaled units, shape (n_parameters,)."""
+        return np.array([size.walk for size in self.sizes]) / self.scale
+
+    @cached_property
+    def extrinsic(self) -> NDArray[np.bool_]:
+        """Whether each parameter belongs to mirror or fibre, shape (n_parameters,)."""
+        return np.array([p.kind == "extrinsic" for p in self.parameters])
+
+    @cached_property
+    def _rates(self) -> NDArray[np.int64]:
+        return np.flatnonzero([size.rate_sd > 0 for size in self.sizes])
+
+    @cached_property
+    def _bounded(self) -> NDArray[np.int64]:
+        return np.flatnonzero([size.bounded_sd > 0 for size in self.sizes])
+
+    @cached_property
+    def _sensitive(self) -> NDArray[np.int64]:
+        return np.flatnonzero([size.temperature_sd > 0 for size in self.sizes])
+
+    def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Mean (n_states,) and covariance (n_states, n_states) of the state after a calibration.
+
+        Rates, returning motions and coefficients start at their own prior: a calibration at one time says nothing
+        about them as long as their size is small beside the prior of the parameter.
+
+        Parameters
+        ----------
+        values, covariance
+            Of the parameters in um and rad, shapes (n_parameters,) and (n_parameters, n_parameters).
+        """
+        n = self.n_parameters
+        mean, full = np.zeros(self.n_states), np.eye(self.n_states)
+        mean[:n] = (values - self.parameters.nominal) / self.scale
+        full[:n, :n] = covariance / np.outer(self.scale, self.scale)
+        return mean, full
+
+    def values(self, mean: Floats) -> Floats:
+        """Parameters in um and rad of states (..., n_states)."""
+        return self.parameters.nominal + self.scale * mean[..., : self.n_parameters]
+
+    def covariance(self, covariance: Floats) -> Floats:
+        """Covariance of the parameters in um and rad of a state covariance (n_states, n_states)."""
+        n = self.n_parameters
+        result: Floats = covariance[:n, :n] * np.outer(self.scale, self.scale)
+        return result
+
+    def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
+        """The step over some hours, in which the logged temperature changed by `kelvin`."""
+        n, days = self.n_parameters, hours / HOURS_PER_DAY
+        matrix, noise = np.eye(self.n_states), np.zeros((self.n_states, self.n_states))
+        noise[range(n), range(n)] = self.walk**2 * days
+        if self.hidden is not None:
+            noise[:n, :n] += self.hidden * days
+        shift = np.zeros(self.n_states)
+        shift[:n] = kelvin * np.array([size.temperature for size in self.sizes]) / self.scale
+        at = n
+        for i in self._rates:
+            matrix[i, at] = days * self.sizes[i].rate_sd / self.scale[i]
+            at += 1
+        for i in self._bounded:
+            size = self.sizes[i]
+            kept = float(np.exp(-hours / size.bounded_hours))
+            # The parameter is a constant plus the returning motion: both take the same step.
+            step = np.array([size.bounded_sd / self.scale[i], 1.0])
+            matrix[i, at], matrix[at, at] = (kept - 1.0) * step[0], kept
+            noise[np.ix_([i, at], [i, at])] += (1.0 - kept**2) * np.outer(step, step)
+            at += 1
+        for i in self._sensitive:
+            matrix[i, at] = kelvin * self.sizes[i].temperature_sd / self.scale[i]
+            at += 1
+        return Transition(matrix, noise, shift)
+
+
+#: A steady rate makes in a day what the random walk makes; a kelvin what it makes in six hours, in which a room may
+#: well warm by one. Both are standard deviations of what is unknown, found by the filter.
+_RATE_DAYS, _KELVIN_DAYS = 1.0, 0.25
+
+
+def likely_drift(cell: Cell, sweeps: Sweeps) -> DriftModel:
+    """The drift that a cell states, with `likely_terms` where the sweeps log a temperature.
+
+    A cell that states a rate, a returning motion or a part of the temperature itself is taken at its word.
+
+    Raises
+    ------
+    InputError
+        If the cell states no drift at all.
+    """
+    stated = DriftModel.of(cell)
+    walks_only = all(size == DriftSize(size.name, walk=size.walk) for size in stated.sizes)
+    logged = bool(np.isfinite(sweeps.temperature_c).any())
+    return likely_terms(stated) if logged and walks_only else stated
+
+
+def likely_terms(drift: DriftModel) -> DriftModel:
+    """The drift with a steady rate and a temperature's part of each drifting angle of mirror and fibre."""
+    angles = {p.name for p in drift.parameters if p.kind == "extrinsic" and p.unit == "deg"}
+
+    def change(size: DriftSize) -> DriftSize:
+        if size.name not in angles or not size.walk:
+            return size
+        return replace(size, rate_sd=size.walk / np.sqrt(_RATE_DAYS), temperature_sd=size.walk * np.sqrt(_KELVIN_DAYS))
+
+    return drift.resized(change)
+
+
+def aged(estimate: Estimate, hours: float) -> Estimate:
+    """An estimate `hours` later: its covariance has grown by the cell's drift.
+
+    Raises
+    ------
+    InputError
+        If the cell states no drift.
+    """
+    drift = DriftModel.of(estimate.cell, estimate.parameters)
+    _, before = drift.initial(estimate.values, estimate.covariance)
+    step = drift.transition(hours)
+    return replace(estimate, covariance=drift.covariance(step.matrix @ before @ step.matrix.T + step.noise))

@@ -1,0 +1,230 @@
+"""The Kalman filter: predict over time, update with rows, iterated where they are not linear.
+
+The update is the maximum of the posterior of state and rows (Gauss-Newton, Bell & Cathey 1993), each step shortened
+until it goes down; filterpy takes the last step, with the Joseph form of the covariance.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
+
+#: The iteration ends when a step is shorter than this, in standard deviations of the prediction.
+_STEP_TOLERANCE = 1e-3
+_MAX_STEPS = 50
+_SLOW = 0.3
+#: What rounding may add to the sum of squares.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class State:
+    """What is known at a time.
+
+    Attributes
+    ----------
+    time_h
+        Hours since the campaign began.
+    mean, covariance
+        Of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states).
+    temperature_c
+        Last temperature that was logged, or NaN.
+    """
+
+    time_h: float
+    mean: Floats
+    covariance: Floats
+    temperature_c: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """What rows say beyond the prediction, linearised at it.
+
+    Of many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
+
+    Attributes
+    ----------
+    misfit, jacobian
+        Whitened measurement minus prediction (n_equivalent,), and derivatives by the state (n_equivalent, n_states).
+    factor
+        Lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent).
+    log_volume
+        Of the whitening.
+    dof
+        Number of rows that were measured.
+    """
+
+    misfit: Floats
+    jacobian: Floats
+    factor: Floats
+    log_volume: float
+    dof: int
+
+    @classmethod
+    def of(cls, misfit: Floats, jacobian: Floats, covariance: Floats, log_volume: float) -> "Innovation":
+        """From a linearisation of all rows that were measured and the covariance of the predicted state."""
+        rows, derivatives = equivalent_rows(misfit, jacobian)
+        return cls(rows, derivatives, _factor(derivatives, covariance), log_volume, len(misfit))
+
+    def under(self, covariance: Floats) -> "Innovation":
+        """The same rows with another covariance of the predicted state, shape (n_states, n_states)."""
+        return replace(self, factor=_factor(self.jacobian, covariance))
+
+    @cached_property
+    def whitened(self) -> Floats:
+        """The misfit in units of its own standard deviations, shape (n_equivalent,)."""
+        return self.whiten(self.misfit)
+
+    def whiten(self, rows: Floats) -> Floats:
+        """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
+        # For a few rows this is faster than a triangular solve by LAPACK.
+        result: Floats = np.linalg.solve(self.factor, rows)
+        return result
+
+    @property
+    def squared(self) -> float:
+        """Normalised innovation squared: chi-square with `dof` degrees of freedom if all is as modelled."""
+        return float(self.whitened @ self.whitened)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Logarithm of the probability density of the rows, in their own units."""
+        log_factor = float(np.log(np.diag(self.factor)).sum())
+        return self.log_volume - log_factor - 0.5 * (self.squared + self.dof * float(np.log(2.0 * np.pi)))
+
+
+@dataclass(frozen=True)
+class Update:
+    """Result of `update`.
+
+    Attributes
+    ----------
+    state
+        After the rows.
+    innovation
+        What they said beyond the prediction.
+    gain
+        Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent).
+    misfit, jacobian
+        Linearisation of all rows at the solution, as an innovation: whitened measurement minus what the linearised
+        prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states).
+    converged
+        Whether the iteration came to rest.
+    """
+
+    state: State
+    innovation: Innovation
+    gain: Floats
+    misfit: Floats
+    jacobian: Floats
+    converged: bool
+
+
+def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
+    """The state at a later time, before anything is measured then.
+
+    Parameters
+    ----------
+    temperature_c
+        Logged at that time, or NaN: the temperature is then taken as unchanged.
+    """
+    filtered = kalman(state, 1)
+    step = drift.transition(time_h - state.time_h, kelvin_between(state.temperature_c, temperature_c))
+    filtered.predict(F=step.matrix, Q=step.noise, B=np.eye(drift.n_states), u=step.shift)
+    known = state.temperature_c if np.isnan(temperature_c) else temperature_c
+    return State(time_h, filtered.x, symmetric(filtered.P), known)
+
+
+def kelvin_between(before: float, after: float) -> float:
+    """Change of temperature, zero where either is not known."""
+    change = after - before
+    return 0.0 if np.isnan(change) else float(change)
+
+
+def update(state: State, measurement: Measurement) -> Update:
+    """Take in rows measured at the time of `state`.
+
+    Parameters
+    ----------
+    state
+        As predicted for the time of the rows.
+    measurement
+        At least one row.
+    """
+    prior, covariance = state.mean, state.covariance
+    misfit, jacobian = measurement.linearise(prior)
+    innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
+    mean, pull = prior, np.zeros_like(prior)
+    cost = float(misfit @ misfit)
+    converged, last = False, np.inf
+    for _ in range(_MAX_STEPS):
+        # The state is prior + covariance @ pull throughout.
+        rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
+        total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
+        wanted = derivatives.T @ np.linalg.solve(total, rows)
+        step = wanted - pull
+        length = float(np.sqrt(max(float(step @ covariance @ step), 0.0)))
+        if length < _STEP_TOLERANCE:
+            converged = True
+            break
+        # Where curvature makes the steps shrink slowly, one step takes the sum of those to come.
+        slowness = length / last
+        last = length
+        if _SLOW < slowness < 1.0:
+            step, last = step * min(1.0 / (1.0 - slowness), 20.0), np.inf
+        for _ in range(10):
+            trial = prior + covariance @ (pull + step)
+            found, slope = measurement.linearise(trial)
+            trial_cost = float(found @ found + (pull + step) @ (trial - prior))
+            if trial_cost <= cost + _ROUNDING * (1.0 + cost):
+                break
+            step = step / 2.0
+        else:
+            break
+        mean, pull, misfit, jacobian, cost = trial, pull + step, found, slope, trial_cost
+    # Linear in the state from here on: one exact update from the prediction.
+    misfit = misfit + jacobian @ (mean - prior)
+    rows, derivatives = equivalent_rows(misfit, jacobian)
+    filtered = kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
+    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+    after = replace(state, mean=prior + filtered.x, covariance=symmetric(filtered.P))
+    return Update(after, innovation, filtered.K, misfit, jacobian, converged)
+
+
+def inflate(state: State, sd: Floats) -> State:
+    """The state after a jump of unknown size.
+
+    Parameters
+    ----------
+    sd
+        Standard deviation of the jump in the units of the state, shape (n_states,).
+    """
+    return replace(state, covariance=state.covariance + np.diag(sd**2))
+
+
+def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
+    """A filter of filterpy that holds a state and takes in `n_rows` rows."""
+    # filterpy takes a second to import: only commands that filter pay for it.
+    from filterpy.kalman import KalmanFilter
+
+    filtered = KalmanFilter(len(state.mean), n_rows)
+    filtered.x, filtered.P = state.mean, state.covariance
+    return filtered
+
+
+def _factor(jacobian: Floats, covariance: Floats) -> Floats:
+    """Lower Cholesky factor of the covariance of whitened rows."""
+    spread = jacobian @ covariance @ jacobian.T
+    result: Floats = np.linalg.cholesky(spread + np.eye(len(jacobian)))
+    return result
+
+
+def symmetric(matrix: Floats) -> Floats:
+    """A matrix without the skew part that rounding leaves."""
+    result: Floats = (matrix + matrix.T) / 2.0
+    return result

@@ -1,0 +1,180 @@
+"""Sizes of the drift from a history of sessions, by maximum likelihood through the filter.
+
+A few epochs say little: intervals come from the profile of the likelihood, which shows it. Where even no drift at all
+fits, the lower end is zero; where any size fits, the upper end is infinite.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import optimize, special
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import predict, update
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
+from fpcal_bayes.tracking.tracker import calibrate
+
+#: Factors by which sizes are tried around their starting values.
+REACH = (1e-2, 1e2)
+
+
+@dataclass(frozen=True)
+class FittedFactor:
+    """A factor on the random walks of some parameters.
+
+    Attributes
+    ----------
+    names
+        Of the parameters that share it.
+    value
+        Maximum of the likelihood; 1 leaves the starting sizes.
+    low, high
+        Ends of the profile-likelihood interval; 0 and infinity where the likelihood does not end it.
+    """
+
+    names: tuple[str, ...]
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class FittedSizes:
+    """Result of `fit_sizes`.
+
+    Attributes
+    ----------
+    drift
+        With the fitted sizes.
+    factors
+        One a group of parameters.
+    log_likelihood
+        At the maximum.
+    level
+        Confidence level of the intervals.
+    """
+
+    drift: DriftModel
+    factors: tuple[FittedFactor, ...]
+    log_likelihood: float
+    level: float
+
+
+def fit_sizes(
+    cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]], *, drift: DriftModel | None = None, level: float = 0.95
+) -> FittedSizes:
+    """Fit factors on the random walks of groups of parameters to a campaign.
+
+    Parameters
+    ----------
+    cell
+        Its drift sizes are the starting values.
+    sweeps
+        Of all sessions; the first is the calibration. Rows without sign are left out.
+    groups
+        Names of the parameters that share a factor.
+    drift
+        Starting sizes in place of the cell's own.
+    level
+        Confidence level of the intervals.
+
+    Raises
+    ------
+    InputError
+        If there is no session beside the calibration, or a group holds no parameter that drifts.
+    """
+    drift = DriftModel.of(cell) if drift is None else drift
+    parts = check_sessions(sweeps)
+    if len(parts) < 2:
+        raise InputError(f"{sweeps.file}: expected sessions after the calibration to learn drift from")
+    for group in groups:
+        if not (drift.walk[drift.parameters.positions(group)] > 0).any():
+            raise InputError(f"none of {', '.join(group)} drifts in cell {cell.name!r}: expected a starting size")
+    first = calibrate(cell, drift, parts[0])[0].state
+    model = CavityModel.of(cell, drift.parameters)
+
+    def log_likelihood(log_factors: Floats) -> float:
+        sized = _resized(drift, groups, np.exp(log_factors))
+        state, total = first, 0.0
+        for part in parts[1:]:
+            used = part.take((part.kind != "path") & (part.signed | part.absolute))
+            state = predict(sized, state, float(part.time_h.max()), mean_temperature(part))
+            if len(used):
+                taken = update(state, SweepMeasurement.of(sized, model, used, state.mean))
+                state, total = taken.state, total + taken.innovation.log_likelihood
+        return total
+
+    best, top = maximise(log_likelihood, len(groups))
+    factors = []
+    for i, group in enumerate(groups):
+        low, high = profile_interval(log_likelihood, best, top, i, level)
+        factors.append(FittedFactor(tuple(group), float(np.exp(best[i])), low, high))
+    return FittedSizes(_resized(drift, groups, np.exp(best)), tuple(factors), top, level)
+
+
+def maximise(log_likelihood: Callable[[Floats], float], count: int) -> tuple[Floats, float]:
+    """Maximum of a log likelihood of `count` log factors within `REACH`, from factors of one."""
+    found = _maximum(log_likelihood, np.zeros(count))
+    return found, log_likelihood(found)
+
+
+def profile_interval(
+    log_likelihood: Callable[[Floats], float], best: Floats, top: float, which: int, level: float
+) -> tuple[float, float]:
+    """Interval of one factor, all others following (likelihood ratio, chi-square with one degree of freedom).
+
+    Returns
+    -------
+    tuple
+        Lower and upper end as factors; 0 or infinity where the likelihood does not fall by enough within `REACH`.
+    """
+    drop = 0.5 * float(special.chdtri(1, 1.0 - level))
+
+    def excess(log_factor: float) -> float:
+        others = np.delete(best, which)
+        if len(others):
+            others = _maximum(lambda rest: log_likelihood(np.insert(rest, which, log_factor)), others, coarse=True)
+        return top - log_likelihood(np.insert(others, which, log_factor)) - drop
+
+    ends = []
+    for edge, beyond in zip(np.log(REACH), (0.0, np.inf), strict=True):
+        if excess(float(edge)) < 0:
+            ends.append(float(beyond))
+        else:
+            inner, outer = sorted((float(best[which]), float(edge)))
+            ends.append(float(np.exp(optimize.brentq(excess, inner, outer, xtol=1e-2))))
+    return ends[0], ends[1]
+
+
+def _maximum(log_likelihood: Callable[[Floats], float], start: Floats, *, coarse: bool = False) -> Floats:
+    low, high = np.log(REACH)
+    # A first simplex of factors of two: the default one is too small around zero.
+    inward = np.where(start > 0.0, -np.log(2.0), np.log(2.0))
+    simplex = np.vstack([start, start + np.diag(inward)])
+    options: dict[str, Any] = {"xatol": 1e-2, "fatol": 1e-3, "initial_simplex": simplex}
+    if coarse:
+        # On a profile the others need only be near their maximum, where the likelihood is flat.
+        options |= {"xatol": 0.1, "fatol": 1e-2}
+    found = optimize.minimize(  # type: ignore[call-overload]
+        lambda x: -log_likelihood(np.clip(x, low, high)), start, method="Nelder-Mead", options=options
+    )
+    result: Floats = np.clip(found.x, low, high)
+    return result
+
+
+def _resized(drift: DriftModel, groups: Sequence[Sequence[str]], factors: Floats) -> DriftModel:
+    by_name = {name: float(factor) for group, factor in zip(groups, factors, strict=True) for name in group}
+
+    def change(size: DriftSize) -> DriftSize:
+        return replace(size, walk=size.walk * by_name.get(size.name, 1.0))
+
+    return drift.resized(change)

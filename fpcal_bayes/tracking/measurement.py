@@ -1,0 +1,140 @@
+"""What a filter takes in: rows that depend on the state, whitened."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel, Rows
+from fpcal_bayes.tracking.drift import DriftModel
+
+#: With more whitened rows than this for each state, fewer rows that say the same take their place.
+_ROWS_PER_STATE = 2
+
+
+def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+    """Few whitened rows that say the same about the state as many.
+
+    A rotation of the rows leaves their errors independent with unit variance. The one that makes
+    ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state explains, and rows of
+    zeros, which are dropped (data compression of the square-root information filter, Bierman 1977). Sums of squares
+    and determinants that belong to the rows stay what they are; only the count of rows is lost.
+
+    Parameters
+    ----------
+    misfit, jacobian
+        Whitened measurement minus prediction (n_rows,), and derivatives by the state (n_rows, n_states).
+
+    Returns
+    -------
+    tuple
+        The same of the equivalent rows: n_states + 1 of them, or the rows given where they are at most
+        twice as many as the states.
+    """
+    n_rows, n_states = jacobian.shape
+    if n_rows <= _ROWS_PER_STATE * n_states:
+        return misfit, jacobian
+    triangle = np.linalg.qr(np.column_stack([jacobian, misfit]), mode="r")
+    return triangle[:, n_states], triangle[:, :n_states]
+
+
+class Measurement(Protocol):
+    """Rows with independent errors of unit variance."""
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the factor by which the whitening stretches the space of the rows."""
+        ...
+
+    def misfit(self, mean: Floats) -> Floats:
+        """Whitened measurement minus prediction at a state (n_states,), shape (n_rows,)."""
+        ...
+
+    def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
+        """The misfit, and the derivatives of the whitened prediction by the state, shape (n_rows, n_states)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearMeasurement:
+    """Rows ``z = H x + e`` with e of unit covariance.
+
+    Attributes
+    ----------
+    z, h
+        Whitened, shapes (n_rows,) and (n_rows, n_states).
+    log_volume
+        Logarithm of the determinant of the whitening.
+    """
+
+    z: Floats
+    h: Floats
+    log_volume: float = 0.0
+
+    @classmethod
+    def of(cls, z: Floats, h: Floats, covariance: Floats) -> "LinearMeasurement":
+        """From rows with a positive definite covariance (n_rows, n_rows)."""
+        factor = np.linalg.cholesky(covariance)
+        whitened = np.linalg.solve(factor, np.column_stack([z, h]))
+        return cls(whitened[:, 0], whitened[:, 1:], -float(np.log(np.diag(factor)).sum()))
+
+    def misfit(self, mean: Floats) -> Floats:
+        """See `Measurement`."""
+        result: Floats = self.z - self.h @ mean
+        return result
+
+    def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
+        """See `Measurement`."""
+        return self.misfit(mean), self.h
+
+
+@dataclass(frozen=True)
+class SweepMeasurement:
+    """The changes of cavity length of a session's sweeps.
+
+    Attributes
+    ----------
+    drift, model
+        What the state means, and the cavity model of the same parameters.
+    rows, target, whitening
+        Sweeps laid out for the kernels, their measured changes with sign (n_rows,), their whitening.
+    """
+
+    drift: DriftModel
+    model: CavityModel
+    rows: Rows
+    target: Floats
+    whitening: Whitening
+
+    @classmethod
+    def of(cls, drift: DriftModel, model: CavityModel, sweeps: Sweeps, mean: Floats) -> "SweepMeasurement":
+        """The measurement of `sweeps`; joint repeatability is carried through the model at the state `mean`."""
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        return cls(drift, model, rows, sweeps.dl, whitening_of(model, sweeps, drift.values(mean)))
+
+    @property
+    def log_volume(self) -> float:
+        """See `Measurement`."""
+        diagonal = self.whitening.scale.copy()
+        for batch in self.whitening.batches:
+            diagonal[batch.members] = batch.scale * batch.own
+        return float(np.log(diagonal).sum())
+
+    def predict(self, mean: Floats) -> Floats:
+        """Changes that the state predicts, not whitened, shape (n_rows,), in um."""
+        return self.model.predict(self.drift.values(mean), self.rows)
+
+    def misfit(self, mean: Floats) -> Floats:
+        """See `Measurement`."""
+        return self.whitening.apply(self.target - self.predict(mean))
+
+    def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
+        """See `Measurement`."""
+        predicted, jacobian = self.model.predict_with_jacobian(self.drift.values(mean), self.rows)
+        n = self.drift.n_parameters
+        full = np.zeros((len(predicted), self.drift.n_states))
+        full[:, :n] = self.whitening.apply(jacobian * self.drift.scale)
+        return self.whitening.apply(self.target - predicted), full

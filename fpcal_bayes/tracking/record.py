@@ -1,0 +1,179 @@
+"""Save a track in a campaign file, and take it up again."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.measure.campaign import TrackRecord
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State, predict
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.sessions import session_sha256
+from fpcal_bayes.tracking.solutions import LOOKS
+from fpcal_bayes.tracking.start import with_hidden_noise
+from fpcal_bayes.tracking.tracker import Track, calibration_measurement
+
+_PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_likelihood", "converged")
+_ONSET = ("session", "hours", "age", "squared", "dof")
+
+
+def settings_sha256(drift: DriftModel, limits: Limits) -> str:
+    """Hash of what a track depends on beside cell and sweeps: drift sizes and limits of the tests."""
+    return content_sha256([[size.content() for size in drift.sizes], asdict(limits)])
+
+
+def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
+    """A track as a campaign file holds it.
+
+    Parameters
+    ----------
+    sweeps
+        Of all its sessions; hashes of them tell later which sessions the states hold.
+    decisions
+        What was decided meanwhile, one JSON object each, in order of time.
+    """
+    onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
+    n, states = track.drift.n_parameters, track.drift.n_states
+    summary = {
+        "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
+        "status": track.status,
+        "solutions": track.solutions,
+        "from_prior": track.outcomes[0].measurement is not None,
+        "decisions": list(decisions),
+    }
+    return TrackRecord(
+        cell_sha256=track.cell.sha256,
+        settings_sha256=settings_sha256(track.drift, limits),
+        names=track.drift.parameters.names,
+        summary=json.dumps(summary, allow_nan=False),
+        mean=np.array([outcome.state.mean for outcome in track.outcomes]),
+        covariance=np.array([outcome.state.covariance for outcome in track.outcomes]),
+        jump=np.array([outcome.jump for outcome in track.outcomes]),
+        onset_response=np.array([onset.response for onset in onsets]).reshape(-1, states, n),
+        onset_information=np.array([onset.information for onset in onsets]).reshape(-1, n, n),
+        onset_score=np.array([onset.score for onset in onsets]).reshape(-1, n),
+    )
+
+
+def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
+    """Decisions that were saved with a track; none where the record cannot be understood."""
+    try:
+        found = json.loads(record.summary).get("decisions", [])
+    except (ValueError, AttributeError, RecursionError):
+        return []
+    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
+
+
+def resume(
+    record: TrackRecord, cell: Cell, drift: DriftModel, limits: Limits, parts: list[Sweeps], file: str
+) -> tuple[Track | None, str]:
+    """The part of a saved track that still holds.
+
+    The track is taken up before the first session that is new, was changed, or came in between late.
+
+    Parameters
+    ----------
+    parts
+        Sweeps of each session, in order of time.
+    file
+        For messages.
+
+    Returns
+    -------
+    tuple
+        The track of the first sessions, or None if all are to be taken in anew; and why, or an empty text.
+
+    Raises
+    ------
+    InputError
+        If the track is of another cell, or cannot be understood.
+    """
+    if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
+        raise InputError(
+            f"{file}: the track saved in it is of another cell or path model ({record.cell_sha256[:8]}), expected "
+            f"{cell.name!r}, opd {cell.opd!r} ({cell.sha256[:8]}); give --anew to replace it"
+        )
+    if record.settings_sha256 != settings_sha256(drift, limits):
+        return None, "the drift sizes or limits are no longer those of the saved track: all sessions are taken in anew"
+    try:
+        track, hashes = _track(record, cell, drift)
+        from_prior = track is not None and bool(json.loads(record.summary)["from_prior"])
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{file}: the saved track cannot be read ({error}); give --anew to replace it") from error
+    if track is None:
+        return None, "the track was saved by an older version: all sessions are taken in anew"
+    kept = 0
+    for stated, part in zip(hashes, parts, strict=False):
+        if stated != [str(part.session[0]), session_sha256(part)]:
+            break
+        kept += 1
+    if kept == 0:
+        return None, "the first session is not that of the saved track: all sessions are taken in anew"
+    reason = "" if kept == len(hashes) else f"sessions after {track.outcomes[kept - 1].session} are taken in anew"
+    nothing_new = kept == len(hashes) == len(parts)
+    if track.solutions > 1 and kept <= LOOKS and not nothing_new:
+        return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
+    outcomes = track.outcomes[:kept]
+    if from_prior:
+        measurement = calibration_measurement(cell, drift, parts[0])
+        outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
+    return replace(track, outcomes=outcomes, resumed=kept), reason
+
+
+def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
+    monitor, temperature = outcome.monitor, outcome.state.temperature_c
+    return {
+        **{name: getattr(outcome, name) for name in _PLAIN},
+        "sha256": session_sha256(sweeps.of_session(outcome.session)),
+        "evidence": outcome.evidence,
+        "warnings": outcome.warnings,
+        "temperature_c": None if np.isnan(temperature) else temperature,
+        "recent": monitor.recent,
+        "cusum": [monitor.cusum_extrinsic, monitor.cusum_residual],
+        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in monitor.onsets],
+    }
+
+
+def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
+    summary = json.loads(record.summary)
+    if "sessions" in summary and "solutions" not in summary:
+        return None, []
+    outcomes: list[SessionOutcome] = []
+    at = 0
+    for i, stated in enumerate(summary["sessions"]):
+        logged = stated["temperature_c"]
+        temperature = float("nan") if logged is None else float(logged)
+        state = State(stated["time_h"], record.mean[i], record.covariance[i], temperature)
+        if not outcomes:
+            drift = with_hidden_noise(drift, CavityModel.of(cell, drift.parameters), state)
+        predicted = predict(drift, outcomes[-1].state, state.time_h, temperature) if outcomes else state
+        onsets = []
+        for entry in stated["onsets"]:
+            response, information = record.onset_response[at], record.onset_information[at]
+            onsets.append(Onset(**entry, response=response, information=information, score=record.onset_score[at]))
+            at += 1
+        monitor = Monitor(tuple(onsets), tuple((x, n) for x, n in stated["recent"]), *stated["cusum"])
+        outcomes.append(
+            SessionOutcome(
+                **{name: stated[name] for name in _PLAIN},
+                evidence=tuple(stated["evidence"]),
+                warnings=tuple(stated["warnings"]),
+                jump=record.jump[i],
+                predicted=predicted,
+                state=state,
+                monitor=monitor,
+            )
+        )
+    hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]
+    if len(record.mean) != len(outcomes) or record.mean.shape[1] != drift.n_states:
+        raise ValueError("its arrays do not fit its sessions")
+    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"])), hashes

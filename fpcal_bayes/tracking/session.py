@@ -1,0 +1,209 @@
+"""One session: predict, take it in, judge it, and widen what has moved."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, Verdict, extend, findings
+from fpcal_bayes.tracking.corrections import correct_slips, with_signs
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import Innovation, State, Update, inflate, kelvin_between, predict, update
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.sessions import mean_temperature
+
+#: Sizes of a knock that are tried, in units of `Limits.jump`.
+_KNOCK_SIZES = (1.0, 3.0, 10.0)
+
+
+@dataclass(frozen=True)
+class SessionOutcome:
+    """What a session said and what was made of it.
+
+    Attributes
+    ----------
+    session, time_h, utc
+        Its name, its last time in hours, and the same as clock time or empty.
+    n_sweeps
+        Rows that were used.
+    nis, dof
+        Normalised innovation squared (not divided) and its degrees of freedom.
+    verdict, evidence
+        Whether all is as modelled, and in words what speaks against it.
+    warnings
+        Sentences about rows that were corrected or left out.
+    log_likelihood
+        Of the rows given all sessions before.
+    converged
+        Whether the update came to rest.
+    jump
+        Standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled.
+    predicted, state
+        Before and after the session; the first holds no widening.
+    monitor
+        Memory of the tests after it.
+    measurement
+        The rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read
+        from a file, or if a calibration cannot be linearised again (see `tracker.calibrate`).
+    """
+
+    session: str
+    time_h: float
+    utc: str
+    n_sweeps: int
+    nis: float
+    dof: int
+    verdict: Verdict
+    evidence: tuple[str, ...]
+    warnings: tuple[str, ...]
+    log_likelihood: float
+    converged: bool
+    jump: Floats
+    predicted: State
+    state: State
+    monitor: Monitor
+    measurement: Measurement | None = field(default=None, compare=False, repr=False)
+
+
+def take_in(
+    drift: DriftModel, model: CavityModel, limits: Limits, state: State, monitor: Monitor, sweeps: Sweeps
+) -> SessionOutcome:
+    """Take in the sweeps of one session.
+
+    Parameters
+    ----------
+    drift, model
+        Of the same parameters.
+    limits
+        Of the tests; see `Limits`.
+    state, monitor
+        After the session before.
+    sweeps
+        Measured, of one session, later than `state`. Rows of kind ``path`` are not used.
+    """
+    time_h, temperature = float(sweeps.time_h.max()), mean_temperature(sweeps)
+    hours = time_h - state.time_h
+    predicted = predict(drift, state, time_h, temperature)
+    used = sweeps.take(sweeps.kind != "path")
+    warnings = [f"{len(sweeps) - len(used)} rows of kind path are not used"] if len(used) < len(sweeps) else []
+    used, left_out = with_signs(drift, model, predicted, used)
+    warnings += left_out
+    none = np.zeros(drift.n_states)
+    if not len(used):
+        name, utc = str(sweeps.session[0]), str(sweeps.utc[-1])
+        return SessionOutcome(
+            name, time_h, utc, 0, 0.0, 0, "as-modelled", (), tuple(warnings), 0.0, True, none, predicted, predicted,
+            monitor,
+        )  # fmt: skip
+    matrix = drift.transition(hours, kelvin_between(state.temperature_c, temperature)).matrix
+    judge = _Judge(drift, limits, str(sweeps.session[0]), hours, matrix, monitor)
+    measurement = SweepMeasurement.of(drift, model, used, predicted.mean)
+    taken = update(predicted, measurement)
+    after, found = judge.session(predicted, taken)
+    if found:
+        correction = correct_slips(used, measurement, taken.innovation, predicted, judge.jumps())
+        warnings += correction.warnings
+        if (correction.dl != used.dl).any():
+            measurement = replace(measurement, target=correction.dl)
+            taken = update(predicted, measurement)
+            after, found = judge.session(predicted, taken)
+    verdict: Verdict = "as-modelled"
+    innovation, jump = taken.innovation, none
+    if found:
+        verdict, found, jump = judge.explain(predicted, measurement, found)
+        wide = inflate(predicted, jump)
+        taken = update(wide, measurement)
+        after = judge.restarted(wide, taken, verdict)
+    return SessionOutcome(
+        session=judge.session_name,
+        time_h=time_h,
+        utc=str(sweeps.utc[-1]),
+        n_sweeps=len(used),
+        nis=innovation.squared,
+        dof=innovation.dof,
+        verdict=verdict,
+        evidence=tuple(finding.evidence for finding in found),
+        warnings=tuple(warnings),
+        log_likelihood=innovation.log_likelihood,
+        converged=taken.converged,
+        jump=jump,
+        predicted=predicted,
+        state=taken.state,
+        monitor=after,
+        measurement=measurement,
+    )
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """The tests at one session."""
+
+    drift: DriftModel
+    limits: Limits
+    session_name: str
+    hours: float
+    matrix: Floats
+    monitor: Monitor
+
+    def knock(self, size: float) -> Floats:
+        """Standard deviations of a jump of mirror and fibre, shape (n_states,)."""
+        return self._states(np.where(self.drift.extrinsic, size * self.limits.jump(self.drift), 0.0))
+
+    def jumps(self) -> tuple[Floats, ...]:
+        """Jumps of mirror and fibre, and of all parameters."""
+        return *(self.knock(size) for size in _KNOCK_SIZES), self._states(self.limits.jump(self.drift))
+
+    def session(self, predicted: State, taken: Update) -> tuple[Monitor, list[Finding]]:
+        """The memory after the session as it was taken in, and the tests that fail."""
+        innovation = Innovation.of(taken.misfit, taken.jacobian, predicted.covariance, taken.innovation.log_volume)
+        after = self._extend(self.monitor, innovation, taken.gain)
+        return after, findings(after, self.limits, self.drift)
+
+    def explain(
+        self, predicted: State, measurement: SweepMeasurement, found: list[Finding]
+    ) -> tuple[Verdict, list[Finding], Floats]:
+        """What moved, why, and by how much the state is to be widened.
+
+        The rows are not linear over a jump, so the tests are made again where the best knock leads.
+        """
+        tried = []
+        for size in _KNOCK_SIZES:
+            wide = inflate(predicted, self.knock(size))
+            taken = update(wide, measurement)
+            log_volume = taken.innovation.log_volume
+            at_solution = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, log_volume)
+            tried.append((at_solution.log_likelihood, size, at_solution))
+        _, size, knocked = max(tried, key=lambda entry: entry[0])
+        innovation = knocked.under(predicted.covariance)
+        again = self._extend(self.monitor, innovation, _gain(predicted, innovation))
+        anew = findings(again, self.limits, self.drift, knocked.log_likelihood - innovation.log_likelihood)
+        intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
+        if intrinsic:
+            every = self._states(self.limits.jump(self.drift))
+            return "intrinsics-moved", intrinsic, np.maximum(every, self.knock(size))
+        extrinsic = [finding for finding in anew or found if finding.verdict == "extrinsics-moved"]
+        return "extrinsics-moved", extrinsic or found, self.knock(size)
+
+    def restarted(self, wide: State, taken: Update, verdict: Verdict) -> Monitor:
+        """The memory after a jump was allowed for: only a change of the robot at this session is still looked for."""
+        if verdict == "intrinsics-moved":
+            return Monitor()
+        innovation = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, taken.innovation.log_volume)
+        return self._extend(Monitor(), innovation, taken.gain)
+
+    def _extend(self, monitor: Monitor, innovation: Innovation, gain: Floats) -> Monitor:
+        return extend(monitor, self.session_name, self.hours, innovation, gain, self.matrix, self.limits, self.drift)
+
+    def _states(self, parameters: Floats) -> Floats:
+        result = np.zeros(self.drift.n_states)
+        result[: self.drift.n_parameters] = parameters
+        return result
+
+
+def _gain(predicted: State, innovation: Innovation) -> Floats:
+    """Kalman gain of a linearisation, shape (n_states, n_equivalent)."""
+    spread = innovation.jacobian @ predicted.covariance
+    result: Floats = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
+    return result

@@ -1,0 +1,315 @@
+"""Session after session: each is taken in, and now and then all are looked at again from where they lead.
+
+An update leaves the rows of its session linearised where the state was then. While the first sessions still move the
+state through a bend of the model, what that linearisation says of the place where the state ends is off, and the filter
+claims more than it knows. So after the second session, the fourth, the eighth, and so on, the state becomes the last
+one of the iterated smoother: all sessions linearised again where they lead together. As the intervals double, that
+costs a few smoothings' worth in all. After a jump was allowed for the state is wide again: then each of the next
+sessions is followed by a look, and a second count begins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State, kalman, kelvin_between, symmetric
+from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
+from fpcal_bayes.tracking.session import SessionOutcome, take_in
+
+#: The iteration ends when a step is shorter than this, in standard deviations of what drives the trajectory.
+_STEP_TOLERANCE = 1e-2
+_MOST_STEPS = 60
+_MOST_HALVINGS = 10
+#: What rounding may add to the sum of squares.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """States given all sessions.
+
+    Attributes
+    ----------
+    states
+        After each session, in order of time.
+    gains
+        By which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero.
+    converged
+        Whether the iteration came to rest.
+    """
+
+    states: tuple[State, ...]
+    gains: Floats
+    converged: bool
+
+    def change(self, number: int) -> tuple[Floats, Floats]:
+        """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
+        first, second = self.states[number : number + 2]
+        joint = self.gains[number] @ second.covariance
+        return second.mean - first.mean, first.covariance + second.covariance - joint - joint.T
+
+
+def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
+    """States after each session given all sessions, in order of time.
+
+    Widenings after a jump count as noise of the step before their session.
+
+    Parameters
+    ----------
+    outcomes
+        From the calibration on, with their measurements, as `track` gives them when nothing is resumed. Without that of
+        the calibration its state is taken as it is.
+
+    Raises
+    ------
+    ValueError
+        If the measurement of a session is missing: see `tracker.smooth_track`.
+    """
+    if len(outcomes) == 1:
+        return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
+    course = _Course.of(drift, outcomes)
+    means = np.array([outcome.state.mean for outcome in outcomes]) - course.shifts
+    covariances = np.array([outcome.state.covariance for outcome in outcomes])
+    trajectory = course.smoothed(means, covariances)
+    cost, converged = course.cost(trajectory), False
+    for _ in range(_MOST_STEPS):
+        wanted = course.smoothed(*course.filtered(trajectory.means))
+        step = wanted.less(trajectory)
+        length = float(np.sqrt(course.squares(step)))
+        share = 1.0
+        for _ in range(_MOST_HALVINGS):
+            trial = trajectory.moved(step, share)
+            trial_cost = course.cost(trial)
+            if trial_cost <= cost + _ROUNDING * (1.0 + cost):
+                break
+            share /= 2.0
+        else:
+            break
+        trajectory, cost = replace(trial, covariances=wanted.covariances, gains=wanted.gains), trial_cost
+        if length < _STEP_TOLERANCE:
+            converged = True
+            break
+    states = tuple(
+        replace(outcome.state, mean=mean, covariance=symmetric(covariance))
+        for outcome, mean, covariance in zip(
+            outcomes, trajectory.means + course.shifts, trajectory.covariances, strict=True
+        )
+    )
+    return Smoothed(states, trajectory.gains, converged)
+
+
+def with_measurements(
+    drift: DriftModel,
+    model: CavityModel,
+    limits: Limits,
+    outcomes: Sequence[SessionOutcome],
+    parts: Sequence[Sweeps],
+) -> list[SessionOutcome]:
+    """The outcomes with their measurements; sessions of an earlier run are read again for them.
+
+    Parameters
+    ----------
+    outcomes
+        From the calibration on.
+    parts
+        Sweeps of each session.
+    """
+    found = list(outcomes[:1])
+    for (before, outcome), part in zip(pairwise(outcomes), parts[1:], strict=False):
+        if outcome.measurement is None and outcome.n_sweeps:
+            again = take_in(drift, model, limits, before.state, before.monitor, part)
+            outcome = replace(outcome, measurement=again.measurement)
+        found.append(outcome)
+    return found
+
+
+@dataclass(frozen=True)
+class _Trajectory:
+    """States at all times, and what drives them there.
+
+    Attributes
+    ----------
+    means, covariances
+        Of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states, n_states).
+    pulls
+        The state before any session is start + covariance @ pull, and what the drift adds at each later time is
+        noise @ pull; shape (n_times, n_states).
+    gains
+        See `Smoothed`.
+    """
+
+    means: Floats
+    covariances: Floats
+    pulls: Floats
+    gains: Floats
+
+    def less(self, other: "_Trajectory") -> "_Trajectory":
+        """The way from `other` to this one."""
+        return replace(self, means=self.means - other.means, pulls=self.pulls - other.pulls)
+
+    def moved(self, step: "_Trajectory", share: float) -> "_Trajectory":
+        """A share of a way further on."""
+        return replace(self, means=self.means + share * step.means, pulls=self.pulls + share * step.pulls)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """The sessions, the steps between them, and where they start.
+
+    A known temperature coefficient shifts the prediction: all is done on what is left without the shifts.
+
+    Attributes
+    ----------
+    start
+        Before the first measurement.
+    matrices, noises
+        Of the step into each time, shape (n_times, n_states, n_states).
+    shifts
+        Sum of the known shifts up to each time, shape (n_times, n_states).
+    measurements
+        One a time, or None.
+    """
+
+    start: State
+    matrices: Floats
+    noises: Floats
+    shifts: Floats
+    measurements: list[Measurement | None]
+
+    @classmethod
+    def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":
+        """From the calibration on."""
+        n = drift.n_states
+        matrices, noises, shifts = [np.eye(n)], [np.zeros((n, n))], [np.zeros(n)]
+        for before, outcome in pairwise(outcomes):
+            if outcome.measurement is None and outcome.n_sweeps:
+                raise ValueError(f"session {outcome.session!r} comes without its measurement: expected it")
+            now = outcome.predicted
+            kelvin = kelvin_between(before.state.temperature_c, now.temperature_c)
+            step = drift.transition(now.time_h - before.state.time_h, kelvin)
+            matrices.append(step.matrix)
+            noises.append(step.noise + np.diag(outcome.jump**2))
+            shifts.append(step.matrix @ shifts[-1] + step.shift)
+        start = outcomes[0].state
+        if outcomes[0].measurement is not None:
+            # All states are in units of their prior.
+            start = replace(start, mean=np.zeros(n), covariance=np.eye(n))
+        measurements = [outcome.measurement for outcome in outcomes]
+        return cls(start, np.array(matrices), np.array(noises), np.array(shifts), measurements)
+
+    def filtered(self, at: Floats) -> tuple[Floats, Floats]:
+        """Means and covariances after each session, its rows linearised at `at`, shape (n_times, n_states)."""
+        means, covariances = [], []
+        state = self.start
+        for matrix, noise, shift, point, measurement in self._sessions(at):
+            filtered = kalman(state, 1)
+            filtered.predict(F=matrix, Q=noise)
+            if measurement is not None:
+                misfit, jacobian = measurement.linearise(point + shift)
+                rows, derivatives = equivalent_rows(misfit + jacobian @ point, jacobian)
+                filtered.dim_z = len(rows)
+                filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+            state = replace(state, mean=filtered.x, covariance=symmetric(filtered.P))
+            means.append(state.mean)
+            covariances.append(state.covariance)
+        return np.array(means), np.array(covariances)
+
+    def smoothed(self, means: Floats, covariances: Floats) -> _Trajectory:
+        """The trajectory that follows from the states after each session."""
+        # The method of the class uses the transition into each time; the function of the module does not.
+        smoother = kalman(self.start, 1)
+        smoothed, spread, gains, predicted = smoother.rts_smoother(means, covariances, self.matrices, self.noises)
+        pulls = np.zeros_like(means)
+        expected = np.einsum("kij,kj->ki", self.matrices[1:], means[:-1])
+        pulls[1:] = np.linalg.solve(predicted[:-1], (smoothed[1:] - expected)[..., None])[..., 0]
+        pulls[0] = self.matrices[1].T @ pulls[1]
+        if self.measurements[0] is not None:
+            pulls[0] = np.linalg.solve(self.start.covariance, smoothed[0] - self.start.mean)
+        return _Trajectory(smoothed, spread, pulls, gains)
+
+    def squares(self, trajectory: _Trajectory) -> float:
+        """Sum of squares of what drives a trajectory, in its standard deviations."""
+        pulls = trajectory.pulls
+        noises = np.concatenate([self.start.covariance[None], self.noises[1:]])
+        return max(float(np.einsum("ki,kij,kj->", pulls, noises, pulls)), 0.0)
+
+    def _sessions(self, at: Floats) -> "zip[tuple[Floats, Floats, Floats, Floats, Measurement | None]]":
+        """Step, shift, a state and the measurement of each session; the step into the calibration is none."""
+        return zip(self.matrices, self.noises, self.shifts, at, self.measurements, strict=True)
+
+    def cost(self, trajectory: _Trajectory) -> float:
+        """Sum of squares of what drives the trajectory and of the rows."""
+        total = self.squares(trajectory)
+        for _, _, shift, point, measurement in self._sessions(trajectory.means):
+            if measurement is not None:
+                misfit = measurement.misfit(point + shift)
+                total += float(misfit @ misfit)
+        return total
+
+
+#: So many sessions are looked at again, at most: what was before hardly moves the state any more.
+_MOST_SESSIONS = 64
+#: So many sessions after a jump each is followed by such a look.
+_AFTER_JUMP = 8
+
+
+def follow_sessions(
+    drift: DriftModel, model: CavityModel, limits: Limits, known: Sequence[SessionOutcome], parts: Sequence[Sweeps]
+) -> list[SessionOutcome]:
+    """Take in the sessions after those that are known.
+
+    Parameters
+    ----------
+    drift, model
+        Of the same parameters; the drift with its `hidden` noise.
+    limits
+        Of the tests.
+    known
+        Outcomes of the first sessions, at least of the calibration.
+    parts
+        Sweeps of all sessions, in order of time.
+    """
+    outcomes = list(known)
+    for part in parts[len(outcomes) :]:
+        before = outcomes[-1]
+        outcomes.append(take_in(drift, model, limits, before.state, before.monitor, part))
+        if _is_due(outcomes):
+            first = max(0, len(outcomes) - _MOST_SESSIONS)
+            outcomes[first:] = with_measurements(drift, model, limits, outcomes[first:], parts[first:])
+            outcomes[-1] = looked_at_again(drift, outcomes)
+    return outcomes
+
+
+def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
+    """The last outcome; where a look is due, with the state to which the sessions lead together.
+
+    Parameters
+    ----------
+    drift
+        With its `hidden` noise.
+    outcomes
+        From the calibration on, with the measurements of the last sessions.
+    """
+    last = outcomes[-1]
+    if not _is_due(outcomes):
+        return last
+    recent = list(outcomes[-_MOST_SESSIONS:])
+    if len(recent) < len(outcomes):
+        recent[0] = replace(recent[0], measurement=None)
+    smoothed = smooth(drift, recent)
+    return replace(last, state=smoothed.states[-1]) if smoothed.converged else last
+
+
+def _is_due(outcomes: Sequence[SessionOutcome]) -> bool:
+    """Whether the sessions are to be looked at again."""
+    count = len(outcomes) - 1
+    alarms = [number for number, outcome in enumerate(outcomes) if outcome.jump.any()]
+    since = count - alarms[-1] if alarms else 0
+    return count > 1 and (count.bit_count() == 1 or 0 < since <= _AFTER_JUMP or since.bit_count() == 1)

@@ -1,0 +1,110 @@
+"""What a drift does beyond its stated size, because the geometry through which it acts is not exactly known.
+
+After a calibration some combinations of the parameters are known to about a degree only: nothing measured then depends
+on them. What a later drift does to the cavity length does depend on them, by a share of about that angle. The part of
+the drift that sessions find is carried by the state itself, whose covariance is seen through the derivatives at the new
+mean. The part that is not yet found acts through derivatives J(x) at an unknown x, and not through J(m):
+
+    J(x) dx = J(m) T(x) dx,    T(x) = J(m)^+ J(x),
+
+so that the covariance of T(x) dx over x ~ N(m, P) and dx ~ N(0, Q) is, to first order in x - m,
+
+    Q + sum over columns s of the root of P of B(s) Q B(s)',    B(s) = T(m + s) - 1.
+
+The sum is the mixed term of a second-order filter (Jazwinski 1970, section 9.3). Its other terms, of P with itself,
+are no part of it: the start of the filter holds them (see `linear_start`), and later sessions are linearised where they
+lead (see `following`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.design.candidates import candidate_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import State
+
+#: Random sweeps that stand for what will be asked of the model, and the weight of each, as its sigma in um.
+N_SWEEPS, SIGMA = 200, 0.005
+#: Added variance of each direction, as a share of the prior's: rounding.
+_JITTER = 1e-18
+
+
+def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
+    """The maximum of the posterior, with the covariance by which its linearised predictions spread as the draws do.
+
+    Parameters
+    ----------
+    estimate
+        Maximum of the posterior.
+    draws
+        Of the same parameters, in um and rad, shape (n_draws, n), more than n of them.
+    sweeps
+        Of the calibration.
+
+    Raises
+    ------
+    InputError
+        If the cell leaves no room for sweeps.
+    """
+    parameters = estimate.parameters
+    model = CavityModel.of(estimate.cell, parameters, estimate.vector())
+    sd = parameters.prior_sd
+    random = candidate_sweeps(estimate.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
+    # Where no row tells a direction, the parameters themselves do: one row each, of their prior's size.
+    jacobians, changes = [np.eye(len(sd))], [(draws - estimate.values) / sd]
+    for asked in (random, sweeps.take(sweeps.kind != "path")):
+        rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
+        predicted, jacobian = model.predict_with_jacobian(estimate.values, rows)
+        jacobians.append(jacobian * sd / SIGMA)
+        changes.append((model.predict(draws, rows) - predicted) / SIGMA)
+    moved = np.linalg.lstsq(np.vstack(jacobians), np.hstack(changes).T, rcond=None)[0].T
+    covariance = moved.T @ moved / len(moved) + _JITTER * np.eye(len(sd))
+    return replace(estimate, covariance=covariance * np.outer(sd, sd))
+
+
+#: Combinations known better than this, in prior standard deviations, turn the geometry by nothing that matters.
+_LEAST_SD = 1e-3
+
+
+def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> DriftModel:
+    """The drift with the noise that an uncertain geometry adds to it.
+
+    Parameters
+    ----------
+    drift, model
+        Of the same parameters.
+    state
+        After the calibration.
+
+    Returns
+    -------
+    DriftModel
+        With `hidden`; as it was where the cell leaves no room for sweeps.
+    """
+    n = drift.n_parameters
+    try:
+        asked = candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
+    except InputError:
+        return drift
+    rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
+
+    def seen(mean: Floats) -> Floats:
+        jacobian: Floats = model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
+        return jacobian
+
+    # What no row tells keeps its direction: one row each, of its prior's size.
+    to_state = np.linalg.pinv(np.vstack([np.eye(n), seen(state.mean)]))[:, n:]
+    variances, directions = np.linalg.eigh(state.covariance[:n, :n])
+    hidden = np.zeros((n, n))
+    for i in np.flatnonzero(variances > _LEAST_SD**2):
+        away = np.zeros(drift.n_states)
+        away[:n] = np.sqrt(variances[i]) * directions[:, i]
+        turned = to_state @ ((seen(state.mean + away) - seen(state.mean - away)) / 2.0) * drift.walk
+        hidden += turned @ turned.T
+    return replace(drift, hidden=hidden)

@@ -1,0 +1,338 @@
+"""Follow a cell through a campaign: full calibration first, then an update a session."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import special
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.notebook import html_table
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.slips import find_slips
+from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
+from fpcal_bayes.infer.tasks.source import independent_draws
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.tracking.alarms import Limits, Monitor
+from fpcal_bayes.tracking.drift import DriftModel, likely_drift
+from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
+from fpcal_bayes.tracking.smoother import Smoothed, follow_sessions, smooth, with_measurements
+from fpcal_bayes.tracking.solutions import likeliest, solutions_of
+from fpcal_bayes.tracking.start import linear_start, with_hidden_noise
+
+#: Posterior draws whose moments the filter starts from.
+_DRAWS = 2000
+#: A first session that determines a smaller share of the free parameters is no calibration.
+_CALIBRATED = 0.6
+
+
+@dataclass(frozen=True)
+class Track:
+    """What following a campaign gave.
+
+    Attributes
+    ----------
+    cell, drift
+        What was followed, and how it drifts.
+    outcomes
+        One a session, in order of time; the first is the calibration.
+    status
+        Of each parameter after the calibration.
+    resumed
+        How many of the outcomes were taken over from an earlier run.
+    solutions
+        How many the calibration has; see `track.solutions`.
+    data
+        Of the file that was followed.
+    """
+
+    cell: Cell
+    drift: DriftModel
+    outcomes: tuple[SessionOutcome, ...]
+    status: tuple[str, ...]
+    resumed: int = 0
+    solutions: int = 1
+    data: dict[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return (
+            f"Track({len(self.outcomes)} sessions of {self.cell.name!r}, last {self.last.session} {self.last.verdict})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (o.session, f"{o.time_h:.2f}", o.n_sweeps, f"{o.nis:.1f}" if o.dof else "", o.dof, o.verdict)
+            for o in self.outcomes
+        ]
+        heads = ["session", "time [h]", "sweeps", "innovation", "expected", "verdict"]
+        return html_table(f"track of {self.cell.name}", heads, rows)
+
+    @property
+    def last(self) -> SessionOutcome:
+        """The latest session."""
+        return self.outcomes[-1]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the calibration and every update came to rest."""
+        return all(outcome.converged for outcome in self.outcomes)
+
+    @property
+    def calibration_due(self) -> str | None:
+        """Name of the last session at which the robot itself was found to have moved, or None.
+
+        A session since with at least as many rows as parameters counts as the calibration.
+        """
+        due = None
+        for outcome in self.outcomes:
+            if outcome.dof >= len(self.drift.parameters):
+                due = None
+            elif outcome.verdict == "intrinsics-moved":
+                due = outcome.session
+        return due
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all sessions after the calibration, given it."""
+        return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
+
+    def estimate(self, valid_until_h: float | None = None) -> Estimate:
+        """The current best estimate: the state after the last session."""
+        return estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+
+
+def estimate_of(
+    cell: Cell,
+    drift: DriftModel,
+    state: State,
+    status: Sequence[str],
+    data: dict[str, str] | None = None,
+    valid_until_h: float | None = None,
+) -> Estimate:
+    """A state as an estimate, in um and rad.
+
+    Parameters
+    ----------
+    status
+        Of each parameter after the calibration; what the data no longer halve the prior variance of becomes weak.
+    """
+    covariance = drift.covariance(state.covariance)
+    left = np.diag(covariance) / drift.scale**2
+    now = tuple(
+        s if s == "gauge" else "weak" if v > WEAK_SHARE else "identified" for s, v in zip(status, left, strict=True)
+    )
+    return Estimate(
+        cell, drift.parameters, drift.values(state.mean), covariance, now, state.time_h, valid_until_h, data or {}
+    )
+
+
+def track(
+    cell: Cell,
+    sweeps: Sweeps,
+    *,
+    drift: DriftModel | None = None,
+    limits: Limits | None = None,
+    known: Track | None = None,
+    calibration: Estimate | None = None,
+    draws: Floats | None = None,
+    now_h: float | None = None,
+) -> Track:
+    """Follow the free parameters of a cell through the sessions of a campaign.
+
+    Parameters
+    ----------
+    cell
+        With its drift sizes.
+    sweeps
+        Of all sessions, measured. The first session is the full calibration.
+    drift
+        In place of the cell's own, to which `likely_drift` adds terms if a temperature is logged.
+    limits
+        Of the tests, by default `Limits()`.
+    known
+        An earlier track of the first sessions, which are not taken in again.
+    calibration
+        What the first session told, in place of its identification. Its rows are then not linearised again with those
+        of later sessions.
+    draws
+        Of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they are
+        made (see `linear_start`).
+    now_h
+        Sessions after this time are refused.
+
+    Raises
+    ------
+    InputError
+        If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
+        calibration.
+    """
+    drift = likely_drift(cell, sweeps) if drift is None else drift
+    limits = Limits() if limits is None else limits
+    parts = check_sessions(sweeps, now_h)
+    model = CavityModel.of(cell, drift.parameters)
+    starts: tuple[tuple[SessionOutcome, float], ...] = ()
+    if known is None and calibration is not None:
+        status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
+        known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
+    elif known is None:
+        first, status, starts = calibrate(cell, drift, parts[0], draws)
+        known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
+    else:
+        known = replace(known, resumed=len(known.outcomes))
+    first = known.outcomes[0]
+    hidden = with_hidden_noise(drift, model, first.state)
+    outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
+    if starts:
+        course = likeliest(drift, model, limits, outcomes, starts, parts)
+        hidden = with_hidden_noise(drift, model, course[0].state)
+        outcomes = follow_sessions(hidden, model, limits, course, parts)
+    return replace(known, drift=hidden, outcomes=tuple(outcomes))
+
+
+def smooth_track(track: Track, sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
+    """States after each session of a track given all sessions; see `smooth`.
+
+    Parameters
+    ----------
+    track
+        Also one that was taken up again.
+    sweeps
+        Of all its sessions.
+    limits
+        Of its tests, by default `Limits()`.
+    """
+    limits = Limits() if limits is None else limits
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
+    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+
+
+def calibrate(
+    cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
+) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
+    """Identify all parameters from the first session.
+
+    Parameters
+    ----------
+    draws
+        As in `track`.
+
+    Returns
+    -------
+    tuple
+        The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
+        from each of them alone and its share of the posterior.
+
+    Raises
+    ------
+    InputError
+        If the sweeps determine too little to be a calibration.
+    """
+    found, warnings = _identified(cell, drift, sweeps)
+    free = len(drift.parameters)
+    if found.spectrum.rank < _CALIBRATED * free:
+        raise InputError(
+            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
+            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
+            "to be a full calibration"
+        )
+    given = draws is not None
+    measurement = None if given else _measurement(drift, found)
+    draws = _draws_of(found) if draws is None else draws
+
+    def outcome_of(estimate: Estimate, squared: float, measurement: Measurement | None) -> SessionOutcome:
+        rows = len(found.problem.sweeps)
+        # The calibration's own innovation is its sum of squares against the prior.
+        outcome = start(drift, estimate, sweeps, found.converged)
+        said = warnings + found.warnings
+        return replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, measurement=measurement)
+
+    usable = found.converged and len(draws) > 0
+    together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate
+    # Draws that are given say themselves what they hold.
+    alone = solutions_of(found, draws) if usable and not given else ()
+    gauge = found.spectrum.null_share > GAUGE_SHARE
+    status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
+    # Rows linearised at one point say nothing of a second solution.
+    first = outcome_of(together, found.solution.sum_of_squares, None if alone else measurement)
+    return (
+        first,
+        status,
+        tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
+    )
+
+
+def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:
+    """The rows of a calibration as `calibrate` takes them in, for its outcome."""
+    return _measurement(drift, _identified(cell, drift, sweeps)[0])
+
+
+def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:
+    """The outcome of a calibration from its estimate: maximum of the posterior with Laplace covariance, or others."""
+    values, covariance = estimate.block(drift.parameters.names)
+    state = State(float(sweeps.time_h.max()), *drift.initial(values, covariance), mean_temperature(sweeps))
+    return SessionOutcome(
+        session=str(sweeps.session[0]),
+        time_h=state.time_h,
+        utc=str(sweeps.utc[-1]),
+        n_sweeps=len(sweeps),
+        nis=0.0,
+        dof=0,
+        verdict="as-modelled",
+        evidence=(),
+        warnings=(),
+        log_likelihood=0.0,
+        converged=converged,
+        jump=np.zeros(drift.n_states),
+        predicted=state,
+        state=state,
+        monitor=Monitor(),
+    )
+
+
+def _identified(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[Identification, tuple[str, ...]]:
+    """The calibration, slips of its fringe counts corrected, and warnings about them."""
+    found = identify(cell, sweeps, free=drift.parameters.names)
+    return _without_slips(cell, drift, found) if found.fit.p_value < POOR_FIT_BELOW else (found, ())
+
+
+def _measurement(drift: DriftModel, found: Identification) -> Measurement | None:
+    """The rows of a calibration by which a trajectory can begin at the prior; None where that is not normal."""
+    problem = found.problem
+    if not found.converged or problem.prior.others or problem.considered is not None:
+        return None
+    return SweepMeasurement(drift, problem.model, problem.rows, problem.target, problem.whitening)
+
+
+def _draws_of(found: Identification) -> Floats:
+    """Draws of the posterior; none where the fit did not converge."""
+    return independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
+
+
+def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:
+    """The identification with slipped fringe counts corrected, if that is what spoils it."""
+    slips = find_slips(found.problem, found.solution)
+    rows = np.flatnonzero(slips.counts)
+    if not len(rows):
+        return found, ()
+    used = found.problem.sweeps
+    again = identify(
+        cell,
+        replace(used.with_measurement(slips.problem.target, used.sigma), signed=np.ones(len(used), dtype=bool)),
+        free=drift.parameters.names,
+    )
+    named = ", ".join(f"{used.label[i]} ({-slips.counts[i]:+d})" for i in rows)
+    return again, (f"fringe counts slipped, corrected by whole half wavelengths: {named}",)
+
+
+def innovation_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
+    """Equal-tailed chi-square bounds of a normalised innovation squared."""
+    tail = (1.0 - level) / 2.0
+    return float(2.0 * special.gammaincinv(dof / 2.0, tail)), float(2.0 * special.gammainccinv(dof / 2.0, tail))

@@ -8,7 +8,7 @@ from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_r
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
-from fpcal_bayes.infer.tasks.source import draws_content
+from fpcal_bayes.infer.posterior.draws import draws_content
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell

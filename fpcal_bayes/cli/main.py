@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli.arguments import identify, keep, measure, studies, use
+from fpcal_bayes.cli.arguments import identify, keep, measure
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.version import __version__
 
@@ -20,15 +20,15 @@ _COMMANDS = (
     identify.identify,
     identify.sample,
     identify.compare,
-    use.task_error,
-    use.control,
-    use.check,
+    identify.task_error,
+    identify.control,
+    identify.check,
     keep.plan,
     keep.track,
     keep.decide,
     keep.report,
-    studies.week,
-    studies.study,
+    keep.week,
+    keep.study,
 )
 
 _DESCRIPTION = """\

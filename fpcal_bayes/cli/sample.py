@@ -14,9 +14,10 @@ from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
-from fpcal_bayes.infer.posterior.sample import Posterior, identity, sample
+from fpcal_bayes.infer.posterior.sample import identity, sample
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures

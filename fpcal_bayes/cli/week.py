@@ -12,8 +12,9 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import make_folder, write_json, write_text
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
-from fpcal_bayes.infer.posterior.sample import Posterior, sample
+from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.traces import write_path_trace
 from fpcal_bayes.measure.campaign import Campaign

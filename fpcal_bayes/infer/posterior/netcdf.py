@@ -11,7 +11,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, replacing, require_readable
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
-from fpcal_bayes.infer.posterior.sample import Posterior
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import quantile_band, symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
 from fpcal_bayes.model.cavity import CavityModel
@@ -95,10 +96,10 @@ class Outlook:
         """Median over the draws of the worst task, in um."""
         return float(np.median(self.worst))
 
-    def band(self, share: float = 0.95) -> tuple[float, float]:
-        """Lower and upper edge of the band that holds `share` of the worst task's peak to peak, in um."""
-        low, high = np.quantile(self.worst, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        return float(low), float(high)
+    def band(self) -> tuple[float, float]:
+        """Lower and upper edge of the band that holds 95 % of the worst task's peak to peak, in um."""
+        low, high = quantile_band(self.worst, 0.95).tolist()
+        return low, high
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that any task passes `tolerance`, in um."""
@@ -179,11 +180,8 @@ class Forecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_parameters
         spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
-        values, vectors = np.linalg.eigh(spread)
-        # The symmetric root moves smoothly with the covariance, as no other does.
-        root = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
         offset = self.factor @ (state.mean - self.estimate)[:n]
-        change = offset[:, None] + root @ self.draws
+        change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
         return Outlook(state.time_h, np.array(peaks))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.goodness import chi2_tail
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
 

@@ -8,8 +8,9 @@ from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse, stats
+from scipy import linalg, sparse
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
@@ -257,7 +258,7 @@ def correct_slips(
         changes[row] = waves
         rows = rows.taken_off(row, waves)
         dl[row] -= waves * half_wave
-        if stats.chi2.sf(squared, count) > _ACCEPT:
+        if chi2_tail(squared, count) > _ACCEPT:
             break
     else:
         return Correction(sweeps.dl, ())

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
@@ -221,10 +222,4 @@ def _factor(jacobian: Floats, covariance: Floats) -> Floats:
     """Lower Cholesky factor of the covariance of whitened rows."""
     spread = jacobian @ covariance @ jacobian.T
     result: Floats = np.linalg.cholesky(spread + np.eye(len(jacobian)))
-    return result
-
-
-def symmetric(matrix: Floats) -> Floats:
-    """A matrix without the skew part that rounding leaves."""
-    result: Floats = (matrix + matrix.T) / 2.0
     return result

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.information import Design
 
@@ -199,7 +200,6 @@ def _widened(base: Floats) -> Floats:
     """Roots of the information before any candidate, the prior's share being as flat as the rows are scaled up."""
     n = base.shape[-1]
     measured = base.transpose(0, 2, 1) @ base - np.eye(n)
-    values, vectors = np.linalg.eigh(measured)
-    rows = np.sqrt(np.clip(values, 0.0, None))[:, :, None] * vectors.transpose(0, 2, 1) * _FLAT
+    rows = np.array([covariance_root(one, np.ones(n)).T for one in measured]) * _FLAT
     identity = np.broadcast_to(np.eye(n), base.shape)
     return np.linalg.qr(np.concatenate([identity, rows], axis=1), mode="r")

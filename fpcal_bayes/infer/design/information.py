@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.kernels import add_gains
 
@@ -55,7 +56,7 @@ class Design:
         )
         of_point = np.repeat(np.arange(len(tasks)), [jacobian.shape[1] for jacobian in tasks.values()])
         if covariance is not None:
-            root = covariance_root(covariance)
+            root = covariance_root(covariance, eigh=linalg.eigh)
             rows, points, known = rows @ root, points @ root, None if known is None else known @ root
             n = root.shape[1]
         base = np.broadcast_to(np.eye(n), (n_draws, n, n))
@@ -126,12 +127,3 @@ class Design:
             variances = (points**2).sum(axis=1)
             add_gains(scaled.reshape(n_candidates, k, n), products, variances, task_start, worst, left, gain)
         return left / n_draws, gain / n_draws
-
-
-def covariance_root(covariance: Floats) -> Floats:
-    """A matrix whose product with its transpose is `covariance` (n, n), which may be singular."""
-    scale = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    safe = np.where(scale > 0, scale, 1.0)
-    eigenvalues, vectors = linalg.eigh(covariance / np.outer(safe, safe))
-    root: Floats = safe[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-    return root

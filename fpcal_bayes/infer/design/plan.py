@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps, neighbours, reverses
 from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
@@ -20,7 +22,7 @@ from fpcal_bayes.infer.design.exchange import (
     reference_of,
     refine,
 )
-from fpcal_bayes.infer.design.information import Design, covariance_root
+from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.problem import Ground
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -36,6 +38,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
     design = ground.design(sweeps, readings=readings, sigma=sigma)
     before, after = design.expected_variance(()), design.expected_variance(range(len(sweeps)))
     variance, roots = design.task_variance(range(len(sweeps))), design.roots(range(len(sweeps)))
+    root = covariance_root(ground.covariance, eigh=linalg.eigh)
     own = np.sqrt(np.diag(ground.covariance))
     safe = np.where(own > 0, own, 1.0)
     sentences = []
@@ -46,7 +49,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
         draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
         # The way the parameters move when the error at this point is one standard deviation.
         point = design.tasks[draw, of_task[place]] @ roots[draw]
-        direction = (covariance_root(ground.covariance) @ (roots[draw] @ point)) / safe / np.linalg.norm(point)
+        direction = (root @ (roots[draw] @ point)) / safe / np.linalg.norm(point)
         names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 
@@ -48,8 +49,3 @@ def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     mean, square = float(weights.sum()), float((weights**2).sum())
     p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
     return GoodnessOfFit(chi2_data, mean, p_value, standardised)
-
-
-def chi2_tail(value: float, dof: float) -> float:
-    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
-    return float(special.gammaincc(dof / 2.0, value / 2.0))

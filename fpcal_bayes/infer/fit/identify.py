@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, chi2_tail, goodness_of_fit
+from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, goodness_of_fit
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,

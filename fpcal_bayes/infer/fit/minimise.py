@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize
 
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.fit.spectrum import spectrum_of
@@ -119,7 +120,7 @@ def newton_step(problem: Problem, unknowns: Floats, residuals: Floats) -> Floats
     shifts = width * np.eye(len(unknowns))
     ahead, behind = np.split(problem.gradients(unknowns + np.concatenate([shifts, -shifts])), 2)
     hessian = (ahead - behind) / (2 * width)
-    eigenvalues, vectors = linalg.eigh((hessian + hessian.T) / 2)
+    eigenvalues, vectors = linalg.eigh(symmetric(hessian))
     gradient = problem.jacobian(unknowns).T @ residuals
     step: Floats = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(eigenvalues), 1e-3))
     length = float(np.linalg.norm(step))

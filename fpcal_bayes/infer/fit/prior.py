@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -54,8 +55,7 @@ class Prior:
         values, covariance = estimate.block(names)
         mean, sd = alone.mean.copy(), alone.sd.copy()
         mean[at], sd[at] = values, np.sqrt(np.diag(covariance))
-        eigenvalues, vectors = linalg.eigh(covariance / np.outer(sd[at], sd[at]))
-        root = (vectors * np.sqrt(np.maximum(eigenvalues, _LEAST_EIGENVALUE))) @ vectors.T
+        root = symmetric_root(covariance / np.outer(sd[at], sd[at]), least=_LEAST_EIGENVALUE, eigh=linalg.eigh)
         factor = np.diag(sd)
         factor[np.ix_(at, at)] = sd[at, None] * root
         return cls(mean, sd, tuple((i, other) for i, other in alone.others if i not in at), factor)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import covariance_root, posterior_triangle, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
 from fpcal_bayes.infer.fit.prior import Prior
@@ -38,9 +39,7 @@ class Considered:
     @classmethod
     def of(cls, parameters: ParameterSet, covariance: Floats) -> "Considered":
         """From a covariance (n, n) in um and rad, which may be singular."""
-        scale = parameters.prior_sd
-        eigenvalues, vectors = linalg.eigh(covariance / np.outer(scale, scale))
-        return cls(parameters, scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
+        return cls(parameters, covariance_root(covariance, parameters.prior_sd, eigh=linalg.eigh))
 
     @property
     def covariance(self) -> Floats:
@@ -230,24 +229,17 @@ class Problem:
         The inverse of J'J over data and prior rows: a direction that no row sees keeps its prior variance. The block of
         the considered parameters is the covariance they came with, and the cross block is Schmidt's.
         """
-        triangle = linalg.qr(self.jacobian(unknowns), mode="r")[0][: self.n_unknowns]
-        inverse = linalg.solve_triangular(triangle, np.eye(self.n_unknowns))
+        jacobian = self.data_jacobian(unknowns)
+        inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(self.n_unknowns))
         scaled = inverse @ inverse.T
         transform = np.zeros((self.n_unknowns, self.n_unknowns))
         n = self.n_free
         transform[:n, :n] = self.prior.slopes(unknowns[:n])
         if self.considered is None:
-            return _symmetric(transform @ scaled @ transform.T)
+            return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
-        jacobian = self.data_jacobian(unknowns)
         gain = scaled[:n] @ jacobian.T
         cross = -gain @ jacobian[:, n:]
         transform[n:, n:] = self.considered.factor
         scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
-        return _symmetric(transform @ scaled @ transform.T)
-
-
-def _symmetric(matrix: Floats) -> Floats:
-    """The matrix without the rounding errors by which it differs from its transpose."""
-    result: Floats = (matrix + matrix.T) / 2
-    return result
+        return symmetric(transform @ scaled @ transform.T)

@@ -12,6 +12,7 @@ from itertools import count
 import numpy as np
 from scipy import linalg, sparse, special
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.minimise import Solution, distinct_minima, minimise
 from fpcal_bayes.infer.fit.problem import Problem
@@ -110,8 +111,7 @@ class _Branch:
         seen = np.zeros((0, problem.n_unknowns))
         if self.taken.any():
             seen = problem.take(self.taken).relinearised(unknowns).data_jacobian(unknowns)
-        triangle = linalg.qr(np.vstack([seen, np.eye(problem.n_unknowns)]), mode="r")[0][: problem.n_unknowns]
-        spread = linalg.solve_triangular(triangle, scaled.T, trans="T")
+        spread = linalg.solve_triangular(posterior_triangle(seen), scaled.T, trans="T")
         return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.scale**-2)
 
     def grow(self, problem: Problem) -> list["_Branch"]:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -48,13 +49,11 @@ class Information:
 
 def information_of(jacobian: Floats, sweeps: Sweeps) -> Information:
     """Information of each sweep from the whitened, prior-scaled Jacobian (n_rows, n)."""
-    n_rows, n = jacobian.shape
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
     # Rows of H = J (J'J + I)^-1 J' are inner products of these.
-    spread = linalg.solve_triangular(triangle, jacobian.T, trans="T").T
+    spread = linalg.solve_triangular(posterior_triangle(jacobian), jacobian.T, trans="T").T
     leverage = (spread**2).sum(axis=1)
     bits = -0.5 * np.log2(np.clip(1.0 - leverage, 1e-300, None))
-    first = np.ones(n_rows, dtype=bool)
+    first = np.ones(len(jacobian), dtype=bool)
     labels = [str(label) for label in sweeps.label]
     for members in group_blocks(sweeps):
         block = np.eye(len(members)) - spread[members] @ spread[members].T
@@ -91,8 +90,6 @@ def gain_of(jacobian: Floats, candidates: Floats) -> Floats:
     ndarray
         In bits, shape (n_candidates,).
     """
-    n = jacobian.shape[1]
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    spread = linalg.solve_triangular(triangle, candidates.T, trans="T")
+    spread = linalg.solve_triangular(posterior_triangle(jacobian), candidates.T, trans="T")
     gain: Floats = 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))
     return gain

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Spectrum, spectrum_of
 from fpcal_bayes.model.parameters import ParameterSet
@@ -30,13 +31,12 @@ class Bounds:
 def bounds_of(jacobian: Floats) -> Bounds:
     """Bounds for the parameters of a whitened, prior-scaled Jacobian (n_rows, n); the others are known exactly."""
     spectrum = spectrum_of(jacobian)
-    n = jacobian.shape[1]
     seen, rank = spectrum.singular_values, spectrum.rank
     unbiased = np.sqrt(((spectrum.observable / seen[:rank, None]) ** 2).sum(axis=0))
     # Rounding gives every parameter a share of about 1e-13 in the null space.
     unbiased[spectrum.null_share > 1e-12] = np.inf
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    with_prior = np.linalg.norm(linalg.solve_triangular(triangle, np.eye(n)), axis=1)
+    inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(jacobian.shape[1]))
+    with_prior = np.linalg.norm(inverse, axis=1)
     return Bounds(unbiased, with_prior)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.goodness import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
 from fpcal_bayes.infer.posterior.sample import Likelihood, sample

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.resources import paper_tables
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import group_blocks
@@ -283,8 +284,7 @@ def _combined(lines: Sequence[Line], correlation: Floats) -> float:
 
 def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.Generator) -> tuple[float, float]:
     """Coverage interval of the sum of the inputs' contributions, in um."""
-    eigenvalues, vectors = np.linalg.eigh(correlation)
-    factor = vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+    factor = covariance_root(correlation)
     total = np.zeros(_DRAWS)
     normal = np.array([line.contribution if line.distribution == "normal" else 0.0 for line in lines])
     # Inputs that are not normal are independent of all others.
@@ -292,5 +292,5 @@ def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.G
     for line in lines:
         if line.distribution == "rectangular":
             total += 3**0.5 * line.contribution * random.uniform(-1.0, 1.0, _DRAWS)
-    low, high = np.quantile(total, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return float(low), float(high)
+    low, high = quantile_band(total, COVERAGE).tolist()
+    return low, high

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import (
     AngularErrors,
@@ -64,13 +65,13 @@ class TaskPrediction:
         """Peak to peak of each draw along the path, shape (n_draws,), in um."""
         return peak_to_peak(self.errors)
 
-    def band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the errors at each point, shape (2, n_points), um."""
-        return np.quantile(self.errors, _edges(share), axis=0)
+    def band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the errors at each point, shape (2, n_points), um."""
+        return quantile_band(self.errors, BAND, axis=0)
 
-    def peak_to_peak_band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the peak-to-peak values, shape (2,), in um."""
-        return np.quantile(self.peak_to_peak, _edges(share))
+    def peak_to_peak_band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the peak-to-peak values, shape (2,), in um."""
+        return quantile_band(self.peak_to_peak, BAND)
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that the peak to peak exceeds `tolerance`, in um."""
@@ -97,10 +98,8 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     _require_cell(estimate, task)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     jacobian = task_jacobian(model, estimate.values, task)
-    scale = estimate.parameters.prior_sd
-    eigenvalues, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
-    factor = scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-    change = np.random.default_rng(seed).standard_normal((draws, len(scale))) @ factor.T
+    factor = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
+    change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
     return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True)
@@ -163,10 +162,6 @@ def estimate_of_draws(model: CavityModel, draws: Floats, values: Floats) -> Esti
         covariance=around.T @ around / len(draws),
         status=("identified",) * len(free),
     )
-
-
-def _edges(share: float) -> Floats:
-    return np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
 
 
 def _require_cell(estimate: Estimate, task: Task) -> None:

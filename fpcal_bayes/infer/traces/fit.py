@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.spectrum import spectrum_of, statuses
@@ -339,10 +340,10 @@ def _result(
     converged: bool,
     seconds: float,
 ) -> TraceFit:
-    jacobian, n = fit.reduced(state)[0], len(chosen)
+    jacobian = fit.reduced(state)[0]
     spectrum = spectrum_of(jacobian)
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    factor = fit.prior.slopes(state.scores) @ linalg.solve_triangular(triangle, np.eye(n))
+    inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(len(chosen)))
+    factor = fit.prior.slopes(state.scores) @ inverse
     covariance = factor @ factor.T
     status = statuses(spectrum.null_share, np.diag(covariance) / fit.prior.sd**2)
     residual = np.sqrt(state.squares / fit.samples.counts)

@@ -188,9 +188,7 @@ class Forecast:
 
     def ahead(self, state: State, hours: float) -> State:
         """The state after some hours in which nothing is measured and the temperature stays."""
-        step = self.drift.transition(hours)
-        mean = step.matrix @ state.mean + step.shift
-        covariance = step.matrix @ state.covariance @ step.matrix.T + step.noise
+        mean, covariance = self.drift.propagate(state.mean, state.covariance, hours)
         return replace(state, time_h=state.time_h + hours, mean=mean, covariance=covariance)
 
     def exceeds(self, state: State, hours: float = 0.0) -> float:

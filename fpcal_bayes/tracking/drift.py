@@ -170,6 +170,11 @@ class DriftModel:
             at += 1
         return Transition(matrix, noise, shift)
 
+    def propagate(self, mean: Floats, covariance: Floats, hours: float, kelvin: float = 0.0) -> tuple[Floats, Floats]:
+        """Mean (n_states,) and covariance (n_states, n_states) of a state some hours later; see `transition`."""
+        step = self.transition(hours, kelvin)
+        return step.matrix @ mean + step.shift, step.matrix @ covariance @ step.matrix.T + step.noise
+
 
 #: A steady rate makes in a day what the random walk makes; a kelvin what it makes in six hours, in which a room may
 #: well warm by one. Both are standard deviations of what is unknown, found by the filter.
@@ -213,6 +218,5 @@ def aged(estimate: Estimate, hours: float) -> Estimate:
         If the cell states no drift.
     """
     drift = DriftModel.of(estimate.cell, estimate.parameters)
-    _, before = drift.initial(estimate.values, estimate.covariance)
-    step = drift.transition(hours)
-    return replace(estimate, covariance=drift.covariance(step.matrix @ before @ step.matrix.T + step.noise))
+    _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)
+    return replace(estimate, covariance=drift.covariance(later))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
 from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
@@ -134,11 +135,10 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     temperature_c
         Logged at that time, or NaN: the temperature is then taken as unchanged.
     """
-    filtered = kalman(state, 1)
-    step = drift.transition(time_h - state.time_h, kelvin_between(state.temperature_c, temperature_c))
-    filtered.predict(F=step.matrix, Q=step.noise, B=np.eye(drift.n_states), u=step.shift)
+    kelvin = kelvin_between(state.temperature_c, temperature_c)
+    mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
     known = state.temperature_c if np.isnan(temperature_c) else temperature_c
-    return State(time_h, filtered.x, symmetric(filtered.P), known)
+    return State(time_h, mean, symmetric(covariance), known)
 
 
 def kelvin_between(before: float, after: float) -> float:
@@ -210,9 +210,6 @@ def inflate(state: State, sd: Floats) -> State:
 
 def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
     """A filter of filterpy that holds a state and takes in `n_rows` rows."""
-    # filterpy takes a second to import: only commands that filter pay for it.
-    from filterpy.kalman import KalmanFilter
-
     filtered = KalmanFilter(len(state.mean), n_rows)
     filtered.x, filtered.P = state.mean, state.covariance
     return filtered

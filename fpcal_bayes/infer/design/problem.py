@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.rows import plan_rows, sweep_rows
@@ -70,7 +70,7 @@ def goals_of(
     for number, point in enumerate(values):
         try:
             found = {task: _at(model, point, task, radius, points) for task in tasks}
-        except _UnreachableError as error:
+        except UnreachableError as error:
             reason = str(error)
             continue
         kept.append(number)
@@ -82,19 +82,11 @@ def goals_of(
     return Goals(values[kept], stacked, len(values) - len(kept))
 
 
-class _UnreachableError(Exception):
-    """A task without a point that can be driven to."""
-
-
 def _at(model: CavityModel, values: Floats, name: str, radius: float, points: int) -> Floats:
-    try:
-        task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
-    except InputError as error:
-        if "cannot be reached" in str(error):
-            raise _UnreachableError(str(error)) from error
-        raise
+    """Derivatives of a task's points by the free parameters, shape (points, n_free)."""
+    task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
     if not task.ok.any() or not np.isfinite(task.start).all():
-        raise _UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
+        raise UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
     good = np.flatnonzero(task.ok)
     jacobian = task_jacobian(model, values, task.take(task.ok))
     nearest = np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)

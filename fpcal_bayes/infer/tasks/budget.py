@@ -20,14 +20,12 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
-from fpcal_bayes.core.resources import paper_tables
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
@@ -41,7 +39,7 @@ _AGREEMENT = 0.01
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known of the laser, the air and the joints beside the estimate; type B.
+    """What is known of the laser and the air beside the estimate; type B.
 
     Attributes
     ----------
@@ -49,26 +47,11 @@ class Conditions:
         Half width of the rectangular distribution of the laser's vacuum wavelength.
     temperature_k, pressure_hpa
         Half widths of the air's temperature and pressure around those that the wavelength in air was worked out for.
-    resolution
-        Smallest step of each joint, shape (n_joints,), in um and rad; half of it is the half width of a rectangular
-        distribution. None: those that the paper prints for the built-in cell, zero for others.
     """
 
     wavelength_ppm: float = 1.0
     temperature_k: float = 1.0
     pressure_hpa: float = 10.0
-    resolution: Floats | None = None
-
-    def resolution_of(self, cell: Cell) -> Floats:
-        """Smallest step of each joint of a cell, shape (n_joints,), in um and rad."""
-        if self.resolution is not None:
-            return self.resolution
-        if cell.name != "femto-st":
-            return np.zeros(len(cell.joints))
-        setup = paper_tables()["setup"]
-        goniometer, rotary = (1e-6 * setup[f"{name}_resolution_udeg"] for name in ("goniometer", "rotary"))
-        stage = 1e-3 * setup["stage_resolution_nm"]
-        return np.array([stage, stage, stage, *np.radians([goniometer, goniometer, rotary])])
 
     @property
     def index_ppm(self) -> float:
@@ -158,7 +141,7 @@ def budget_of(
     sweeps
         Measured sweeps that the estimate was made from, all parameters of the estimate being free.
     conditions
-        Of laser, air and joints.
+        Of laser and air.
     seed
         Of the Monte Carlo evaluation.
 
@@ -183,7 +166,7 @@ def budget_of(
         Line("laser wavelength", "B", "rectangular", "ppm", 0.0, conditions.wavelength_ppm / 3**0.5, 1e-6 * scale),
         Line("air index", "B", "rectangular", "ppm", 0.0, conditions.index_ppm / 3**0.5, 1e-6 * scale),
     ]
-    lines += _joint_lines(estimate, model, task, worst, conditions)
+    lines += _joint_lines(estimate, model, task, worst)
     full = np.eye(len(lines))
     full[: len(correlation), : len(correlation)] = correlation
     interval = _monte_carlo(lines, full, np.random.default_rng(seed))
@@ -259,14 +242,15 @@ def _reading_sd(gain: Floats, sweeps: Sweeps) -> float:
     return float(np.sqrt(variance))
 
 
-def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int, conditions: Conditions) -> list[Line]:
+def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int) -> list[Line]:
     """Repeatability and resolution of the joints at the aligned pose and at the worst point."""
     slopes = model.joint_jacobian(estimate.values, np.array([task.start, task.q[worst]]))
     sensitivity = np.hypot(slopes[0], slopes[1])
     lines = []
     for kind, distribution, sizes in (
         ("repeatability", "normal", model.cell.repeatability),
-        ("resolution", "rectangular", conditions.resolution_of(model.cell) / 12**0.5),
+        # Half a step is the half width of the distribution.
+        ("resolution", "rectangular", model.cell.resolution / 12**0.5),
     ):
         for i, size in enumerate(sizes):
             if size > 0:

@@ -11,8 +11,8 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.draws import PosteriorDraws, read_posterior
+from fpcal_bayes.infer.posterior.proposal import Atlas, make_target
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
@@ -51,9 +51,6 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
         Free parameters in um and rad, shape (draws, n_free). Points that the charts propose too rarely stand in it more
         than once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
-    # The sampler brings emcee, which takes half a second to import.
-    from fpcal_bayes.infer.posterior.sample import make_target
-
     target, references = make_target(found, "gaussian")
     atlas, random = Atlas(target, references), np.random.default_rng(seed)
     points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)

@@ -7,18 +7,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
+from fpcal_bayes.decision.closed_loop import Plan, Sessions, run_rule, task_peaks
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_terms
-from fpcal_bayes.tracking.session import SessionOutcome, take_in
-from fpcal_bayes.tracking.smoother import looked_at_again
+from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.start import with_hidden_noise
 from fpcal_bayes.tracking.tracker import calibrate
 
@@ -162,29 +160,24 @@ Rule = Callable[[SessionOutcome, float, DriftingWeek], tuple[float, Sweeps | Non
 
 def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str]) -> Run:
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
-    outcome, now, spent = week.calibration, 0.0, 0.0
-    outcomes, drift = [outcome], with_hidden_noise(setting.drift, setting.model, outcome.state)
-    run = Run([], [], np.zeros((len(tasks), len(week.times))))
-    while True:
+    model, times, spent = setting.model, [0.0], 0.0
+
+    def next_session(done: Sessions, now: float) -> tuple[float, Plan]:
+        nonlocal spent
         began = time.perf_counter()
-        wait, plan = rule(outcome, now, week)
+        wait, plan = rule(done.outcomes[-1], now, week)
         spent += time.perf_counter() - began
-        # Sessions begin on a step, and at most one on each.
-        until = (np.floor(now / STEP + 1e-6) + max(1, np.floor(wait / STEP + 1e-6))) * STEP
-        last = until > setting.hours - STEP / 2.0
-        here = (week.times > now - STEP / 2) & (week.times < (setting.hours + 1 if last else until - STEP / 2))
-        values = setting.drift.values(outcome.state.mean)
-        for row, name in enumerate(tasks):
-            task = task_path(setting.cell, setting.model.vector(values), name)
-            run.errors[row, here] = 1e3 * peak_to_peak(task_errors(setting.model, week.values[here], values, task))
-        if last:
-            break
-        now = until
-        if plan is not None:
-            sweeps = setting.measured(plan, now, week.at(now), week.temperature(now), *week.seed, len(run.times) + 1)
-            outcomes.append(take_in(drift, setting.model, setting.limits, outcome.state, outcome.monitor, sweeps))
-            outcome = outcomes[-1] = looked_at_again(drift, outcomes)
-            run.times.append(now)
-            run.sweeps.append(len(plan))
-    run.decision_s = spent
-    return run
+        return wait, lambda time_h: plan
+
+    def measure(plan: Sweeps, time_h: float) -> Sweeps:
+        seed = (*week.seed, len(times))
+        times.append(time_h)
+        return setting.measured(plan, time_h, week.at(time_h), week.temperature(time_h), *seed)
+
+    drift = with_hidden_noise(setting.drift, model, week.calibration.state)
+    end_h = setting.hours - STEP / 2.0
+    done = run_rule(next_session, drift, model, setting.limits, week.calibration, measure, end_h, step_h=STEP)
+    truth = Truth(setting.cell.free, week.times, week.values)
+    held = [(time_h, drift.values(outcome.state.mean)) for time_h, outcome in zip(times, done.outcomes, strict=True)]
+    errors = 1e3 * task_peaks(model, truth, held, tasks, week.times, whole=True)
+    return Run(times[1:], [len(sweeps) for sweeps in done.sweeps], errors, spent)

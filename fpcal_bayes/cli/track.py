@@ -59,6 +59,9 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted"
     )
+    parser.add_argument(
+        "--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell"
+    )
     add_json(parser)
 
 
@@ -103,6 +106,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     from fpcal_bayes.report.fit import parameter_table
     from fpcal_bayes.report.track import session_table, time_text, verdict_lines
     from fpcal_bayes.tracking.alarms import Limits
+    from fpcal_bayes.tracking.fit_sizes import fit_sizes
     from fpcal_bayes.tracking.record import decisions_of, record_of
 
     cell = cell_of(options)
@@ -143,12 +147,17 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         valid = f"valid until {until}: {exceeds} < {options.level:g}"
         passed = f"not valid: {exceeds} is above {options.level:g} already"
         out.print(valid if valid_until_h > found.last.time_h else passed, markup=False, soft_wrap=True)
+    drift_fit = {}
+    if options.fit_drift:
+        fitted = fit_sizes(cell, sweeps)
+        out.print("\n".join(fitted.lines()), markup=False, soft_wrap=True)
+        drift_fit = {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     warn(warnings)
     content = found.estimate(valid_until_h).content() | {"fit": _fit(found)}
     if options.estimate is not None:
         write_result(options.estimate, "track", content)
-    write_result(options.json, "track", content | _content(found) | {"warnings": warnings})
+    write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
     return 0 if found.converged else 1
 
 

@@ -75,39 +75,19 @@ class Costs:
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do, and what follows from it.
+    """What to do, and what follows from it."""
 
-    Attributes
-    ----------
-    action
-        ``hold``: measure nothing before `hold_hours` have passed; ``extrinsic``: measure `sweeps` now; ``full``:
-        calibrate in full now.
-    now_h
-        Time of the decision in hours since the campaign began.
-    hold_hours
-        Hours from now until something is to be measured; zero if now.
-    level
-        Probability of being out of tolerance that is accepted.
-    sweeps
-        To be measured now; no rows if nothing is.
-    minutes
-        How long that takes.
-    then_hours
-        Hours that the tolerance is expected to hold after it, up to the horizon.
-    now, at_horizon, after
-        Error of the tasks now, at the horizon if nothing is measured, and after what is recommended (for ``hold``, at
-        its end).
-    reason
-        In words.
-    """
-
+    # ``hold``: measure nothing before `hold_hours` have passed; ``extrinsic``: measure `sweeps` now; ``full``:
+    # calibrate in full now
     action: Action
-    now_h: float
-    hold_hours: float
-    level: float
-    sweeps: Sweeps | None
-    minutes: float
-    then_hours: float
+    now_h: float  # time of the decision in hours since the campaign began
+    hold_hours: float  # hours from now until something is to be measured; zero if now
+    level: float  # probability of being out of tolerance that is accepted
+    sweeps: Sweeps | None  # to be measured now; no rows if nothing is
+    minutes: float  # how long that takes
+    then_hours: float  # hours that the tolerance is expected to hold after it, up to the horizon
+    # now, at_horizon, after: error of the tasks now, at the horizon if nothing is measured, and after what is
+    # recommended (for ``hold``, at its end)
     now: Outlook
     at_horizon: Outlook
     after: Outlook
@@ -179,11 +159,6 @@ def decide(
         Why a full calibration is due whatever the error, or None.
     measure
         Whether something is measured in any case, so that the question is only what.
-
-    Raises
-    ------
-    InputError
-        If not even a full calibration brings the tasks within the tolerance.
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))

@@ -72,18 +72,10 @@ class Goal:
 
 @dataclass(frozen=True)
 class Outlook:
-    """Error of the tasks at one time.
+    """Error of the tasks at one time."""
 
-    Attributes
-    ----------
-    time_h
-        Hours since the campaign began.
-    peaks
-        Peak to peak of each task in each draw, shape (n_tasks, n_draws), in um.
-    """
-
-    time_h: float
-    peaks: Floats
+    time_h: float  # hours since the campaign began
+    peaks: Floats  # peak to peak of each task in each draw, shape (n_tasks, n_draws), in um
 
     @property
     def worst(self) -> Floats:
@@ -112,47 +104,23 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Errors of tasks under one estimate, at any later time and after any further measurement.
+    """Errors of tasks under one estimate, at any later time and after any further measurement."""
 
-    Attributes
-    ----------
-    drift
-        What the states mean and how they move.
-    goal
-        What is to be held.
-    estimate
-        Mean of the state that the controller holds, shape (n_states,).
-    jacobian
-        Of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um.
-    tasks
-        The points of each task.
-    poses
-        Joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints).
-    basis, factor
-        Of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters).
-    draws
-        Standard normal, shape (rank, n_draws).
-    """
-
-    drift: DriftModel
-    goal: Goal
-    estimate: Floats
-    jacobian: Floats
-    tasks: tuple[slice, ...]
+    drift: DriftModel  # what the states mean and how they move
+    goal: Goal  # what is to be held
+    estimate: Floats  # mean of the state that the controller holds, shape (n_states,)
+    jacobian: Floats  # of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um
+    tasks: tuple[slice, ...]  # the points of each task
+    # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
+    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters)
     basis: Floats
     factor: Floats
-    draws: Floats
+    draws: Floats  # standard normal, shape (rank, n_draws)
 
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecast":
-        """The forecast for the estimate that the controller holds, the mean of a state (n_states,).
-
-        Raises
-        ------
-        InputError
-            If a task is unknown, or no point of it can be driven to with this estimate.
-        """
+        """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
         values = drift.values(mean)
         vector = model.vector(values)
         counts = [_CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]

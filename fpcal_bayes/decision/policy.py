@@ -39,11 +39,6 @@ def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
     -------
     Sweeps
         At most n_poses * n_joints rows, labelled by their joint; those that lose the fringes are left out.
-
-    Raises
-    ------
-    InputError
-        If the mirror is out of sight with all joints at zero.
     """
     limits = SweepLimits()
     low, high = visible_ranges(model, values, limits)
@@ -90,28 +85,17 @@ class _Pool:
 
 @dataclass(frozen=True)
 class Policy:
-    """Decides when to measure what.
+    """Decides when to measure what."""
 
-    Attributes
-    ----------
-    drift, model
-        Of the same parameters.
-    goal, costs
-        What is to be held, and what measuring costs.
-    candidates
-        Sweeps to choose from, as a plan.
-    calibration
-        Sweeps of a full calibration, as a plan.
-    limits
-        Of the tests for changes; they say what a look at the robot can show.
-    """
-
+    # drift, model: of the same parameters
     drift: DriftModel
     model: CavityModel
+    # goal, costs: what is to be held, and what measuring costs
     goal: Goal
     costs: Costs
-    candidates: Sweeps
-    calibration: Sweeps
+    candidates: Sweeps  # sweeps to choose from, as a plan
+    calibration: Sweeps  # sweeps of a full calibration, as a plan
+    # of the tests for changes; they say what a look at the robot can show
     limits: Limits = field(default_factory=Limits)
 
     @classmethod
@@ -124,11 +108,6 @@ class Policy:
         ----------
         calibration
             Sweeps of a full calibration; measurements in them are not looked at.
-
-        Raises
-        ------
-        InputError
-            If the joint limits leave no room for sweeps.
         """
         cell, values = model.cell, drift.parameters.nominal
         single = calibration.take(calibration.kind == "sweep")
@@ -192,11 +171,6 @@ class Policy:
             Why a full calibration is due whatever the error, or None.
         diagnosed_h
             When a session could last show a change of the robot, in hours since the campaign began, or None.
-
-        Raises
-        ------
-        InputError
-            If the tolerance cannot be met.
         """
         decision = self._decide(forecast, state, calibration_due)
         every = self.costs.diagnosis_h
@@ -304,11 +278,6 @@ def valid_until(track: Track, goal: Goal, horizon_h: float = HOURS_PER_WEEK) -> 
     ----------
     horizon_h
         The longest that is promised.
-
-    Raises
-    ------
-    InputError
-        If a task cannot be driven.
     """
     state = track.last.state
     forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)

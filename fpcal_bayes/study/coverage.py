@@ -34,20 +34,12 @@ FAMILY_WISE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage(Study):
-    """The study of coverage.
-
-    Attributes
-    ----------
-    plan
-        Sweeps of each calibration.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    """
+    """The study of coverage."""
 
     name: ClassVar[str] = "coverage"
 
-    plan: Sweeps
-    sigma: float = 0.005
+    plan: Sweeps  # sweeps of each calibration
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the numbers that one replicate gives; lengths in um."""

@@ -27,23 +27,13 @@ STEP = 0.1
 
 @dataclass(frozen=True)
 class Setting:
-    """What all weeks of a study share.
+    """What all weeks of a study share."""
 
-    Attributes
-    ----------
-    cell
-        With its drift sizes.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    hours
-        Length of a week.
-    model, drift, paper, limits
-        Made from the cell. The temperature is logged, so that the filter allows for its part (`likely_terms`).
-    """
-
-    cell: Cell
-    sigma: float = 0.005
-    hours: float = HOURS
+    cell: Cell  # with its drift sizes
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
+    hours: float = HOURS  # length of a week
+    # model, drift, paper, limits: made from the cell. The temperature is logged, so that the filter allows for its part
+    # (`likely_terms`).
     model: CavityModel = field(init=False)
     drift: DriftModel = field(init=False)
     paper: Sweeps = field(init=False)
@@ -71,27 +61,13 @@ class Setting:
 
 @dataclass(frozen=True)
 class DriftingWeek:
-    """Truth at every step, and the calibration at its beginning.
+    """Truth at every step, and the calibration at its beginning."""
 
-    Attributes
-    ----------
-    seed
-        Numbers that the week's random numbers depend on.
-    times
-        In hours, shape (n_steps,).
-    values
-        Free parameters in um and rad, shape (n_steps, n_free).
-    temperature_c
-        Logged, shape (n_steps,).
-    calibration
-        What the first session gives.
-    """
-
-    seed: tuple[int, ...]
-    times: Floats
-    values: Floats
-    temperature_c: Floats
-    calibration: SessionOutcome
+    seed: tuple[int, ...]  # numbers that the week's random numbers depend on
+    times: Floats  # in hours, shape (n_steps,)
+    values: Floats  # free parameters in um and rad, shape (n_steps, n_free)
+    temperature_c: Floats  # logged, shape (n_steps,)
+    calibration: SessionOutcome  # what the first session gives
 
     def at(self, time_h: float) -> Floats:
         """The truth at a time, shape (n_free,)."""
@@ -136,22 +112,13 @@ def simulate_week(setting: Setting, *seed: int, harder: bool = False) -> Driftin
 
 @dataclass
 class Run:
-    """One policy through one week.
+    """One policy through one week."""
 
-    Attributes
-    ----------
-    times, sweeps
-        Of each session: when it began in hours, and how many sweeps it had.
-    errors
-        Peak to peak of each task's error in nm at every step, shape (n_tasks, n_steps).
-    decision_s
-        Time that the decisions took.
-    """
-
+    # times, sweeps: of each session: when it began in hours, and how many sweeps it had
     times: list[float]
     sweeps: list[int]
-    errors: Floats
-    decision_s: float = 0.0
+    errors: Floats  # peak to peak of each task's error in nm at every step, shape (n_tasks, n_steps)
+    decision_s: float = 0.0  # time that the decisions took
 
 
 #: What is measured next: after how many hours, and which sweeps (none: only look).

@@ -30,30 +30,14 @@ _POINTS = 181
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle in the mirror plane, driven once with an estimate.
-
-    Attributes
-    ----------
-    name
-        Of the recording.
-    time_h
-        When it was driven.
-    estimate
-        Name of the session that the estimate is of.
-    phase
-        Of its points in deg, shape (n,).
-    change
-        True change of cavity length beyond what the estimate expects, shape (n,), in um.
-    trace
-        Irradiance along the circle, with its reference scans, as the rig records it.
-    """
+    """A circle in the mirror plane, driven once with an estimate."""
 
     name: str
-    time_h: float
-    estimate: str
-    phase: Floats
-    change: Floats
-    trace: PathTrace
+    time_h: float  # when it was driven
+    estimate: str  # name of the session that the estimate is of
+    phase: Floats  # of its points in deg, shape (n,)
+    change: Floats  # true change of cavity length beyond what the estimate expects, shape (n,), in um
+    trace: PathTrace  # irradiance along the circle, with its reference scans, as the rig records it
 
     @property
     def peak_to_peak(self) -> float:
@@ -70,11 +54,6 @@ def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed:
         Of the session that the estimate is of.
     seed
         Of the recordings' noise.
-
-    Raises
-    ------
-    InputError
-        If the circle cannot be driven.
     """
     task = _circle(estimate)
     times = [estimate.time_h + hours for hours in CHECK_HOURS]
@@ -93,11 +72,6 @@ def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], se
         By session, in order of time.
     seed
         Of the recordings' noise.
-
-    Raises
-    ------
-    InputError
-        If a circle cannot be driven.
     """
     circles: list[Circle] = []
     before = ""
@@ -134,22 +108,13 @@ Free = Literal["all", "extrinsic"]
 
 @dataclass(frozen=True)
 class Session:
-    """One session of the week.
+    """One session of the week."""
 
-    Attributes
-    ----------
-    name, day
-        As in the campaign.
-    free
-        What is identified; the rest is held at the last full identification.
-    tables
-        The tables of the paper that it makes anew.
-    """
-
+    # name, day: as in the campaign
     name: str
     day: float
-    free: Free
-    tables: str
+    free: Free  # what is identified; the rest is held at the last full identification
+    tables: str  # the tables of the paper that it makes anew
 
 
 SESSIONS = (

@@ -91,20 +91,12 @@ def compare(ours: Floats, theirs: Floats) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Planning(Study):
-    """The study of a plan.
-
-    Attributes
-    ----------
-    plan
-        Rows of the plan, as they are read.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    """
+    """The study of a plan."""
 
     name: ClassVar[str] = "plan"
 
-    plan: Sweeps
-    sigma: float = 0.005
+    plan: Sweeps  # rows of the plan, as they are read
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
     paper: Sweeps = field(init=False)
 
     def __post_init__(self) -> None:

@@ -128,29 +128,15 @@ DEFAULT_POLICIES = ("never", "69 sweeps every 8 h", "q3 and q1 every 1 h", "q3 a
 
 @dataclass(frozen=True, kw_only=True)
 class Policies(Study):
-    """The comparison of policies.
-
-    Attributes
-    ----------
-    goal
-        What is to be held.
-    policies
-        Names of `policy_rules.rules`.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    hours
-        Length of a week.
-    harder
-        Whether the weeks drift otherwise than modelled too.
-    """
+    """The comparison of policies."""
 
     name: ClassVar[str] = "policy"
 
-    goal: Goal
-    policies: tuple[str, ...] = DEFAULT_POLICIES
-    sigma: float = 0.005
-    hours: float = HOURS
-    harder: bool = False
+    goal: Goal  # what is to be held
+    policies: tuple[str, ...] = DEFAULT_POLICIES  # names of `policy_rules.rules`
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
+    hours: float = HOURS  # length of a week
+    harder: bool = False  # whether the weeks drift otherwise than modelled too
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the numbers that one replicate gives."""

@@ -40,11 +40,6 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     """A client of the cluster at `scheduler`, or of a new one of `workers` processes on this machine.
 
     Dask hands functions and values on as pickles: give the address of a cluster that you trust only.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or nothing answers at the address.
     """
     try:
         import dask
@@ -124,25 +119,14 @@ _NEW_TRIES = 2
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a study is.
+    """How far a study is."""
 
-    Attributes
-    ----------
-    done, replicates
-        How many are in the store, and how many are wanted.
-    came
-        How many of them this run has brought.
-    seconds
-        Since the first worker stood ready.
-    workers
-        That are there now.
-    """
-
+    # done, replicates: how many are in the store, and how many are wanted
     done: int
     replicates: int
-    came: int
-    seconds: float
-    workers: int
+    came: int  # how many of them this run has brought
+    seconds: float  # since the first worker stood ready
+    workers: int  # that are there now
 
     @property
     def seconds_left(self) -> float | None:
@@ -181,11 +165,6 @@ def run_on_cluster(
         Forget what the store holds.
     progress
         Called with what has come, after each task.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed or the cluster cannot be reached; if the store is another one; if a replicate fails.
     """
     with store.appending(replicates, anew=anew) as appender:
         missing = np.flatnonzero(~store.done()[:replicates]).tolist()

@@ -27,28 +27,18 @@ HOURS_PER_WEEK = 168.0
 
 @dataclass(frozen=True)
 class Limits:
-    """When a session is called inconsistent.
+    """When a session is called inconsistent."""
 
-    Attributes
-    ----------
-    full_per_week, extrinsic_per_week
-        False alarms a week that call for a full calibration, and that only widen the extrinsic parameters.
-    looks
-        For how many sessions a jump is looked for after it.
-    window
-        Number of sessions whose innovations are summed.
-    knock_deg, knock_um
-        Standard deviation of a jump of an extrinsic parameter.
-    change_deg, change_um
-        The same of an intrinsic parameter.
-    """
-
+    # full_per_week, extrinsic_per_week: false alarms a week that call for a full calibration, and that only widen the
+    # extrinsic parameters
     full_per_week: float = 0.014
     extrinsic_per_week: float = 0.02
-    looks: int = 3
-    window: int = 6
+    looks: int = 3  # for how many sessions a jump is looked for after it
+    window: int = 6  # number of sessions whose innovations are summed
+    # knock_deg, knock_um: standard deviation of a jump of an extrinsic parameter
     knock_deg: float = 0.1
     knock_um: float = 20.0
+    # change_deg, change_um: the same of an intrinsic parameter
     change_deg: float = 0.1
     change_um: float = 2.0
 
@@ -70,29 +60,16 @@ class Onset:
     """A session that may hold a jump, and what the innovations since say about it.
 
     The jump is in units of `Limits.jump`.
-
-    Attributes
-    ----------
-    session
-        Name of the session before which the parameters may have jumped.
-    hours
-        Time since the session before it.
-    age
-        Number of sessions since, itself included.
-    response
-        What is left of a jump in the error of the state now, shape (n_states, n_parameters).
-    information, score
-        Of the regression, shapes (n_parameters, n_parameters) and (n_parameters,).
-    squared, dof
-        Sum of normalised innovations squared since, and of their degrees of freedom.
     """
 
-    session: str
-    hours: float
-    age: int
-    response: Floats
+    session: str  # name of the session before which the parameters may have jumped
+    hours: float  # time since the session before it
+    age: int  # number of sessions since, itself included
+    response: Floats  # what is left of a jump in the error of the state now, shape (n_states, n_parameters)
+    # information, score: of the regression, shapes (n_parameters, n_parameters) and (n_parameters,)
     information: Floats
     score: Floats
+    # squared, dof: sum of normalised innovations squared since, and of their degrees of freedom
     squared: float
     dof: int
 
@@ -122,42 +99,23 @@ class Onset:
 
 @dataclass(frozen=True)
 class Finding:
-    """One test that failed.
+    """One test that failed."""
 
-    Attributes
-    ----------
-    verdict
-        What it speaks for.
-    p_value
-        Probability of such a value if all is as modelled, and what it had to be below.
-    limit
-        See `p_value`.
-    evidence
-        In words.
-    """
-
-    verdict: Verdict
-    p_value: float
+    verdict: Verdict  # what it speaks for
+    p_value: float  # probability of such a value if all is as modelled, and what it had to be below
     limit: float
     evidence: str
 
 
 @dataclass(frozen=True)
 class Monitor:
-    """What the tests remember from session to session.
+    """What the tests remember from session to session."""
 
-    Attributes
-    ----------
-    onsets
-        Sessions that may hold a jump, oldest first.
-    recent
-        Normalised innovation squared and degrees of freedom of the last sessions, oldest first.
-    cusum_extrinsic, cusum_residual
-        Cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest.
-    """
-
-    onsets: tuple[Onset, ...] = ()
+    onsets: tuple[Onset, ...] = ()  # sessions that may hold a jump, oldest first
+    # normalised innovation squared and degrees of freedom of the last sessions, oldest first
     recent: tuple[tuple[float, int], ...] = ()
+    # cusum_extrinsic, cusum_residual: cumulative sums of normal scores: of what extrinsic parameters could explain, and
+    # of the rest
     cusum_extrinsic: float = 0.0
     cusum_residual: float = 0.0
 

@@ -49,21 +49,13 @@ class RowChanges(Protocol):
 
 @dataclass(frozen=True)
 class FewRows:
-    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows.
+    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows."""
 
-    Attributes
-    ----------
-    whitened
-        Innovation in units of its own standard deviations, shape (n_rows,).
-    units, half_wave
-        One um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um.
-    columns, size
-        Half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,).
-    """
-
-    whitened: Floats
+    whitened: Floats  # innovation in units of its own standard deviations, shape (n_rows,)
+    # units, half_wave: one um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um
     units: Floats
     half_wave: float
+    # columns, size: half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,)
     columns: Floats
     size: Floats
 
@@ -97,21 +89,15 @@ class ManyRows:
 
     With the whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
     ``M = I - (I + R P R')^-1`` has a row for each state.
-
-    Attributes
-    ----------
-    squared, along, size
-        See `RowChanges`.
-    own
-        Product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero.
-    seen, weighed
-        Half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states).
     """
 
+    # squared, along, size: see `RowChanges`
     squared: float
     along: Floats
     size: Floats
+    # product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero
     own: sparse.csc_array
+    # seen, weighed: half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states)
     seen: Floats
     weighed: Floats
 
@@ -216,18 +202,10 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
 
 @dataclass(frozen=True)
 class Correction:
-    """Rows corrected for slips.
+    """Rows corrected for slips."""
 
-    Attributes
-    ----------
-    dl
-        Corrected changes, shape (n_rows,), in um.
-    warnings
-        One a corrected row, or one that says that a slip is as likely as all else.
-    """
-
-    dl: Floats
-    warnings: tuple[str, ...]
+    dl: Floats  # corrected changes, shape (n_rows,), in um
+    warnings: tuple[str, ...]  # one a corrected row, or one that says that a slip is as likely as all else
 
 
 def correct_slips(

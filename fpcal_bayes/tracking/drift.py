@@ -20,19 +20,12 @@ HOURS_PER_DAY = 24.0
 
 @dataclass(frozen=True)
 class Transition:
-    """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`.
+    """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`."""
 
-    Attributes
-    ----------
-    matrix, noise
-        Shape (n_states, n_states).
-    shift
-        Shape (n_states,).
-    """
-
+    # matrix, noise: shape (n_states, n_states)
     matrix: Floats
     noise: Floats
-    shift: Floats
+    shift: Floats  # shape (n_states,)
 
 
 @dataclass(frozen=True)
@@ -42,31 +35,17 @@ class DriftModel:
     The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
     then what drives them: rates, returning motions, temperature coefficients, each in units of its own standard
     deviation.
-
-    Attributes
-    ----------
-    parameters
-        The parameters that are followed.
-    sizes
-        One a parameter, in the same order.
-    hidden
-        Variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None
-        (see `hidden_noise`).
     """
 
-    parameters: ParameterSet
-    sizes: tuple[DriftSize, ...]
+    parameters: ParameterSet  # the parameters that are followed
+    sizes: tuple[DriftSize, ...]  # one a parameter, in the same order
+    # variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None (see
+    # `hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
-        """The drift that a cell states, of its free parameters by default.
-
-        Raises
-        ------
-        InputError
-            If the cell states no drift at all: its parameters would be taken as constant.
-        """
+        """The drift that a cell states, of its free parameters by default."""
         if not cell.drift:
             raise InputError(
                 f"cell {cell.name!r} states no drift: expected it in its file, for example "
@@ -185,11 +164,6 @@ def likely_drift(cell: Cell, sweeps: Sweeps) -> DriftModel:
     """The drift that a cell states, with `likely_terms` where the sweeps log a temperature.
 
     A cell that states a rate, a returning motion or a part of the temperature itself is taken at its word.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift at all.
     """
     stated = DriftModel.of(cell)
     walks_only = all(size == DriftSize(size.name, walk=size.walk) for size in stated.sizes)
@@ -210,13 +184,7 @@ def likely_terms(drift: DriftModel) -> DriftModel:
 
 
 def aged(estimate: Estimate, hours: float) -> Estimate:
-    """An estimate `hours` later: its covariance has grown by the cell's drift.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift.
-    """
+    """An estimate `hours` later: its covariance has grown by the cell's drift."""
     drift = DriftModel.of(estimate.cell, estimate.parameters)
     _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)
     return replace(estimate, covariance=drift.covariance(later))

@@ -25,22 +25,13 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class State:
-    """What is known at a time.
+    """What is known at a time."""
 
-    Attributes
-    ----------
-    time_h
-        Hours since the campaign began.
-    mean, covariance
-        Of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states).
-    temperature_c
-        Last temperature that was logged, or NaN.
-    """
-
-    time_h: float
+    time_h: float  # hours since the campaign began
+    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
     mean: Floats
     covariance: Floats
-    temperature_c: float = float("nan")
+    temperature_c: float = float("nan")  # last temperature that was logged, or NaN
 
 
 @dataclass(frozen=True)
@@ -48,24 +39,15 @@ class Innovation:
     """What rows say beyond the prediction, linearised at it.
 
     Of many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
-
-    Attributes
-    ----------
-    misfit, jacobian
-        Whitened measurement minus prediction (n_equivalent,), and derivatives by the state (n_equivalent, n_states).
-    factor
-        Lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent).
-    log_volume
-        Of the whitening.
-    dof
-        Number of rows that were measured.
     """
 
+    # misfit, jacobian: whitened measurement minus prediction (n_equivalent,), and derivatives by the state
+    # (n_equivalent, n_states)
     misfit: Floats
     jacobian: Floats
-    factor: Floats
+    factor: Floats  # lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent)
     log_volume: float
-    dof: int
+    dof: int  # number of rows that were measured
 
     @classmethod
     def of(cls, misfit: Floats, jacobian: Floats, covariance: Floats, log_volume: float) -> "Innovation":
@@ -102,29 +84,17 @@ class Innovation:
 
 @dataclass(frozen=True)
 class Update:
-    """Result of `update`.
+    """Result of `update`."""
 
-    Attributes
-    ----------
-    state
-        After the rows.
-    innovation
-        What they said beyond the prediction.
-    gain
-        Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent).
-    misfit, jacobian
-        Linearisation of all rows at the solution, as an innovation: whitened measurement minus what the linearised
-        prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states).
-    converged
-        Whether the iteration came to rest.
-    """
-
-    state: State
-    innovation: Innovation
+    state: State  # after the rows
+    innovation: Innovation  # what they said beyond the prediction
+    # Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent)
     gain: Floats
+    # misfit, jacobian: linearisation of all rows at the solution, as an innovation: whitened measurement minus what the
+    # linearised prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states)
     misfit: Floats
     jacobian: Floats
-    converged: bool
+    converged: bool  # whether the iteration came to rest
 
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:

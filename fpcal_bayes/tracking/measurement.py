@@ -60,19 +60,12 @@ class Measurement(Protocol):
 
 @dataclass(frozen=True)
 class LinearMeasurement:
-    """Rows ``z = H x + e`` with e of unit covariance.
+    """Rows ``z = H x + e`` with e of unit covariance."""
 
-    Attributes
-    ----------
-    z, h
-        Whitened, shapes (n_rows,) and (n_rows, n_states).
-    log_volume
-        Logarithm of the determinant of the whitening.
-    """
-
+    # z, h: whitened, shapes (n_rows,) and (n_rows, n_states)
     z: Floats
     h: Floats
-    log_volume: float = 0.0
+    log_volume: float = 0.0  # logarithm of the determinant of the whitening
 
     @classmethod
     def of(cls, z: Floats, h: Floats, covariance: Floats) -> "LinearMeasurement":
@@ -93,18 +86,13 @@ class LinearMeasurement:
 
 @dataclass(frozen=True)
 class SweepMeasurement:
-    """The changes of cavity length of a session's sweeps.
+    """The changes of cavity length of a session's sweeps."""
 
-    Attributes
-    ----------
-    drift, model
-        What the state means, and the cavity model of the same parameters.
-    rows, target, whitening
-        Sweeps laid out for the kernels, their measured changes with sign (n_rows,), their whitening.
-    """
-
+    # drift, model: what the state means, and the cavity model of the same parameters
     drift: DriftModel
     model: CavityModel
+    # rows, target, whitening: sweeps laid out for the kernels, their measured changes with sign (n_rows,), their
+    # whitening
     rows: Rows
     target: Floats
     whitening: Whitening

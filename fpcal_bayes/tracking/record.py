@@ -91,11 +91,6 @@ def resume(
     -------
     tuple
         The track of the first sessions, or None if all are to be taken in anew; and why, or an empty text.
-
-    Raises
-    ------
-    InputError
-        If the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(

@@ -24,12 +24,6 @@ def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
     now_h
         Sessions after this time, in hours since the campaign began, are refused. Without it, clock times (``utc``)
         after this machine's clock are.
-
-    Raises
-    ------
-    InputError
-        If rows lack a measurement, sessions overlap or repeat each other, clock times run against ``time_h``, or a
-        session lies in the future.
     """
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
@@ -80,11 +74,6 @@ def hours_of(text: str, sweeps: Sweeps) -> float:
     ----------
     text
         Hours, or a clock time, which needs a session that carries one.
-
-    Raises
-    ------
-    InputError
-        If the text is neither, or no session carries a clock time.
     """
     wanted = read_time(text)
     if isinstance(wanted, float):

@@ -34,21 +34,12 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States given all sessions.
+    """States given all sessions."""
 
-    Attributes
-    ----------
-    states
-        After each session, in order of time.
-    gains
-        By which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero.
-    converged
-        Whether the iteration came to rest.
-    """
-
-    states: tuple[State, ...]
+    states: tuple[State, ...]  # after each session, in order of time
+    # by which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero
     gains: Floats
-    converged: bool
+    converged: bool  # whether the iteration came to rest
 
     def change(self, number: int) -> tuple[Floats, Floats]:
         """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
@@ -67,11 +58,6 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     outcomes
         From the calibration on, with their measurements, as `track` gives them when nothing is resumed. Without that of
         the calibration its state is taken as it is.
-
-    Raises
-    ------
-    ValueError
-        If the measurement of a session is missing: see `tracker.smooth_track`.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -133,23 +119,16 @@ def with_measurements(
 
 @dataclass(frozen=True)
 class _Trajectory:
-    """States at all times, and what drives them there.
+    """States at all times, and what drives them there."""
 
-    Attributes
-    ----------
-    means, covariances
-        Of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states, n_states).
-    pulls
-        The state before any session is start + covariance @ pull, and what the drift adds at each later time is
-        noise @ pull; shape (n_times, n_states).
-    gains
-        See `Smoothed`.
-    """
-
+    # means, covariances: of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states,
+    # n_states)
     means: Floats
     covariances: Floats
+    # the state before any session is start + covariance @ pull, and what the drift adds at each later time is noise @
+    # pull; shape (n_times, n_states)
     pulls: Floats
-    gains: Floats
+    gains: Floats  # see `Smoothed`
 
     def less(self, other: "_Trajectory") -> "_Trajectory":
         """The way from `other` to this one."""
@@ -165,24 +144,14 @@ class _Course:
     """The sessions, the steps between them, and where they start.
 
     A known temperature coefficient shifts the prediction: all is done on what is left without the shifts.
-
-    Attributes
-    ----------
-    start
-        Before the first measurement.
-    matrices, noises
-        Of the step into each time, shape (n_times, n_states, n_states).
-    shifts
-        Sum of the known shifts up to each time, shape (n_times, n_states).
-    measurements
-        One a time, or None.
     """
 
-    start: State
+    start: State  # before the first measurement
+    # matrices, noises: of the step into each time, shape (n_times, n_states, n_states)
     matrices: Floats
     noises: Floats
-    shifts: Floats
-    measurements: list[Measurement | None]
+    shifts: Floats  # sum of the known shifts up to each time, shape (n_times, n_states)
+    measurements: list[Measurement | None]  # one a time, or None
 
     @classmethod
     def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":

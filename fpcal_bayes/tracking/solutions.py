@@ -34,21 +34,11 @@ _DRAWS_PER_PARAMETER = 3
 
 @dataclass(frozen=True)
 class CalibrationSolution:
-    """One of several solutions of a calibration.
+    """One of several solutions of a calibration."""
 
-    Attributes
-    ----------
-    estimate
-        The minimum, with the covariance that a linear filter starts from.
-    share
-        Of the posterior.
-    sum_of_squares
-        At the minimum.
-    """
-
-    estimate: Estimate
-    share: float
-    sum_of_squares: float
+    estimate: Estimate  # the minimum, with the covariance that a linear filter starts from
+    share: float  # of the posterior
+    sum_of_squares: float  # at the minimum
 
 
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:

@@ -46,11 +46,6 @@ def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
         Of the same parameters, in um and rad, shape (n_draws, n), more than n of them.
     sweeps
         Of the calibration.
-
-    Raises
-    ------
-    InputError
-        If the cell leaves no room for sweeps.
     """
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())

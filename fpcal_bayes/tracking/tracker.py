@@ -35,31 +35,16 @@ _CALIBRATED = 0.6
 
 @dataclass(frozen=True)
 class Track:
-    """What following a campaign gave.
+    """What following a campaign gave."""
 
-    Attributes
-    ----------
-    cell, drift
-        What was followed, and how it drifts.
-    outcomes
-        One a session, in order of time; the first is the calibration.
-    status
-        Of each parameter after the calibration.
-    resumed
-        How many of the outcomes were taken over from an earlier run.
-    solutions
-        How many the calibration has; see `track.solutions`.
-    data
-        Of the file that was followed.
-    """
-
+    # cell, drift: what was followed, and how it drifts
     cell: Cell
     drift: DriftModel
-    outcomes: tuple[SessionOutcome, ...]
-    status: tuple[str, ...]
-    resumed: int = 0
-    solutions: int = 1
-    data: dict[str, str] = field(default_factory=dict)
+    outcomes: tuple[SessionOutcome, ...]  # one a session, in order of time; the first is the calibration
+    status: tuple[str, ...]  # of each parameter after the calibration
+    resumed: int = 0  # how many of the outcomes were taken over from an earlier run
+    solutions: int = 1  # how many the calibration has; see `track.solutions`
+    data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
 
     def __repr__(self) -> str:
         return (
@@ -229,11 +214,6 @@ def calibrate(
     tuple
         The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
         from each of them alone and its share of the posterior.
-
-    Raises
-    ------
-    InputError
-        If the sweeps determine too little to be a calibration.
     """
     found, warnings = _identified(cell, drift, sweeps)
     free = len(drift.parameters)

@@ -15,33 +15,21 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class SweepLimits:
-    """Bounds of candidate sweeps; lengths in um, angles in rad.
+    """Bounds of candidate sweeps; lengths in um, angles in rad."""
 
-    Attributes
-    ----------
-    tilt
-        Largest angle between mirror normal and optical axis at which fringes are visible. The paper's sweeps reach
-        4.24 deg, with both goniometers at 3 deg.
-    fringe_rate
-        Fringes (changes of lambda/2) a second that can be counted.
-    travel_speed, turn_speed
-        Of the joints, a second.
-    settling
-        Seconds to wait before a reading.
-    free_travel, free_turn
-        How far a joint without limit is moved, to either side of zero.
-    reversal_variance
-        Factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more
-        than half a fringe: counting fringes takes the wrong sign there.
-    """
-
+    # largest angle between mirror normal and optical axis at which fringes are visible. The paper's sweeps reach 4.24
+    # deg, with both goniometers at 3 deg.
     tilt: float = float(np.radians(4.3))
-    fringe_rate: float = 1000.0
+    fringe_rate: float = 1000.0  # fringes (changes of lambda/2) a second that can be counted
+    # travel_speed, turn_speed: of the joints, a second
     travel_speed: float = 100.0
     turn_speed: float = float(np.radians(2.0))
-    settling: float = 1.0
+    settling: float = 1.0  # seconds to wait before a reading
+    # free_travel, free_turn: how far a joint without limit is moved, to either side of zero
     free_travel: float = 150.0
     free_turn: float = float(np.radians(90.0))
+    # factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more than
+    # half a fringe: counting fringes takes the wrong sign there
     reversal_variance: float = 1.0
 
     def __post_init__(self) -> None:
@@ -123,11 +111,6 @@ def candidate_sweeps(
     -------
     Sweeps
         n rows without measurement, labelled ``c1`` and so on.
-
-    Raises
-    ------
-    InputError
-        If the limits leave no room for sweeps.
     """
     limits = SweepLimits() if limits is None else limits
     model = CavityModel.of(cell)
@@ -197,11 +180,6 @@ def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> t
     """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
 
     A joint that can use less than a hundredth of its range stays where it is.
-
-    Raises
-    ------
-    InputError
-        If the mirror is out of sight with all joints at zero, or as near to it as their limits allow.
     """
     low, high = limits.ranges(model.cell)
     home = np.clip(0.0, low, high)

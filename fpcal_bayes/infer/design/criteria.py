@@ -22,27 +22,15 @@ _SEEN = 1e-9
 
 @dataclass(frozen=True)
 class Criterion:
-    """A figure of merit that is to be small.
+    """A figure of merit that is to be small."""
 
-    Attributes
-    ----------
-    name
-        One of `CRITERIA`.
-    design
-        As the criterion wants it.
-    if_added
-        Value if each candidate, of all or among those at given positions, were added to those chosen, shape (n,).
-    value
-        Value of those chosen.
-    pull
-        What makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
-        that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls.
-    """
-
-    name: str
-    design: Design
+    name: str  # one of `CRITERIA`
+    design: Design  # as the criterion wants it
+    # value if each candidate, of all or among those at given positions, were added to those chosen, shape (n,)
     if_added: Callable[[Sequence[int], Ints | None], Floats]
-    value: Callable[[Sequence[int]], float]
+    value: Callable[[Sequence[int]], float]  # value of those chosen
+    # what makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
+    # that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls
     pull: Callable[[Sequence[int]], tuple[Floats, Floats]]
 
     def slope(self, chosen: Sequence[int]) -> Floats:

@@ -122,24 +122,16 @@ def _part_descended(
 
 @dataclass(frozen=True)
 class _Space:
-    """Coordinates of a plan: the ends of its sweeps as shares of the joints' ranges.
+    """Coordinates of a plan: the ends of its sweeps as shares of the joints' ranges."""
 
-    Attributes
-    ----------
-    plan
-        The sweeps at the start; joints that the coordinates leave alone stay there.
-    moving
-        Joints that move, shape (n_sweeps, n_joints); the others stand at the same place at both ends.
-    sweep_of, end_of, joint_of
-        What each coordinate says: sweep, end (0 start, 1 end) and joint, shape (n_coordinates,) each.
-    """
-
-    plan: Sweeps
+    plan: Sweeps  # the sweeps at the start; joints that the coordinates leave alone stay there
     model: CavityModel
     values: Floats
     low: Floats
     width: Floats
-    moving: Bools
+    moving: Bools  # joints that move, shape (n_sweeps, n_joints); the others stand at the same place at both ends
+    # sweep_of, end_of, joint_of: what each coordinate says: sweep, end (0 start, 1 end) and joint, shape
+    # (n_coordinates,) each
     sweep_of: Ints
     end_of: Ints
     joint_of: Ints

@@ -62,21 +62,12 @@ def most_useful_first(criterion: Criterion, chosen: tuple[int, ...]) -> tuple[in
 
 @dataclass(frozen=True)
 class ChosenSweeps:
-    """Sweeps chosen among candidates.
+    """Sweeps chosen among candidates."""
 
-    Attributes
-    ----------
-    indices
-        Positions among the candidates, the most useful first.
-    sweeps
-        The chosen candidates in this order, as a plan of whole sweeps.
-    sd
-        Expected worst-point standard deviation of each task in um: before any of them, after the first, and so on,
-        shape (len(indices) + 1,); the root of the mean variance over the draws.
-    """
-
-    indices: tuple[int, ...]
-    sweeps: Sweeps
+    indices: tuple[int, ...]  # positions among the candidates, the most useful first
+    sweeps: Sweeps  # the chosen candidates in this order, as a plan of whole sweeps
+    # expected worst-point standard deviation of each task in um: before any of them, after the first, and so on, shape
+    # (len(indices) + 1,); the root of the mean variance over the draws
     sd: dict[str, Floats]
 
     def __len__(self) -> int:
@@ -124,11 +115,6 @@ def choose_sweeps(
     -------
     ChosenSweeps
         The same for the same arguments: nothing is drawn.
-
-    Raises
-    ------
-    InputError
-        If there are fewer candidates than sweeps wanted, no task, or a criterion or tolerance that is unknown.
     """
     if not 1 <= n <= len(candidates):
         raise InputError(f"{n} sweeps out of {len(candidates)} candidates: expected 1 to {len(candidates)}")

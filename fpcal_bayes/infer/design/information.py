@@ -13,25 +13,14 @@ from fpcal_bayes.infer.design.kernels import add_gains
 
 @dataclass(frozen=True)
 class Design:
-    """Candidates and tasks, linearised at draws, in units in which the present covariance is the identity.
+    """Candidates and tasks, linearised at draws, in units in which the present covariance is the identity."""
 
-    Attributes
-    ----------
-    rows
-        Whitened rows of each candidate, shape (n_draws, n_candidates, k, n).
-    tasks
-        Derivatives of all task points in um, shape (n_draws, n_points, n).
-    names, task_of_point
-        The tasks, and which one each point belongs to, shape (n_points,).
-    base
-        Upper triangular root of the information before any candidate, shape (n_draws, n, n).
-    """
-
-    rows: Floats
-    tasks: Floats
+    rows: Floats  # whitened rows of each candidate, shape (n_draws, n_candidates, k, n)
+    tasks: Floats  # derivatives of all task points in um, shape (n_draws, n_points, n)
+    # names, task_of_point: the tasks, and which one each point belongs to, shape (n_points,)
     names: tuple[str, ...]
     task_of_point: Ints
-    base: Floats
+    base: Floats  # upper triangular root of the information before any candidate, shape (n_draws, n, n)
 
     @classmethod
     def of(

@@ -112,44 +112,19 @@ def _nearest(cell: Cell, ends: Floats, limits: SweepLimits) -> tuple[Ints, Ints]
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How a plan is searched.
+    """How a plan is searched."""
 
-    Attributes
-    ----------
-    readings
-        Readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on.
-    sigma
-        Standard deviation of a row in um.
-    criterion
-        One of `CRITERIA`.
-    n_candidates
-        Random sweeps to choose from.
-    share
-        Draws that one start of the search is averaged over; there are as many starts as the draws give shares, and
-        the best of them is refined over all draws.
-    passes
-        Passes of the exchange.
-    variations
-        Variations of each chosen sweep in a round of refinement.
-    iterations
-        Steps of the descent at the end; 0 of both keeps to the candidates.
-    several
-        Also move several joints of one controller at once.
-    seed
-        Of candidates and variations.
-    limits
-        Of the sweeps.
-    """
-
-    readings: int = 2
-    sigma: float = 0.005
-    criterion: str = "worst"
-    n_candidates: int = 2000
+    readings: int = 2  # readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on
+    sigma: float = 0.005  # standard deviation of a row in um
+    criterion: str = "worst"  # one of `CRITERIA`
+    n_candidates: int = 2000  # random sweeps to choose from
+    # draws that one start of the search is averaged over; there are as many starts as the draws give shares, and the
+    # best of them is refined over all draws
     share: int = 16
-    passes: int = 1
-    variations: int = 30
-    iterations: int = 100
-    several: bool = True
+    passes: int = 1  # passes of the exchange
+    variations: int = 30  # variations of each chosen sweep in a round of refinement
+    iterations: int = 100  # steps of the descent at the end; 0 of both keeps to the candidates
+    several: bool = True  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)
 
@@ -165,11 +140,6 @@ class Planner:
         How to search.
     tolerances
         Standard deviation that each task is judged by, in um; by default all alike.
-
-    Raises
-    ------
-    InputError
-        If a setting cannot be, a tolerance is of an unknown task, or the limits leave no room for sweeps.
     """
 
     def __init__(
@@ -209,13 +179,7 @@ class Planner:
         return criterion_by_name(settings.criterion, design, self.reference)
 
     def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent.
-
-        Raises
-        ------
-        InputError
-            If n is not between 1 and the number of candidates.
-        """
+        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent."""
         if not 1 <= n <= len(self.candidates):
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
@@ -289,11 +253,6 @@ class Planner:
         ----------
         check
             Where the target is to be met, such as other draws of the prior; by default the planner's own ground.
-
-        Raises
-        ------
-        InputError
-            If no number up to `most` does; the message says the best.
         """
         check = self.ground if check is None else check
         readings, sigma = self.settings.readings, self.settings.sigma

@@ -26,21 +26,13 @@ POINTS = 9
 
 @dataclass(frozen=True)
 class Goals:
-    """Tasks at draws of the parameters.
+    """Tasks at draws of the parameters."""
 
-    Attributes
-    ----------
-    values
-        Free parameters of the draws at which every task can be driven to, shape (n_draws, n_free), in um and rad.
-    jacobians
-        Derivatives of each task's points by the free parameters, shape (n_draws, n_points, n_free).
-    dropped
-        Draws that were left out since a task has no point that can be driven to.
-    """
-
+    # free parameters of the draws at which every task can be driven to, shape (n_draws, n_free), in um and rad
     values: Floats
+    # derivatives of each task's points by the free parameters, shape (n_draws, n_points, n_free)
     jacobians: dict[str, Floats]
-    dropped: int
+    dropped: int  # draws that were left out since a task has no point that can be driven to
 
 
 def goals_of(
@@ -56,11 +48,6 @@ def goals_of(
         Draws of the free parameters, shape (n_draws, n_free), in um and rad.
     tasks
         Names or path files (see `find_task`).
-
-    Raises
-    ------
-    InputError
-        If a task is unknown, or there is no draw at which all of them can be driven to.
     """
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
@@ -96,26 +83,13 @@ def _at(model: CavityModel, values: Floats, name: str, radius: float, points: in
 
 @dataclass(frozen=True)
 class Ground:
-    """Knowledge before the planned sweeps.
+    """Knowledge before the planned sweeps."""
 
-    Attributes
-    ----------
-    model
-        Cavity model of the parameters that are not known exactly.
-    centre
-        Where visibility and fringe rate are judged, shape (n_free,), in um and rad.
-    covariance
-        Of the free parameters, shape (n_free, n_free), in um and rad.
-    goals
-        The tasks, at the draws over which the plan is averaged.
-    known
-        Whitened rows of what is measured in any case, shape (n_draws, n_rows, n_free), or None.
-    """
-
-    model: CavityModel
-    centre: Floats
-    covariance: Floats
-    goals: Goals
+    model: CavityModel  # model of the parameters that are not known exactly
+    centre: Floats  # where visibility and fringe rate are judged, shape (n_free,), in um and rad
+    covariance: Floats  # of the free parameters, shape (n_free, n_free), in um and rad
+    goals: Goals  # the tasks, at the draws over which the plan is averaged
+    # whitened rows of what is measured in any case, shape (n_draws, n_rows, n_free), or None
     known: Floats | None = None
 
     @property
@@ -170,13 +144,7 @@ def prior_ground(
     points: int = POINTS,
     seed: int = 0,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` draws of it.
-
-    Raises
-    ------
-    InputError
-        If a task is unknown, or cannot be driven to at any draw.
-    """
+    """A cell before its first calibration: its prior, averaged over `draws` draws of it."""
     model, free = CavityModel.of(cell), cell.free
     values = free.nominal + free.prior_sd * np.random.default_rng(seed).standard_normal((draws, len(free)))
     goals = goals_of(model, values, tasks, radius=radius, points=points)
@@ -186,26 +154,14 @@ def prior_ground(
 def estimate_ground(
     estimate: Estimate, *, tasks: Sequence[str] = DEFAULT_TASKS, radius: float = 100.0, points: int = POINTS
 ) -> Ground:
-    """A cell of which there is an estimate: its values and the covariance of all its parameters.
-
-    Raises
-    ------
-    InputError
-        If a task is unknown or cannot be driven to.
-    """
+    """A cell of which there is an estimate: its values and the covariance of all its parameters."""
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     goals = goals_of(model, estimate.values[None], tasks, radius=radius, points=points)
     return Ground(model, estimate.values, estimate.covariance, goals)
 
 
 def measured_estimate(cell: Cell, sweeps: Sweeps) -> Estimate:
-    """What measured sweeps tell of a cell: the ground for the best next ones.
-
-    Raises
-    ------
-    InputError
-        If the identification does not converge.
-    """
+    """What measured sweeps tell of a cell: the ground for the best next ones."""
     found = identify(cell, sweeps)
     if not found.converged:
         raise InputError(f"{sweeps.file}: the identification did not converge, expected sweeps that can be fitted")

@@ -16,11 +16,6 @@ def read_often(sweeps: Sweeps, readings: int) -> Sweeps:
     """A plan in which each sweep is read at `readings` evenly spaced places after its start.
 
     The rows of a sweep follow each other and share the reading at the start: one group a sweep, named by its position.
-
-    Raises
-    ------
-    InputError
-        If `readings` is below one.
     """
     if readings < 1:
         raise InputError(f"{readings} readings a sweep: expected one at least")

@@ -12,24 +12,12 @@ from fpcal_bayes.infer.fit.problem import Problem
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How well the data are met at the maximum of the posterior.
+    """How well the data are met at the maximum of the posterior."""
 
-    Attributes
-    ----------
-    chi2_data
-        Sum of squares of the whitened data rows.
-    expected
-        Its expected value: the number of rows less those that the parameters absorb.
-    p_value
-        Probability of a larger value if model, prior and noise are right.
-    standardised
-        Residual of each whitened row over its own standard deviation, shape (n_rows,).
-    """
-
-    chi2_data: float
-    expected: float
-    p_value: float
-    standardised: Floats
+    chi2_data: float  # sum of squares of the whitened data rows
+    expected: float  # its expected value: the number of rows less those that the parameters absorb
+    p_value: float  # probability of a larger value if model, prior and noise are right
+    standardised: Floats  # residual of each whitened row over its own standard deviation, shape (n_rows,)
 
 
 def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:

@@ -27,21 +27,11 @@ _MAX_EVALUATIONS = 400
 
 @dataclass(frozen=True)
 class Solution:
-    """A minimum of the sum of squares.
+    """A minimum of the sum of squares."""
 
-    Attributes
-    ----------
-    unknowns
-        Scaled unknowns, shape (n_unknowns,).
-    sum_of_squares
-        Over data and prior rows.
-    converged
-        Whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`.
-    """
-
-    unknowns: Floats
-    sum_of_squares: float
-    converged: bool
+    unknowns: Floats  # scaled unknowns, shape (n_unknowns,)
+    sum_of_squares: float  # over data and prior rows
+    converged: bool  # whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`
 
 
 def solution_rank(solution: Solution) -> tuple[bool, float]:

@@ -17,21 +17,14 @@ _LEAST_EIGENVALUE = 1e-16
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal.
+    """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal."""
 
-    Attributes
-    ----------
-    mean, sd
-        Of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal value.
-    others
-        Positions of the parameters whose priors are not normal, with these.
-    factor
-        Square root of the covariance where the prior is jointly normal, shape (n, n); else None.
-    """
-
+    # mean, sd: of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal
+    # value
     mean: Floats
     sd: Floats
-    others: tuple[tuple[int, Marginal], ...] = ()
+    others: tuple[tuple[int, Marginal], ...] = ()  # positions of the parameters whose priors are not normal, with these
+    # square root of the covariance where the prior is jointly normal, shape (n, n); else None
     factor: Floats | None = None
 
     @classmethod

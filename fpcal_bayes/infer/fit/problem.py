@@ -23,18 +23,10 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class Considered:
-    """Held parameters whose covariance counts.
+    """Held parameters whose covariance counts."""
 
-    Attributes
-    ----------
-    parameters
-        Which ones; their values stand in the model's held vector.
-    factor
-        Square root of their covariance, shape (n_considered, n_considered), in um and rad.
-    """
-
-    parameters: ParameterSet
-    factor: Floats
+    parameters: ParameterSet  # which ones; their values stand in the model's held vector
+    factor: Floats  # square root of their covariance, shape (n_considered, n_considered), in um and rad
 
     @classmethod
     def of(cls, parameters: ParameterSet, covariance: Floats) -> "Considered":
@@ -50,35 +42,16 @@ class Considered:
 
 @dataclass(frozen=True)
 class Problem:
-    """Whitened residuals and Jacobian of data and prior rows.
+    """Whitened residuals and Jacobian of data and prior rows."""
 
-    Attributes
-    ----------
-    model
-        Cavity model of the free parameters.
-    sweeps
-        The rows that are used, with measurements.
-    rows
-        The same, laid out for the kernels.
-    target
-        Measured changes with the sign decided for each row, shape (n_rows,).
-    whitening
-        Of the rows.
-    prior
-        Of the free parameters.
-    considered
-        Held but uncertain parameters, or None.
-    sensitivity
-        Derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um.
-    """
-
-    model: CavityModel
-    sweeps: Sweeps
-    rows: Rows
-    target: Floats
+    model: CavityModel  # model of the free parameters
+    sweeps: Sweeps  # the rows that are used, with measurements
+    rows: Rows  # the same, laid out for the kernels
+    target: Floats  # measured changes with the sign decided for each row, shape (n_rows,)
     whitening: Whitening
     prior: Prior
-    considered: Considered | None = None
+    considered: Considered | None = None  # held but uncertain parameters, or None
+    # derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um
     sensitivity: Floats | None = None
 
     @classmethod
@@ -122,13 +95,7 @@ class Problem:
         return self.prior.values(unknowns[..., : self.n_free])
 
     def unknowns(self, values: Floats) -> Floats:
-        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero.
-
-        Raises
-        ------
-        InputError
-            If the prior excludes a value.
-        """
+        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero."""
         result = np.zeros(self.n_unknowns)
         result[: self.n_free] = self.prior.scores(values)
         return result

@@ -34,26 +34,13 @@ DOUBTFUL = 0.01
 
 @dataclass(frozen=True)
 class SignDecision:
-    """Signs of all rows.
+    """Signs of all rows."""
 
-    Attributes
-    ----------
-    target
-        Measured changes with their sign, shape (n_rows,).
-    solution
-        The fit to them.
-    doubt
-        Probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows.
-    complete
-        Whether the search ended before its limit of fits.
-    rivals
-        Minima of other assignments that fit nearly as well, each away from the rest, best first.
-    """
-
-    target: Floats
+    target: Floats  # measured changes with their sign, shape (n_rows,)
     solution: Solution
-    doubt: Floats
-    complete: bool
+    doubt: Floats  # probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows
+    complete: bool  # whether the search ended before its limit of fits
+    # minima of other assignments that fit nearly as well, each away from the rest, best first
     rivals: tuple[Solution, ...]
 
 

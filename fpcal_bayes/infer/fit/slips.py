@@ -23,17 +23,10 @@ _LEAST_GAIN = 20.0
 
 @dataclass(frozen=True)
 class Slips:
-    """Corrections found.
+    """Corrections found."""
 
-    Attributes
-    ----------
-    counts
-        Half wavelengths to take from each dL, shape (n_rows,).
-    problem, solution
-        With the corrected values, and its minimum.
-    """
-
-    counts: Ints
+    counts: Ints  # half wavelengths to take from each dL, shape (n_rows,)
+    # problem, solution: with the corrected values, and its minimum
     problem: Problem
     solution: Solution
 

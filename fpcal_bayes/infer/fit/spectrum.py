@@ -21,27 +21,14 @@ WEAK_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values and vectors of a whitened, prior-scaled Jacobian.
+    """Singular values and vectors of a whitened, prior-scaled Jacobian."""
 
-    Attributes
-    ----------
-    singular_values
-        Descending, shape (n,): what each direction tells, in prior over noise standard deviations.
-    directions
-        Right singular vectors as rows, shape (n, n), in prior-scaled units.
-    tolerance
-        Singular values at or below it count as zero.
-    rank
-        Number of singular values above it.
-    gap
-        Ratio of the last singular value that counts to the first that does not; infinite at full rank.
-    """
-
+    # descending, shape (n,): what each direction tells, in prior over noise standard deviations
     singular_values: Floats
-    directions: Floats
-    tolerance: float
-    rank: int
-    gap: float
+    directions: Floats  # right singular vectors as rows, shape (n, n), in prior-scaled units
+    tolerance: float  # singular values at or below it count as zero
+    rank: int  # number of singular values above it
+    gap: float  # ratio of the last singular value that counts to the first that does not; infinite at full rank
 
     @property
     def observable(self) -> Floats:

@@ -24,28 +24,16 @@ _RANDOM_POSES = 120
 
 @dataclass(frozen=True)
 class Gauge:
-    """One direction that the data do not see.
+    """One direction that the data do not see."""
 
-    Attributes
-    ----------
-    parameters
-        Names of the parameters that move, the leading one first.
-    direction
-        How far each moves, in its shown unit, for one prior standard deviation of the leading one; same length.
-    layer
-        ``model``: no measurement of this kind sees it; ``absolute``: one absolute length does; ``sweeps``: other sweeps
-        do.
-    explanation
-        A sentence about the cause.
-    remedy
-        A sentence about what makes it visible, if anything.
-    """
-
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of the parameters that move, the leading one first
+    # how far each moves, in its shown unit, for one prior standard deviation of the leading one; same length
     direction: tuple[float, ...]
+    # ``model``: no measurement of this kind sees it; ``absolute``: one absolute length does; ``sweeps``: other sweeps
+    # do
     layer: Layer
-    explanation: str
-    remedy: str
+    explanation: str  # A sentence about the cause
+    remedy: str  # A sentence about what makes it visible, if anything
 
     def content(self) -> dict[str, object]:
         """For JSON."""

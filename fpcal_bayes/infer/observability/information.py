@@ -21,23 +21,12 @@ _MOST_POINTS = 200
 
 @dataclass(frozen=True)
 class Information:
-    """Information of sweeps, one entry a sweep; rows of a group are one sweep.
-
-    Attributes
-    ----------
-    labels
-        Of the sweeps.
-    leverage
-        Share of its own measurement in a sweep's fitted value, summed over its rows, shape (n_sweeps,).
-    bits
-        Information lost if the sweep is left out, shape (n_sweeps,).
-    cumulative_rows, cumulative_bits
-        Information of the first so many rows.
-    """
+    """Information of sweeps, one entry a sweep; rows of a group are one sweep."""
 
     labels: tuple[str, ...]
-    leverage: Floats
-    bits: Floats
+    leverage: Floats  # share of its own measurement in a sweep's fitted value, summed over its rows, shape (n_sweeps,)
+    bits: Floats  # information lost if the sweep is left out, shape (n_sweeps,)
+    # cumulative_rows, cumulative_bits: information of the first so many rows
     cumulative_rows: Ints
     cumulative_bits: Floats
 

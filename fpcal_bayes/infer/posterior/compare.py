@@ -37,20 +37,10 @@ _LIKELIHOOD_WORDS = {"gaussian": "", "student": " with Student-t noise", "slip":
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """What a model is.
+    """What a model is."""
 
-    Attributes
-    ----------
-    name
-        As the user wrote it.
-    opd
-        Path model.
-    likelihood
-        Of the rows.
-    """
-
-    name: str
-    opd: Opd
+    name: str  # as the user wrote it
+    opd: Opd  # path model
     likelihood: Likelihood
 
     @property
@@ -64,11 +54,6 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
 
     Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
     the Gaussian likelihood.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two models, two are the same, or a setting is unknown.
     """
     allowed = {"opd": get_args(Opd), "likelihood": get_args(Likelihood)}
     models: list[ModelSpec] = []
@@ -95,24 +80,12 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
 
 @dataclass(frozen=True)
 class ModelResult:
-    """What is known of one model.
-
-    Attributes
-    ----------
-    spec
-        The model.
-    identification
-        Its fit.
-    loo
-        Predictions, or None if it was not sampled.
-    failures
-        Why it was not.
-    """
+    """What is known of one model."""
 
     spec: ModelSpec
-    identification: Identification
-    loo: LeaveOneOut | None
-    failures: tuple[str, ...] = ()
+    identification: Identification  # its fit
+    loo: LeaveOneOut | None  # predictions, or None if it was not sampled
+    failures: tuple[str, ...] = ()  # why it was not
 
     @property
     def state(self) -> State:
@@ -183,26 +156,17 @@ class ModelResult:
 
 @dataclass(frozen=True)
 class Difference:
-    """How much better one model predicts than another.
+    """How much better one model predicts than another."""
 
-    Attributes
-    ----------
-    better, worse
-        The models.
-    elpd, se
-        Sum over the rows of the difference of their log densities, and its standard error.
-    at_least
-        Whether `elpd` is a lower bound, since rows of the worse model could not be left out.
-    rejected
-        Whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
-        which makes its standard error large, not the verdict doubtful.
-    """
-
+    # better, worse: the models
     better: ModelSpec
     worse: ModelSpec
+    # elpd, se: sum over the rows of the difference of their log densities, and its standard error
     elpd: float
     se: float
-    at_least: bool
+    at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
+    # whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
+    # which makes its standard error large, not the verdict doubtful
     rejected: bool = False
 
     @property
@@ -232,18 +196,10 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of `compare`.
+    """Result of `compare`."""
 
-    Attributes
-    ----------
-    models
-        In the order asked for.
-    differences
-        Of the best model to every other one that was sampled, closest first.
-    """
-
-    models: tuple[ModelResult, ...]
-    differences: tuple[Difference, ...]
+    models: tuple[ModelResult, ...]  # in the order asked for
+    differences: tuple[Difference, ...]  # of the best model to every other one that was sampled, closest first
 
     @property
     def sound(self) -> bool:
@@ -318,11 +274,6 @@ def compare(
         Of the draws; the same for every model.
     progress
         Called with what is done next, in words.
-
-    Raises
-    ------
-    InputError
-        If the sweeps carry no measurement, or a likelihood does not take them.
     """
     fits: dict[Opd, Identification] = {}
     models = []

@@ -16,21 +16,11 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class PosteriorDraws:
-    """Draws from the posterior of a cell's parameters.
+    """Draws from the posterior of a cell's parameters."""
 
-    Attributes
-    ----------
-    cell
-        The cell they belong to.
-    parameters
-        In the cell's order.
-    values
-        In um and rad, shape (n_draws, n).
-    """
-
-    cell: Cell
-    parameters: ParameterSet
-    values: Floats
+    cell: Cell  # the cell they belong to
+    parameters: ParameterSet  # in the cell's order
+    values: Floats  # in um and rad, shape (n_draws, n)
 
     def thinned(self, most: int) -> "PosteriorDraws":
         """At most `most` of the draws, evenly spaced."""
@@ -39,14 +29,7 @@ class PosteriorDraws:
 
 
 def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
-    """Read the draws of a posterior file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no netCDF file of ``fpcal sample``, of another cell, its sampling did not converge, or
-        a draw is not a number.
-    """
+    """Read the draws of a posterior file."""
     path = Path(path)
     require_readable(path)
     try:
@@ -94,39 +77,21 @@ def _column(path: Path, data: object, name: str, unit: str) -> Floats:
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """Draws of a posterior and what they are worth.
+    """Draws of a posterior and what they are worth."""
 
-    Attributes
-    ----------
-    file, sha256
-        Name without folder, and hash of the bytes.
-    parameters
-        Sampled parameters, n of them.
-    draws
-        In the units a person reads, shape (n_chains, n_draws, n).
-    prior
-        Draws of the prior in the same units, shape (n_prior_draws, n).
-    n_ensembles
-        Independent ensembles; chains of one ensemble interact.
-    rhat, ess_bulk, ess_tail
-        Nested R-hat and effective sizes, shape (n,).
-    residuals
-        Measured less predicted, in standard deviations of the prediction, shape (n_rows,).
-    command
-        That made the file.
-    """
-
+    # file, sha256: name without folder, and hash of the bytes
     file: str
     sha256: str
-    parameters: ParameterSet
-    draws: Floats
-    prior: Floats
-    n_ensembles: int
+    parameters: ParameterSet  # sampled parameters, n of them
+    draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
+    prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
+    n_ensembles: int  # independent ensembles; chains of one ensemble interact
+    # rhat, ess_bulk, ess_tail: nested R-hat and effective sizes, shape (n,)
     rhat: Floats
     ess_bulk: Floats
     ess_tail: Floats
-    residuals: Floats
-    command: str
+    residuals: Floats  # measured less predicted, in standard deviations of the prediction, shape (n_rows,)
+    command: str  # that made the file
 
     @property
     def n_draws(self) -> int:
@@ -135,13 +100,7 @@ class PosteriorSummary:
 
 
 def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
-    """Read a posterior file and work out its convergence.
-
-    Raises
-    ------
-    InputError
-        As `read_posterior` does, and if the file lacks prior draws or predictions.
-    """
+    """Read a posterior file and work out its convergence."""
     path = Path(path)
     parameters = read_posterior(path, cell).parameters
     with h5py.File(path, "r") as file:

@@ -33,27 +33,14 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """Log density of each row given all others.
+    """Log density of each row given all others."""
 
-    Attributes
-    ----------
-    elpd_rows
-        Shape (n_rows,), per um.
-    bound_rows
-        Log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`.
-    pareto_k
-        Shape of the tail of each row's weights, shape (n_rows,).
-    good_k
-        Up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024).
-    refitted
-        Rows that were left out in earnest, shape (n_rows,).
-    """
-
-    elpd_rows: Floats
+    elpd_rows: Floats  # shape (n_rows,), per um
+    # log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`
     bound_rows: Floats
-    pareto_k: Floats
-    good_k: float
-    refitted: Bools
+    pareto_k: Floats  # shape of the tail of each row's weights, shape (n_rows,)
+    good_k: float  # up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024)
+    refitted: Bools  # rows that were left out in earnest, shape (n_rows,)
 
     @property
     def bad(self) -> Bools:

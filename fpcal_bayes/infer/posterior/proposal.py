@@ -32,24 +32,12 @@ _FAST = 0.2
 
 @dataclass(frozen=True)
 class Solved:
-    """Points that solve h(v) = e.
+    """Points that solve h(v) = e."""
 
-    Attributes
-    ----------
-    points
-        Shape (n_points, n).
-    log_density
-        Of the target, unnormalised, shape (n_points,).
-    log_proposal
-        Of the chart, shape (n_points,); minus infinity outside it.
-    inside
-        Whether the point was found, on the same side of every fold as the reference point.
-    """
-
-    points: Floats
-    log_density: Floats
-    log_proposal: Floats
-    inside: Bools
+    points: Floats  # shape (n_points, n)
+    log_density: Floats  # of the target, unnormalised, shape (n_points,)
+    log_proposal: Floats  # of the chart, shape (n_points,); minus infinity outside it
+    inside: Bools  # whether the point was found, on the same side of every fold as the reference point
 
     def take(self, chosen: slice) -> "Solved":
         """Some of the points."""

@@ -37,45 +37,19 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of a posterior.
+    """Draws of a posterior."""
 
-    Attributes
-    ----------
-    identification
-        Where the charts come from.
-    target
-        The density that was sampled.
-    points
-        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
-    log_density
-        Unnormalised, shape (n_ensembles, n_steps, n_walkers).
-    charts
-        Number of charts that proposals came from.
-    outside
-        Share of the draws that lie outside every chart, where only the local move leads.
-    diagnostics
-        Of the free parameters' draws.
-    failures
-        What is not converged; empty if the draws can be used.
-    acceptance
-        Of all moves.
-    evaluations
-        Points at which the density was evaluated.
-    seconds
-        Sampling time.
-    """
-
-    identification: Identification
-    target: PosteriorTarget
-    points: Floats
-    log_density: Floats
-    charts: int
-    outside: float
-    diagnostics: Diagnostics
-    failures: tuple[str, ...]
-    acceptance: float
-    evaluations: int
-    seconds: float
+    identification: Identification  # where the charts come from
+    target: PosteriorTarget  # the density that was sampled
+    points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up
+    log_density: Floats  # unnormalised, shape (n_ensembles, n_steps, n_walkers)
+    charts: int  # number of charts that proposals came from
+    outside: float  # share of the draws that lie outside every chart, where only the local move leads
+    diagnostics: Diagnostics  # of the free parameters' draws
+    failures: tuple[str, ...]  # what is not converged; empty if the draws can be used
+    acceptance: float  # share of all moves
+    evaluations: int  # points at which the density was evaluated
+    seconds: float  # sampling time
 
     @property
     def converged(self) -> bool:

@@ -32,11 +32,6 @@ class SlipTarget(PosteriorTarget):
         Corrections that were found; they only say where to look first.
     noise
         If the noise has an unknown factor: where it is likeliest.
-
-    Raises
-    ------
-    InputError
-        If rows have no sign: what slipped is then not known.
     """
 
     def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:

@@ -39,17 +39,11 @@ _AGREEMENT = 0.01
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known of the laser and the air beside the estimate; type B.
+    """What is known of the laser and the air beside the estimate; type B."""
 
-    Attributes
-    ----------
-    wavelength_ppm
-        Half width of the rectangular distribution of the laser's vacuum wavelength.
-    temperature_k, pressure_hpa
-        Half widths of the air's temperature and pressure around those that the wavelength in air was worked out for.
-    """
-
-    wavelength_ppm: float = 1.0
+    wavelength_ppm: float = 1.0  # half width of the rectangular distribution of the laser's vacuum wavelength
+    # temperature_k, pressure_hpa: half widths of the air's temperature and pressure around those that the wavelength in
+    # air was worked out for
     temperature_k: float = 1.0
     pressure_hpa: float = 10.0
 
@@ -61,33 +55,17 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Line:
-    """One input of a budget.
-
-    Attributes
-    ----------
-    name
-        Of the input.
-    evaluation
-        ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined.
-    distribution
-        ``normal`` or ``rectangular``.
-    unit
-        Of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``.
-    estimate
-        Best estimate of the input; its deviation from what is used, zero here.
-    standard_uncertainty
-        In `unit`.
-    sensitivity
-        um of the measurand per `unit`; root of the sum of squares where an input acts more than once. Inputs that stand
-        for many parameters are given as their joint contribution, with sensitivity 1.
-    """
+    """One input of a budget."""
 
     name: str
+    # ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined
     evaluation: str
-    distribution: str
-    unit: str
-    estimate: float
-    standard_uncertainty: float
+    distribution: str  # ``normal`` or ``rectangular``
+    unit: str  # of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``
+    estimate: float  # best estimate of the input; its deviation from what is used, zero here
+    standard_uncertainty: float  # in `unit`
+    # um of the measurand per `unit`; root of the sum of squares where an input acts more than once. Inputs that stand
+    # for many parameters are given as their joint contribution, with sensitivity 1.
     sensitivity: float
 
     @property
@@ -98,27 +76,16 @@ class Line:
 
 @dataclass(frozen=True)
 class Budget:
-    """An uncertainty budget.
+    """An uncertainty budget."""
 
-    Attributes
-    ----------
-    task
-        Name of the task.
-    along, unit
-        Where on it the worst point stands.
-    lines
-        The inputs.
-    correlation
-        Correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n).
-    interval
-        Probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um.
-    """
-
-    task: str
+    task: str  # name of the task
+    # along, unit: where on it the worst point stands
     along: float
     unit: str
     lines: tuple[Line, ...]
+    # correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n)
     correlation: Floats
+    # probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um
     interval: tuple[float, float]
 
     @property
@@ -144,11 +111,6 @@ def budget_of(
         Of laser and air.
     seed
         Of the Monte Carlo evaluation.
-
-    Raises
-    ------
-    InputError
-        If a point of the task is out of reach, or the sweeps carry no measurement or are not those of the estimate.
     """
     conditions = Conditions() if conditions is None else conditions
     model = CavityModel.of(estimate.cell, estimate.parameters)

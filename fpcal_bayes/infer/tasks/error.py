@@ -23,30 +23,18 @@ from fpcal_bayes.motion.tasks import Task
 
 @dataclass(frozen=True)
 class AngularErrors:
-    """Errors of the mirror's direction along a path, in deg.
+    """Errors of the mirror's direction along a path, in deg."""
 
-    Attributes
-    ----------
-    normal
-        Angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame,
-        shape (n_draws, n_points).
-    turn
-        Angle of the rotation by which the true turn since the aligned pose differs from the one the estimate
-        expects, shape (n_draws, n_points).
-    """
-
+    # angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame, shape
+    # (n_draws, n_points)
     normal: Floats
+    # angle of the rotation by which the true turn since the aligned pose differs from the one the estimate expects,
+    # shape (n_draws, n_points)
     turn: Floats
 
 
 def task_rows(model: CavityModel, task: Task) -> Rows:
-    """The path of a task laid out for the kernels: each row is L(q) - L(q0).
-
-    Raises
-    ------
-    InputError
-        If a point of the path is out of reach, so that there is no joint vector.
-    """
+    """The path of a task laid out for the kernels: each row is L(q) - L(q0)."""
     if not np.isfinite(task.start).all():
         raise InputError(f"task {task.name!r}: the aligned pose that it starts from is out of reach")
     if not task.finite.all():

@@ -34,27 +34,13 @@ _ANGLE_DRAWS = 2000
 
 @dataclass(frozen=True)
 class TaskPrediction:
-    """What an estimate leaves unknown of a task, as draws.
+    """What an estimate leaves unknown of a task, as draws."""
 
-    Attributes
-    ----------
-    task
-        As the controller drives it.
-    errors
-        Task error along the path, shape (n_draws, n_points), in um.
-    sd
-        Root mean square of the error along the path, shape (n_points,), in um.
-    angles
-        Angular errors along the path, of 2,000 of the draws at most.
-    linear
-        Whether the errors are propagated to first order from a covariance, or are those of posterior draws.
-    """
-
-    task: Task
-    errors: Floats
-    sd: Floats
-    angles: AngularErrors
-    linear: bool
+    task: Task  # as the controller drives it
+    errors: Floats  # task error along the path, shape (n_draws, n_points), in um
+    sd: Floats  # root mean square of the error along the path, shape (n_points,), in um
+    angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
+    linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
 
     def __repr__(self) -> str:
         low, high = 1e3 * self.peak_to_peak_band()
@@ -118,11 +104,6 @@ def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: 
         What the controller holds, shape (n_free,).
     task
         The joint path that was found with it.
-
-    Raises
-    ------
-    InputError
-        If a point of the task is out of reach.
     """
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))

@@ -89,13 +89,7 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
 
 
 def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:
-    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none.
-
-    Raises
-    ------
-    InputError
-        If they are not rows of finite numbers, one for each parameter of the file.
-    """
+    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none."""
     content = json.loads(read_text(Path(path)))
     stated = content.get("draws")
     if stated is None:
@@ -118,20 +112,12 @@ _MOST_DRAWS = 20_000
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of a cell's parameters when a task is planned.
-
-    Attributes
-    ----------
-    cell
-        The cell.
-    estimate
-        What the controller holds, or None: then the draws themselves say, task by task (see `central_draw`).
-    draws
-        Of the posterior, from its own file or from the estimate's; None where there is only the covariance.
-    """
+    """What is known of a cell's parameters when a task is planned."""
 
     cell: Cell
+    # what the controller holds, or None: then the draws themselves say, task by task (see `central_draw`)
     estimate: Estimate | None
+    # of the posterior, from its own file or from the estimate's; None where there is only the covariance
     draws: PosteriorDraws | None
 
     def held(self, task: str, *, radius: float = 100.0) -> Estimate:
@@ -166,11 +152,6 @@ def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = No
         The file.
     held
         Estimate JSON that the controller holds while the truth is drawn from the posterior.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used or is of another cell.
     """
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":

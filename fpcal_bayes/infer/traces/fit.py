@@ -55,41 +55,21 @@ _OFF = 3.0
 
 @dataclass(frozen=True, eq=False)
 class TraceFit:
-    """Result of `fit_traces`.
+    """Result of `fit_traces`."""
 
-    Attributes
-    ----------
-    estimate
-        Maximum of the posterior with its Laplace covariance.
-    labels
-        Of the traces.
-    residual
-        Standard deviation of each trace's irradiance around the fit, in V, shape (n_traces,).
-    noise
-        What the fit took as the noise of a sample, in V, shape (n_traces,).
-    levels
-        Coefficients of mean a and amplitude b, then m, h and g, all in V, and the phase of each trace, (n_traces, 10).
-    n_samples, rank, steps
-        Samples used, rank of the Jacobian, Gauss-Newton steps taken.
-    converged
-        Whether a further step would change nothing.
-    seconds
-        Time of the fit.
-    warnings
-        Sentences about what is not to be trusted.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # maximum of the posterior with its Laplace covariance
     labels: tuple[str, ...]
-    residual: Floats
-    noise: Floats
+    residual: Floats  # standard deviation of each trace's irradiance around the fit, in V, shape (n_traces,)
+    noise: Floats  # what the fit took as the noise of a sample, in V, shape (n_traces,)
+    # coefficients of mean a and amplitude b, then m, h and g, all in V, and the phase of each trace, (n_traces, 10)
     levels: Floats
+    # n_samples, rank, steps: samples used, rank of the Jacobian, Gauss-Newton steps taken
     n_samples: int
     rank: int
     steps: int
-    converged: bool
-    seconds: float
-    warnings: tuple[str, ...]
+    converged: bool  # whether a further step would change nothing
+    seconds: float  # time of the fit
+    warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     def content(self) -> dict[str, Any]:
         """For JSON, without schema and command."""
@@ -139,12 +119,6 @@ def fit_traces(
         given, the noise of the photodiode is the cell's; else it is that of each trace's residuals.
     max_steps
         Gauss-Newton steps at most.
-
-    Raises
-    ------
-    InputError
-        If there is no trace, a joint does not move, a parameter name is unknown, or a trace has fewer samples than
-        nuisances.
     """
     began = time.perf_counter()
     chosen = cell.select(free)

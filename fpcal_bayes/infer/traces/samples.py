@@ -19,36 +19,17 @@ NODES = 20
 
 @dataclass(frozen=True, eq=False)
 class TraceSamples:
-    """Samples of all traces, one trace after the other.
-
-    Attributes
-    ----------
-    labels
-        Of the traces.
-    first
-        Samples of trace s are ``first[s]`` to ``first[s + 1]``, shape (n_traces + 1,).
-    place
-        Joint position along the sweep, from -1 to 1, shape (n_samples,).
-    time
-        From -1 to 1 in each trace, shape (n_samples,).
-    envelope
-        Amplitude of the fringes relative to the middle of the sweep, as the estimate's mirror makes it, (n_samples,).
-    irradiance
-        In V, shape (n_samples,).
-    nodes
-        Joint vectors at the Chebyshev nodes of each sweep, shape (n_traces * NODES, n_joints).
-    wave_number
-        4 pi n / lambda of each trace, shape (n_traces,).
-    """
+    """Samples of all traces, one trace after the other."""
 
     labels: tuple[str, ...]
-    first: Ints
-    place: Floats
-    time: Floats
+    first: Ints  # samples of trace s are ``first[s]`` to ``first[s + 1]``, shape (n_traces + 1,)
+    place: Floats  # joint position along the sweep, from -1 to 1, shape (n_samples,)
+    time: Floats  # from -1 to 1 in each trace, shape (n_samples,)
+    # amplitude of the fringes relative to the middle of the sweep, as the estimate's mirror makes it, (n_samples,)
     envelope: Floats
-    irradiance: Floats
-    nodes: Floats
-    wave_number: Floats
+    irradiance: Floats  # in V, shape (n_samples,)
+    nodes: Floats  # joint vectors at the Chebyshev nodes of each sweep, shape (n_traces * NODES, n_joints)
+    wave_number: Floats  # 4 pi n / lambda of each trace, shape (n_traces,)
 
     @classmethod
     def of(cls, model: CavityModel, values: Floats, index: TraceIndex) -> "TraceSamples":
@@ -58,11 +39,6 @@ class TraceSamples:
         ----------
         model, values
             Whose mirror makes the envelopes; free parameters (n_free,).
-
-        Raises
-        ------
-        InputError
-            If there is no trace, or the joint of one does not move.
         """
         cell, sweeps = model.cell, index.sweeps
         rows = [i for i, trace in enumerate(index.traces) if len(trace) and sweeps.kind[i] == "sweep"]

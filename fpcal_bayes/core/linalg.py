@@ -40,14 +40,12 @@ def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.li
 def posterior_triangle(jacobian: Floats) -> Floats:
     """Upper triangular R with R'R = J'J + 1, of whitened, prior-scaled rows J (n_rows, n); shape (n, n)."""
     n = jacobian.shape[1]
-    triangle: Floats = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    return triangle
+    return linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
 
 
 def symmetric(matrix: Floats) -> Floats:
     """A matrix without the skew part that rounding leaves."""
-    result: Floats = (matrix + matrix.T) / 2.0
-    return result
+    return (matrix + matrix.T) / 2.0
 
 
 def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> Floats:

@@ -80,8 +80,7 @@ class Outlook:
     @property
     def worst(self) -> Floats:
         """Peak to peak of the worst task in each draw, shape (n_draws,), in um."""
-        result: Floats = self.peaks.max(axis=0)
-        return result
+        return self.peaks.max(axis=0)
 
     @property
     def median(self) -> float:

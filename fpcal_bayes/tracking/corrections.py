@@ -75,8 +75,7 @@ class FewRows:
     @property
     def along(self) -> Floats:
         """See `RowChanges`."""
-        result: Floats = self.columns.T @ self.whitened
-        return result
+        return self.columns.T @ self.whitened
 
     def taken_off(self, row: int, waves: int) -> Self:
         """See `RowChanges`."""

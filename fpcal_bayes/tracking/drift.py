@@ -120,8 +120,7 @@ class DriftModel:
     def covariance(self, covariance: Floats) -> Floats:
         """Covariance of the parameters in um and rad of a state covariance (n_states, n_states)."""
         n = self.n_parameters
-        result: Floats = covariance[:n, :n] * np.outer(self.scale, self.scale)
-        return result
+        return covariance[:n, :n] * np.outer(self.scale, self.scale)
 
     def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
         """The step over some hours, in which the logged temperature changed by `kelvin`."""

@@ -67,8 +67,7 @@ class Innovation:
     def whiten(self, rows: Floats) -> Floats:
         """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
         # For a few rows this is faster than a triangular solve by LAPACK.
-        result: Floats = np.linalg.solve(self.factor, rows)
-        return result
+        return np.linalg.solve(self.factor, rows)
 
     @property
     def squared(self) -> float:
@@ -188,5 +187,4 @@ def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
 def _factor(jacobian: Floats, covariance: Floats) -> Floats:
     """Lower Cholesky factor of the covariance of whitened rows."""
     spread = jacobian @ covariance @ jacobian.T
-    result: Floats = np.linalg.cholesky(spread + np.eye(len(jacobian)))
-    return result
+    return np.linalg.cholesky(spread + np.eye(len(jacobian)))

@@ -76,8 +76,7 @@ class LinearMeasurement:
 
     def misfit(self, mean: Floats) -> Floats:
         """See `Measurement`."""
-        result: Floats = self.z - self.h @ mean
-        return result
+        return self.z - self.h @ mean
 
     def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
         """See `Measurement`."""

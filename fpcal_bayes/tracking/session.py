@@ -185,5 +185,4 @@ class _Judge:
 def _gain(predicted: State, innovation: Innovation) -> Floats:
     """Kalman gain of a linearisation, shape (n_states, n_equivalent)."""
     spread = innovation.jacobian @ predicted.covariance
-    result: Floats = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
-    return result
+    return np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T

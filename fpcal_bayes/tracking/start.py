@@ -90,8 +90,7 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
     rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
 
     def seen(mean: Floats) -> Floats:
-        jacobian: Floats = model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
-        return jacobian
+        return model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
 
     # What no row tells keeps its direction: one row each, of its prior's size.
     to_state = np.linalg.pinv(np.vstack([np.eye(n), seen(state.mean)]))[:, n:]

@@ -49,8 +49,7 @@ class SweepLimits:
     def seconds(self, cell: Cell, moves: Floats) -> Floats:
         """Time that moves (..., n_joints) take, all joints at once; shape (...)."""
         speeds = np.where(cell.revolute, self.turn_speed, self.travel_speed)
-        longest: Floats = (np.abs(moves) / speeds).max(axis=-1)
-        return longest
+        return (np.abs(moves) / speeds).max(axis=-1)
 
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:
@@ -219,8 +218,7 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
     lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
     fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
     slow = fringes <= limits.fringe_rate * limits.seconds(cell, end - start)
-    ahead: Bools = visible & slow & (lengths > 0).all(axis=1)
-    return ahead
+    return visible & slow & (lengths > 0).all(axis=1)
 
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
@@ -276,5 +274,4 @@ def _draw(
 def long_enough(moves: Floats, widths: Floats) -> Bools:
     """Whether one joint at least uses a fair part of its range; joints that cannot move do not count."""
     share = np.abs(moves) / np.where(widths > 0, widths, np.inf)
-    result: Bools = share.max(axis=1) >= _SHORTEST
-    return result
+    return share.max(axis=1) >= _SHORTEST

@@ -38,8 +38,7 @@ class Criterion:
         rows, (directions, weights) = self.design.rows[:, list(chosen)], self.pull(chosen)
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
         seen = (flat @ directions.transpose(0, 2, 1)) * weights[:, None]
-        result: Floats = (-2.0 * seen @ directions).reshape(rows.shape)
-        return result
+        return (-2.0 * seen @ directions).reshape(rows.shape)
 
 
 def worst_task(design: Design, reference: Floats) -> Criterion:
@@ -48,8 +47,7 @@ def worst_task(design: Design, reference: Floats) -> Criterion:
     def power_mean(variances: Floats) -> Floats:
         ratio = variances / reference**2
         largest = ratio.max(axis=-1, keepdims=True)
-        mean: Floats = (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
-        return mean
+        return (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
 
     def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
         roots = design.roots(chosen)

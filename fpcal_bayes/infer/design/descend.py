@@ -98,8 +98,7 @@ def _part_descended(
         criterion = criterion_at(space.sweeps(x), space.varied(x))
         rows, of_rows = criterion.design.rows, criterion.slope(chosen)
         by_joint = (rows[:, len(chosen) :] - rows[:, space.sweep_of]) / _STEP
-        result: Floats = (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
-        return result
+        return (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
 
     visible = optimize.NonlinearConstraint(
         lambda x: space.tilts(space.sweeps(x)) / limits.tilt,
@@ -151,8 +150,7 @@ class _Space:
         """Coordinates of sweeps, shape (n_coordinates,)."""
         ends = np.stack([sweeps.q_start, sweeps.q_end], axis=1)
         joints = ends[self.sweep_of, self.end_of, self.joint_of]
-        shares: Floats = (joints - self.low[self.joint_of]) / self.width[self.joint_of]
-        return shares
+        return (joints - self.low[self.joint_of]) / self.width[self.joint_of]
 
     def sweeps(self, x: Floats) -> Sweeps:
         """The plan at coordinates."""

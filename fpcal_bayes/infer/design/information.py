@@ -75,8 +75,7 @@ class Design:
     def task_variance(self, chosen: Sequence[int]) -> Floats:
         """Variance at every task point after the chosen candidates, in um^2, shape (n_draws, n_points)."""
         scaled = self.tasks @ self.roots(chosen)
-        variance: Floats = (scaled**2).sum(axis=-1)
-        return variance
+        return (scaled**2).sum(axis=-1)
 
     def expected_variance(self, chosen: Sequence[int], *, worst: bool = True) -> Floats:
         """Mean over the draws of each task's worst-point (or mean) variance, in um^2, shape (n_tasks,)."""

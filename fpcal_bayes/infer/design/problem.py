@@ -77,8 +77,7 @@ def _at(model: CavityModel, values: Floats, name: str, radius: float, points: in
     good = np.flatnonzero(task.ok)
     jacobian = task_jacobian(model, values, task.take(task.ok))
     nearest = np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)
-    result: Floats = jacobian[nearest]
-    return result
+    return jacobian[nearest]
 
 
 @dataclass(frozen=True)

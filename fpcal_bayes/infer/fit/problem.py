@@ -36,8 +36,7 @@ class Considered:
     @property
     def covariance(self) -> Floats:
         """Covariance, shape (n_considered, n_considered)."""
-        product: Floats = self.factor @ self.factor.T
-        return product
+        return self.factor @ self.factor.T
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,7 @@ class Spectrum:
     @property
     def null_share(self) -> Floats:
         """Share of each parameter in the null space, from 0 to 1, shape (n,)."""
-        share: Floats = (self.null_space**2).sum(axis=0)
-        return share
+        return (self.null_space**2).sum(axis=0)
 
 
 def spectrum_of(jacobian: Floats) -> Spectrum:

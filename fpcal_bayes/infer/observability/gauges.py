@@ -87,8 +87,7 @@ def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats
     reach = np.where(cell.revolute, np.pi / 2, 1000.0)
     low = np.where(np.isfinite(cell.low), cell.low, -reach)
     high = np.where(np.isfinite(cell.high), cell.high, reach)
-    spread: Floats = rng.uniform(low, high, (n, len(reach)))
-    return spread
+    return rng.uniform(low, high, (n, len(reach)))
 
 
 def null_space_within(space: Floats, jacobian: Floats) -> Floats:
@@ -98,8 +97,7 @@ def null_space_within(space: Floats, jacobian: Floats) -> Floats:
     scale = float(linalg.svdvals(jacobian)[0])
     spectrum = spectrum_of(np.vstack([seen, np.zeros((1, len(space)))]))
     unseen = spectrum.singular_values <= 1e-9 * scale
-    part: Floats = spectrum.directions[unseen] @ space
-    return part
+    return spectrum.directions[unseen] @ space
 
 
 def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:

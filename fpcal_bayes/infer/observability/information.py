@@ -80,5 +80,4 @@ def gain_of(jacobian: Floats, candidates: Floats) -> Floats:
         In bits, shape (n_candidates,).
     """
     spread = linalg.solve_triangular(posterior_triangle(jacobian), candidates.T, trans="T")
-    gain: Floats = 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))
-    return gain
+    return 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))

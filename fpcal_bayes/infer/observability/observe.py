@@ -87,8 +87,7 @@ class Observability:
     @cached_property
     def contraction(self) -> Floats:
         """Share of the prior variance that the data take away, from 0 to 1, shape (n,)."""
-        contraction: Floats = 1.0 - np.diag(self.covariance)
-        return contraction
+        return 1.0 - np.diag(self.covariance)
 
     @cached_property
     def correlation(self) -> Floats:
@@ -280,8 +279,7 @@ def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> I
 
 def _posterior(jacobian: Floats) -> Floats:
     spectrum = spectrum_of(jacobian)
-    covariance: Floats = (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
-    return covariance
+    return (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
 
 
 def _absolute_row(cell: Cell, sweeps: Sweeps) -> Sweeps:

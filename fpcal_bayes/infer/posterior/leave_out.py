@@ -45,8 +45,7 @@ class LeaveOneOut:
     @property
     def bad(self) -> Bools:
         """Rows whose weights cannot be trusted, shape (n_rows,)."""
-        result: Bools = ~(self.pareto_k <= self.good_k)
-        return result
+        return ~(self.pareto_k <= self.good_k)
 
     @property
     def open(self) -> Bools:
@@ -159,8 +158,7 @@ def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
     precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
     # Inverse covariance times the residual in um, row by row.
     weighed = residuals @ mix
-    result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
-    return result
+    return 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
 
 
 def without_row(identification: Identification, row: int) -> Identification | None:

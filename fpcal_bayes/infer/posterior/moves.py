@@ -99,5 +99,4 @@ def _factors(jacobian: Floats) -> Floats:
 
 def _log_determinant(factor: Floats) -> Floats:
     """Log determinants of triangular matrices (n_points, n, n)."""
-    result: Floats = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    return result
+    return np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)

@@ -174,14 +174,12 @@ def _inverse_each(slopes: Floats) -> Floats:
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
     """Product of each matrix with its vector."""
-    result: Floats = (matrices @ vectors[:, :, None])[:, :, 0]
-    return result
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def _log_normal(normal: Floats) -> Floats:
     """Log density of the standard normal, unnormalised, shape (n_points,)."""
-    result: Floats = -0.5 * (normal**2).sum(axis=1)
-    return result
+    return -0.5 * (normal**2).sum(axis=1)
 
 
 #: A point that deserves more than this many times the proposals it gets is too rare.

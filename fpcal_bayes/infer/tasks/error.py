@@ -104,8 +104,7 @@ def task_errors(model: CavityModel, truth_values: Floats, estimate_values: Float
     """
     rows = task_rows(model, task)
     truths = np.atleast_2d(truth_values)
-    error: Floats = model.predict(truths, rows) - model.predict(estimate_values, rows)
-    return error
+    return model.predict(truths, rows) - model.predict(estimate_values, rows)
 
 
 def turn_errors(model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task) -> tuple[Floats, Floats]:
@@ -162,8 +161,7 @@ def angular_errors(
 
 def peak_to_peak(errors: Floats) -> Floats:
     """Peak to peak of errors (..., n_points) along the path; shape (...), in the unit of the errors."""
-    result: Floats = np.ptp(errors, axis=-1)
-    return result
+    return np.ptp(errors, axis=-1)
 
 
 def _mirrors(model: CavityModel, values: Floats, task: Task) -> Floats:
@@ -178,8 +176,7 @@ def _mirrors(model: CavityModel, values: Floats, task: Task) -> Floats:
     fibre = turns(np.column_stack([extrinsics[:, 2], zero, zero])) @ turns(
         np.column_stack([zero, zero, extrinsics[:, 3]])
     )
-    result: Floats = fibre.transpose(0, 2, 1)[:, None] @ tools @ mirror[:, None]
-    return result
+    return fibre.transpose(0, 2, 1)[:, None] @ tools @ mirror[:, None]
 
 
 def _rotation_vectors(rotations: Floats) -> Floats:
@@ -195,5 +192,4 @@ def _rotation_vectors(rotations: Floats) -> Floats:
     sine = np.linalg.norm(skew, axis=-1) / 2.0
     angle = np.arctan2(sine, (np.trace(rotations, axis1=-2, axis2=-1) - 1.0) / 2.0)
     factor = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 1.0)
-    result: Floats = skew / 2.0 * factor[..., None]
-    return result
+    return skew / 2.0 * factor[..., None]

@@ -68,8 +68,7 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     # Systematic resampling: each point as often as its weight says, up to rounding.
     places = (np.arange(draws) + random.random()) / draws
     chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    values: Floats = found.problem.values(points[np.minimum(chosen, len(points) - 1)])
-    return values
+    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:

@@ -86,9 +86,10 @@ def run_rule(
 
 
 def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: float) -> ClosedLoop:
-    """Let a policy run from a calibration until the last session that may begin by `end_h`; `InputError` if it cannot.
+    """Let a policy run from a calibration until the last session that may begin by `end_h`.
 
-    Each session is planned for the last step at which the tolerance is still expected to hold.
+    Each session is planned for the last step at which the tolerance is still expected to hold; `InputError` if the
+    tolerance cannot be met.
     """
     drift, model, limits = with_hidden_noise(policy.drift, policy.model, start.state), policy.model, policy.limits
     policy = replace(policy, drift=drift)
@@ -128,23 +129,11 @@ def task_peaks(
     radius: float = 100.0,
     whole: bool = False,
 ) -> Floats:
-    """Peak to peak of the error of tasks in um while a controller holds one estimate after the other.
+    """Peak to peak of the error of tasks while a controller holds one estimate after the other, in um, (n_tasks, t).
 
-    Parameters
-    ----------
-    model, truth
-        Of the free parameters, and of these or more.
-    held
-        From when on which free parameters (n_free,) were held, in um and rad, in order of time.
-    times_h
-        Where to look, none before the first estimate, shape (t,).
-    whole
-        Take the whole paths, beyond joint limits too, in place of what can be driven.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_tasks, t).
+    `held` says from when on which free parameters (n_free,), in um and rad, were held, in order of time; `times_h` (t,)
+    says where to look, none before the first estimate. With `whole` the paths are taken in full, beyond joint limits
+    too, in place of what can be driven.
     """
     columns = truth.parameters.positions(model.free.names)
     peaks = np.zeros((len(tasks), len(times_h)))

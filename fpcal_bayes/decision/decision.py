@@ -108,17 +108,8 @@ class _Session:
 def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
     """The state expected after measuring a plan at the time of `state`, to first order.
 
-    Parameters
-    ----------
-    plan
-        Sweeps; measurements in it are not looked at.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-
-    Returns
-    -------
-    State
-        With the mean of the prediction, which the estimate of the controller follows.
+    Measurements in the plan are not looked at; `sigma` is the standard deviation of each change of cavity length, in
+    um. The mean is that of the prediction, which the estimate of the controller follows.
     """
     planned = plan.with_measurement(np.zeros(len(plan)), sigma)
     measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
@@ -139,26 +130,15 @@ def decide(
     *,
     measure: bool = False,
 ) -> Decision:
-    """What to do now.
+    """What to do now; `InputError` if not even a full calibration brings the tasks within the tolerance.
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
     sessions that follow it included; if none does, a full calibration.
 
-    Parameters
-    ----------
-    forecast
-        For the estimate that the controller holds.
-    state
-        Predicted for now.
-    choose
-        Chooses the sweeps of a session.
-    calibration
-        Sweeps of a full calibration, as a plan.
-    calibration_due
-        Why a full calibration is due whatever the error, or None.
-    measure
-        Whether something is measured in any case, so that the question is only what.
+    The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
+    of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
+    measured in any case, so that the question is only what.
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))

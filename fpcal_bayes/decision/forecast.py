@@ -163,17 +163,9 @@ class Forecast:
         return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
-        """Hours after `state` until the probability of being out of tolerance passes the level.
+        """Hours after `state` until the probability of being out of tolerance passes the level, at most `horizon_h`.
 
-        Parameters
-        ----------
-        horizon_h
-            The answer if it does not within this time.
-
-        Returns
-        -------
-        float
-            In hours, to the minute below; zero if the level is passed already.
+        To the minute below; zero if the level is passed already.
         """
         inside = 0.0
         for outside in self._times(horizon_h):

@@ -82,14 +82,9 @@ def follow_week(
 ) -> Followed:
     """Follow the week with the filter, live it again under the policy, and judge both beside the paper's protocol.
 
-    Parameters
-    ----------
-    sweeps, identifications
-        Of the paper's sessions, in order of time; the first is day 0.
-    sigma, seed
-        Noise of the policy's sweeps in um, and its seed.
-    progress
-        Told what is done next.
+    `sweeps` and `identifications` are of the paper's sessions, in order of time; the first is day 0. `sigma` in um and
+    `seed` are of the policy's sweeps; `progress` is told what is done next. `InputError` if the cell states no drift,
+    or the tolerance cannot be met.
     """
     drift = DriftModel.of(cell)
     model = CavityModel.of(cell, drift.parameters)
@@ -132,15 +127,7 @@ def follow_week(
 def decision_log(
     decisions: Sequence[Decision], outcomes: Sequence[SessionOutcome], tolerance: float
 ) -> list[dict[str, Any]]:
-    """The decisions as JSON: when, what, why, and the session that followed.
-
-    Parameters
-    ----------
-    decisions, outcomes
-        As many of each: what was ordered, and what it gave.
-    tolerance
-        In um.
-    """
+    """Decisions, and the outcomes that they gave, as JSON: when, what, why, and the session that followed; um."""
     return [
         {
             "now_h": decision.now_h,

@@ -46,15 +46,7 @@ class Circle:
 
 
 def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed: int) -> list[Circle]:
-    """The circle of one estimate, driven at `CHECK_HOURS` after it.
-
-    Parameters
-    ----------
-    name
-        Of the session that the estimate is of.
-    seed
-        Of the recordings' noise.
-    """
+    """The circle of the estimate of session `name`, driven at `CHECK_HOURS` after it; `seed` is that of the noise."""
     task = _circle(estimate)
     times = [estimate.time_h + hours for hours in CHECK_HOURS]
     return [
@@ -66,12 +58,7 @@ def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed:
 def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int) -> list[Circle]:
     """The circle of each identification at its own time, and before it with that of the identification before.
 
-    Parameters
-    ----------
-    estimates
-        By session, in order of time.
-    seed
-        Of the recordings' noise.
+    The estimates are by session, in order of time; `seed` is of the recordings' noise.
     """
     circles: list[Circle] = []
     before = ""
@@ -139,12 +126,7 @@ class Week:
 def week_truth(cell: Cell, between: str, seed: int) -> Truth:
     """The truth through the week: the paper's tables on days 0, 1, 2 and 8, and what lies between them.
 
-    Parameters
-    ----------
-    between
-        One of `BETWEEN`: ``steady``, or ``walk`` for a random walk with the cell's drift sizes, given the tables.
-    seed
-        Of the walk.
+    `between` is ``steady``, or ``walk`` for a random walk, by `seed`, with the cell's drift sizes, given the tables.
     """
     tables = paper_truth(cell)
     if between == "steady":
@@ -160,21 +142,9 @@ def week_truth(cell: Cell, between: str, seed: int) -> Truth:
 
 
 def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady") -> tuple[Truth, Sweeps]:
-    """Simulate the sweeps of every session.
+    """The truth through the week (see `week_truth`), and simulated sweeps of all sessions in order of time.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    seed
-        Of the noise.
-    between
-        As in `week_truth`.
-
-    Returns
-    -------
-    tuple
-        The truth through the week, and the sweeps of all sessions in order of time.
+    `sigma` is the standard deviation of each change of cavity length in um, `seed` that of the noise.
     """
     truth = week_truth(cell, between, seed)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")

@@ -153,18 +153,10 @@ def run_on_cluster(
 ) -> Progress:
     """Run the missing replicates on a cluster of Dask; each is in the store as soon as it comes.
 
-    Parameters
-    ----------
-    replicates
-        How many are wanted in all.
-    workers
-        Processes of the cluster on this machine.
-    scheduler
-        Address of a cluster that runs already, in place of one on this machine.
-    anew
-        Forget what the store holds.
-    progress
-        Called with what has come, after each task.
+    `replicates` are wanted in all. The cluster has `workers` processes on this machine, unless `scheduler` is the
+    address of one that runs already. `anew` forgets what the store holds; `progress` is called after each task.
+    `InputError` if Dask is not installed or the cluster cannot be reached, if the store is another one, or if a
+    replicate fails.
     """
     with store.appending(replicates, anew=anew) as appender:
         missing = np.flatnonzero(~store.done()[:replicates]).tolist()

@@ -104,14 +104,9 @@ def ranks_of(
 ) -> Replicate:
     """Draw one truth and rank it.
 
-    Parameters
-    ----------
-    plan, sigma
-        The sweeps, and the standard deviation of each change of cavity length in um.
-    draws
-        Effective draws of the posterior, at least `RANKED`.
-    steps
-        The walkers go so far and no further: the ranks are those of an exact sampler if the start is.
+    `sigma` is the standard deviation of each change of cavity length in um; `draws` the effective draws of the
+    posterior, at least `RANKED`. With `steps` the walkers go so far and no further: the ranks are those of an exact
+    sampler if the start is.
     """
     truth = drawn_truth(cell, random)
     values = truth.values[0]

@@ -76,12 +76,8 @@ class Onset:
     def with_session(self, innovation: Innovation, gain: Floats, predicted_response: Floats) -> "Onset":
         """With the innovation of one more session.
 
-        Parameters
-        ----------
-        gain
-            Kalman gain by which the session was taken in, shape (n_states, n_equivalent).
-        predicted_response
-            `response` carried to the time of the session.
+        `gain` (n_states, n_equivalent) is the Kalman gain by which the session was taken in, `predicted_response` is
+        `response` carried to its time.
         """
         seen = innovation.jacobian @ predicted_response
         whitened = innovation.whiten(seen)
@@ -144,14 +140,8 @@ def extend(
 ) -> Monitor:
     """Take a session into the memory of the tests.
 
-    Parameters
-    ----------
-    hours
-        Since the session before.
-    innovation, gain
-        Of the session; its linearisation and the gain belong together.
-    matrix
-        Transition of the state over these hours, shape (n_states, n_states).
+    `hours` have passed since the session before, `matrix` (n_states, n_states) is the transition of the state over
+    them; linearisation (`innovation`) and `gain` of the session belong together.
     """
     start = np.zeros((drift.n_states, drift.n_parameters))
     start[range(drift.n_parameters), range(drift.n_parameters)] = limits.jump(drift)
@@ -180,11 +170,8 @@ def _summed(total: float, squared: float, dof: int) -> float:
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    Parameters
-    ----------
-    knock_gain
-        By how much a knock just before the last session raises the log likelihood of that session. A change of the
-        robot before an earlier session is believed only if it raises the likelihood more.
+    `knock_gain` is by how much a knock just before the last session raises the log likelihood of that session. A change
+    of the robot before an earlier session is believed only if it raises the likelihood more.
     """
     return [*_full_findings(monitor, limits, drift, knock_gain), *_extrinsic_findings(monitor, limits, drift)]
 
@@ -192,17 +179,8 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: fl
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
     """Probability that a session shows that a parameter of the robot jumped by its size in `Limits.jump` before it.
 
-    Parameters
-    ----------
-    innovation
-        Of the session, measured or planned: only its linearisation counts.
-    hours
-        Since the session before.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
+    Only the linearisation of `innovation` counts: the session may be measured or planned. `hours` have passed since the
+    session before. Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
     """
     n, intrinsic = drift.n_parameters, ~drift.extrinsic
     start = np.zeros((drift.n_states, n))

@@ -104,14 +104,8 @@ class ManyRows:
     def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: float) -> Self:
         """Of a linearisation of all rows.
 
-        Parameters
-        ----------
-        misfit, jacobian
-            Whitened, shapes (n_rows,) and (n_rows, n_states).
-        covariance
-            Of the predicted state, shape (n_states, n_states).
-        half_wave
-            Half a wavelength in um.
+        `misfit` (n_rows,) and `jacobian` (n_rows, n_states) are whitened, `covariance` (n_states, n_states) is that of
+        the predicted state, and `half_wave` half a wavelength in um.
         """
         mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
         waves = half_wave * sparse.csr_array(mix)
@@ -134,13 +128,7 @@ class ManyRows:
 
 
 def row_changes(measurement: SweepMeasurement, innovation: Innovation, predicted: State) -> RowChanges:
-    """The changes of half a wavelength that the rows of a session may have.
-
-    Parameters
-    ----------
-    innovation, predicted
-        Of the session, and the state that it is linearised at.
-    """
+    """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
     half_wave = 0.5 * measurement.model.cell.wavelength
     if len(innovation.misfit) == innovation.dof:
         return FewRows.of(measurement.whitening, innovation, half_wave)
@@ -163,14 +151,9 @@ _ACCEPT = 1e-3
 
 
 def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
-    """The rows of a session with their signs, decided by what the state predicts.
+    """The rows of a session with their signs, decided by what the state predicts, and a warning if rows were left out.
 
     Rows with a clear sign are taken in first, which may make those of others clear. Rows that stay open are left out.
-
-    Returns
-    -------
-    tuple
-        Signed rows, and a warning if rows were left out.
     """
     known = sweeps.signed | sweeps.absolute
     if known.all():
@@ -212,12 +195,8 @@ def correct_slips(
 ) -> Correction:
     """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
 
-    Parameters
-    ----------
-    sweeps, measurement, innovation
-        The session, signed; its innovation is too large.
-    jumps
-        Standard deviations of the jumps that may explain it instead, each of shape (n_states,).
+    The session is signed and its innovation too large; `jumps`, each of shape (n_states,), are standard deviations of
+    the jumps that may explain it instead.
     """
     half_wave = 0.5 * measurement.model.cell.wavelength
     count = len(sweeps)

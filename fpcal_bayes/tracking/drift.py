@@ -99,13 +99,9 @@ class DriftModel:
     def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Mean (n_states,) and covariance (n_states, n_states) of the state after a calibration.
 
-        Rates, returning motions and coefficients start at their own prior: a calibration at one time says nothing
-        about them as long as their size is small beside the prior of the parameter.
-
-        Parameters
-        ----------
-        values, covariance
-            Of the parameters in um and rad, shapes (n_parameters,) and (n_parameters, n_parameters).
+        `values` and `covariance` are those of the parameters in um and rad. Rates, returning motions and coefficients
+        start at their own prior: a calibration at one time says nothing about them as long as their size is small
+        beside the prior of the parameter.
         """
         n = self.n_parameters
         mean, full = np.zeros(self.n_states), np.eye(self.n_states)

@@ -99,10 +99,7 @@ class Update:
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
     """The state at a later time, before anything is measured then.
 
-    Parameters
-    ----------
-    temperature_c
-        Logged at that time, or NaN: the temperature is then taken as unchanged.
+    `temperature_c` is logged at that time, or NaN: the temperature is then taken as unchanged.
     """
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
@@ -117,15 +114,7 @@ def kelvin_between(before: float, after: float) -> float:
 
 
 def update(state: State, measurement: Measurement) -> Update:
-    """Take in rows measured at the time of `state`.
-
-    Parameters
-    ----------
-    state
-        As predicted for the time of the rows.
-    measurement
-        At least one row.
-    """
+    """Take in rows, one at least, that were measured at the time of `state`, which is predicted for it."""
     prior, covariance = state.mean, state.covariance
     misfit, jacobian = measurement.linearise(prior)
     innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
@@ -167,13 +156,7 @@ def update(state: State, measurement: Measurement) -> Update:
 
 
 def inflate(state: State, sd: Floats) -> State:
-    """The state after a jump of unknown size.
-
-    Parameters
-    ----------
-    sd
-        Standard deviation of the jump in the units of the state, shape (n_states,).
-    """
+    """The state after a jump of unknown size; `sd` is its standard deviation in the units of the state, (n_states,)."""
     return replace(state, covariance=state.covariance + np.diag(sd**2))
 
 

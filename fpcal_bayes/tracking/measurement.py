@@ -18,21 +18,13 @@ _ROWS_PER_STATE = 2
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
     """Few whitened rows that say the same about the state as many.
 
-    A rotation of the rows leaves their errors independent with unit variance. The one that makes
-    ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state explains, and rows of
-    zeros, which are dropped (data compression of the square-root information filter, Bierman 1977). Sums of squares
-    and determinants that belong to the rows stay what they are; only the count of rows is lost.
+    A rotation of the rows leaves their errors independent with unit variance. The one that makes ``[jacobian, misfit]``
+    triangular leaves a row for each state, one that holds what no state explains, and rows of zeros, which are dropped
+    (data compression of the square-root information filter, Bierman 1977). Sums of squares and determinants that belong
+    to the rows stay what they are; only the count of rows is lost.
 
-    Parameters
-    ----------
-    misfit, jacobian
-        Whitened measurement minus prediction (n_rows,), and derivatives by the state (n_rows, n_states).
-
-    Returns
-    -------
-    tuple
-        The same of the equivalent rows: n_states + 1 of them, or the rows given where they are at most
-        twice as many as the states.
+    Given are whitened measurement minus prediction (n_rows,) and its derivatives by the state (n_rows, n_states). There
+    are n_states + 1 equivalent rows; at most twice as many rows as states are given back as they are.
     """
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:

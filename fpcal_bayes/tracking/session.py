@@ -50,18 +50,9 @@ class SessionOutcome:
 def take_in(
     drift: DriftModel, model: CavityModel, limits: Limits, state: State, monitor: Monitor, sweeps: Sweeps
 ) -> SessionOutcome:
-    """Take in the sweeps of one session.
+    """Take in the sweeps of one session, measured later than `state`; rows of kind ``path`` are not used.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters.
-    limits
-        Of the tests; see `Limits`.
-    state, monitor
-        After the session before.
-    sweeps
-        Measured, of one session, later than `state`. Rows of kind ``path`` are not used.
+    `drift` and `model` are of the same parameters; `state` and `monitor` stand after the session before.
     """
     time_h, temperature = float(sweeps.time_h.max()), mean_temperature(sweeps)
     hours = time_h - state.time_h

@@ -51,13 +51,9 @@ class Smoothed:
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     """States after each session given all sessions, in order of time.
 
-    Widenings after a jump count as noise of the step before their session.
-
-    Parameters
-    ----------
-    outcomes
-        From the calibration on, with their measurements, as `track` gives them when nothing is resumed. Without that of
-        the calibration its state is taken as it is.
+    Widenings after a jump count as noise of the step before their session. `outcomes` begin with the calibration and
+    hold their measurements, as `track` gives them when nothing is resumed (else `ValueError`: see
+    `tracker.smooth_track`). Without that of the calibration its state is taken as it is.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -99,15 +95,7 @@ def with_measurements(
     outcomes: Sequence[SessionOutcome],
     parts: Sequence[Sweeps],
 ) -> list[SessionOutcome]:
-    """The outcomes with their measurements; sessions of an earlier run are read again for them.
-
-    Parameters
-    ----------
-    outcomes
-        From the calibration on.
-    parts
-        Sweeps of each session.
-    """
+    """Outcomes from the calibration on with their measurements; sessions of an earlier run are read again."""
     found = list(outcomes[:1])
     for (before, outcome), part in zip(pairwise(outcomes), parts[1:], strict=False):
         if outcome.measurement is None and outcome.n_sweeps:
@@ -233,18 +221,10 @@ _AFTER_JUMP = 8
 def follow_sessions(
     drift: DriftModel, model: CavityModel, limits: Limits, known: Sequence[SessionOutcome], parts: Sequence[Sweeps]
 ) -> list[SessionOutcome]:
-    """Take in the sessions after those that are known.
+    """Take in the sessions after those that are known, at least the calibration.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters; the drift with its `hidden` noise.
-    limits
-        Of the tests.
-    known
-        Outcomes of the first sessions, at least of the calibration.
-    parts
-        Sweeps of all sessions, in order of time.
+    `drift`, with its `hidden` noise, and `model` are of the same parameters; `parts` are the sweeps of all sessions, in
+    order of time.
     """
     outcomes = list(known)
     for part in parts[len(outcomes) :]:
@@ -260,12 +240,8 @@ def follow_sessions(
 def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
     """The last outcome; where a look is due, with the state to which the sessions lead together.
 
-    Parameters
-    ----------
-    drift
-        With its `hidden` noise.
-    outcomes
-        From the calibration on, with the measurements of the last sessions.
+    `drift` has its `hidden` noise; `outcomes` begin with the calibration and hold the measurements of the last
+    sessions.
     """
     last = outcomes[-1]
     if not _is_due(outcomes):

@@ -44,12 +44,7 @@ class CalibrationSolution:
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:
     """The solutions of a calibration, the lowest minimum first; empty where there is only one.
 
-    Parameters
-    ----------
-    found
-        With its minima.
-    draws
-        Of the posterior, shape (n_draws, n), in um and rad. Each counts for the minimum that it lies nearest to.
+    Each of the posterior's `draws` (n_draws, n), in um and rad, counts for the minimum that it lies nearest to.
     """
     problem, minima = found.problem, (found.solution, *found.other_minima)
     if len(minima) == 1 or not len(draws):
@@ -84,21 +79,11 @@ def likeliest(
     starts: Sequence[tuple[SessionOutcome, float]],
     parts: Sequence[Sweeps],
 ) -> list[SessionOutcome]:
-    """The course to go on with: that of one solution where the sessions tell, or that of all together.
+    """The outcomes to go on with: the first ones from one solution where the sessions tell, else `together` as it is.
 
-    Parameters
-    ----------
-    together
-        Outcomes of all sessions, followed from all solutions together.
-    starts
-        Outcome of the calibration and share of the posterior, one a solution.
-    parts
-        Sweeps of all sessions, in order of time.
-
-    Returns
-    -------
-    list of SessionOutcome
-        `together` as it is, or the first sessions from one solution.
+    `together` are the outcomes of all sessions, followed from all solutions at once; `starts` are the outcome of the
+    calibration and the share of the posterior of each solution; `parts` are the sweeps of all sessions, in order of
+    time.
     """
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]

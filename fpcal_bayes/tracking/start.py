@@ -38,14 +38,7 @@ _JITTER = 1e-18
 def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
     """The maximum of the posterior, with the covariance by which its linearised predictions spread as the draws do.
 
-    Parameters
-    ----------
-    estimate
-        Maximum of the posterior.
-    draws
-        Of the same parameters, in um and rad, shape (n_draws, n), more than n of them.
-    sweeps
-        Of the calibration.
+    The `draws` (n_draws, n), in um and rad, are more than n; `sweeps` are those of the calibration.
     """
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
@@ -68,19 +61,9 @@ _LEAST_SD = 1e-3
 
 
 def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> DriftModel:
-    """The drift with the noise that an uncertain geometry adds to it.
+    """The drift with the noise that an uncertain geometry adds to it (`hidden`), from the state after the calibration.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters.
-    state
-        After the calibration.
-
-    Returns
-    -------
-    DriftModel
-        With `hidden`; as it was where the cell leaves no room for sweeps.
+    `drift` and `model` are of the same parameters. Where the cell leaves no room for sweeps the drift stays as it was.
     """
     n = drift.n_parameters
     try:

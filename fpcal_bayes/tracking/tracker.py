@@ -103,10 +103,8 @@ def estimate_of(
 ) -> Estimate:
     """A state as an estimate, in um and rad.
 
-    Parameters
-    ----------
-    status
-        Of each parameter after the calibration; what the data no longer halve the prior variance of becomes weak.
+    `status` is that of each parameter after the calibration; what the data no longer halve the prior variance of
+    becomes weak.
     """
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
@@ -181,39 +179,20 @@ def track(
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
 
-def smooth_track(track: Track, sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
-    """States after each session of a track given all sessions; see `smooth`.
-
-    Parameters
-    ----------
-    track
-        Also one that was taken up again.
-    sweeps
-        Of all its sessions.
-    limits
-        Of its tests, by default `Limits()`.
-    """
-    limits = Limits() if limits is None else limits
+def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
+    """States after each session of a track, also of one that was taken up again, given all sessions; see `smooth`."""
     model = CavityModel.of(track.cell, track.drift.parameters)
     parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
-    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+    return smooth(track.drift, with_measurements(track.drift, model, Limits(), track.outcomes, parts))
 
 
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session.
+    """Identify all parameters from the first session; `draws` as in `track`, `InputError` if it determines too little.
 
-    Parameters
-    ----------
-    draws
-        As in `track`.
-
-    Returns
-    -------
-    tuple
-        The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
-        from each of them alone and its share of the posterior.
+    Gives the outcome of the session; the status of each parameter; and where the posterior has several minima, the
+    outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
     free = len(drift.parameters)

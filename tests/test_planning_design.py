@@ -113,7 +113,6 @@ def test_exchange_finds_no_worse_than_greedy_and_nearly_the_best(name: str) -> N
             assert values.min() >= criterion.value(found) - 1e-3 * abs(criterion.value(found))
         assert best <= criterion.value(found) + 1e-9
         assert sorted(most_useful_first(criterion, found)) == sorted(found)
-        assert exchange(criterion, first, fixed=3) == first
 
 
 @given(st.integers(0, 10**6), st.integers(0, 4))

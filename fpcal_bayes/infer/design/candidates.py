@@ -88,28 +88,11 @@ def candidate_sweeps(
     limits: SweepLimits | None = None,
     several: bool = True,
 ) -> Sweeps:
-    """Random sweeps that can be measured, as a plan.
+    """Random sweeps that can be measured, as a plan of `n` rows labelled ``c1`` and so on.
 
-    Parameters
-    ----------
-    cell
-        Gives joints, limits and which joints one controller moves.
-    n
-        How many.
-    rng
-        Source of randomness.
-    values
-        Free parameters at which visibility and fringe rate are judged, shape (n_free,), in um and rad; by default
-        nominal.
-    limits
-        Bounds of the sweeps.
-    several
-        Also move several joints of one controller at once, not only one joint.
-
-    Returns
-    -------
-    Sweeps
-        n rows without measurement, labelled ``c1`` and so on.
+    Visibility and fringe rate are judged at `values` (n_free,) of the free parameters, in um and rad, by default
+    nominal. With `several`, several joints of one controller also move at once. `InputError` if the limits leave no
+    room for sweeps.
     """
     limits = SweepLimits() if limits is None else limits
     model = CavityModel.of(cell)
@@ -146,17 +129,8 @@ def neighbours(
 ) -> tuple[Sweeps, NDArray[np.int64]]:
     """Variations of sweeps: poses shifted, moves lengthened or shortened, the same joints moving.
 
-    Parameters
-    ----------
-    n_each
-        Variations tried of each sweep; those that cannot be followed are left out.
-    width
-        Standard deviation of the variations, as a share of each joint's range.
-
-    Returns
-    -------
-    tuple
-        At most ``n_each * len(sweeps)`` sweeps, and the position of the one that each of them varies.
+    `n_each` are tried of each sweep; those that cannot be followed are left out. `width` is the standard deviation of
+    the variations, as a share of each joint's range. Beside them the position of the sweep that each of them varies.
     """
     limits = SweepLimits() if limits is None else limits
     model = CavityModel.of(cell)
@@ -222,17 +196,9 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
 
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
-    """Whether the cavity length turns round on the way by more than half a fringe, at each parameter vector.
+    """Whether the cavity length turns round on the way by more than half a fringe, shape (n_draws, n_sweeps).
 
-    Parameters
-    ----------
-    values
-        Free parameters, shape (n_draws, n_free).
-
-    Returns
-    -------
-    ndarray
-        Shape (n_draws, n_sweeps).
+    `values` (n_draws, n_free) are the free parameters.
     """
     along = np.linspace(0.0, 1.0, _POINTS)
     q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]

@@ -40,31 +40,16 @@ def descend(
     several: bool = True,
     iterations: int = 100,
 ) -> Sweeps:
-    """Move the ends of all sweeps together to where the criterion is smallest nearby.
+    """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
     The rows are differentiated by the joints in differences, the criterion by the rows in closed form, and the descent
     is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the mirror
     at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
 
-    Parameters
-    ----------
-    sweeps
-        A plan of whole sweeps that can be followed.
-    judge
-        The criterion over a set of candidates.
-    model, values
-        Where visibility and fringe rate are judged; values of the model's free parameters, shape (n_free,).
-    limits
-        Of the sweeps.
-    several
-        Let all joints of a controller move that moves one, else only those that move.
-    iterations
-        Steps of the descent of each part at most.
-
-    Returns
-    -------
-    Sweeps
-        As many, which can be followed; those given if nothing is gained.
+    `sweeps` are a plan of whole sweeps that can be followed, and so is the result; `judge` gives the criterion over a
+    set of candidates. Visibility and fringe rate are judged at `values` (n_free,) of the model's free parameters. With
+    `several` all joints of a controller may move that moves one, else only those that move. Each part takes
+    `iterations` steps at most.
     """
     if iterations < 1:
         return sweeps

@@ -28,16 +28,9 @@ class Design:
     ) -> "Design":
         """Set up a design.
 
-        Parameters
-        ----------
-        rows
-            Whitened rows of each candidate by the state, shape (n_draws, n_candidates, k, n).
-        tasks
-            Derivatives of each task by the state in um, shape (n_draws, n_points, n).
-        covariance
-            Of the state before any measurement, shape (n, n); may be singular. By default the identity.
-        known
-            Whitened rows of what is measured anyway, shape (n_draws, n_rows, n).
+        Given are whitened rows of each candidate by the state (n_draws, n_candidates, k, n), derivatives of each task
+        by it in um (n_draws, n_points, n), its covariance before any measurement (n, n), which may be singular and by
+        default is the identity, and whitened rows of what is measured anyway (n_draws, n_rows, n).
         """
         n_draws, n = len(rows), rows.shape[-1]
         points = np.concatenate(
@@ -88,20 +81,10 @@ class Design:
     ) -> tuple[Floats, Floats]:
         """What each candidate would leave if it were added to those chosen.
 
-        Parameters
-        ----------
-        among
-            Positions of the candidates that are asked for; by default all.
-        worst
-            The worst point of each task, else the mean over its points.
-        whole_state
-            Take the parameters themselves, in their units here, in place of the tasks, as one task.
-
-        Returns
-        -------
-        tuple of ndarray
-            Expected task variances, shape (n_candidates, n_tasks), and expected gain in the logarithm of the
-            determinant of the information, shape (n_candidates,).
+        Candidates are those at the positions `among`, by default all. The `worst` point of each task counts, else the
+        mean over its points; with `whole_state` the parameters themselves, in their units here, stand in place of the
+        tasks, as one task. Expected task variances, shape (n_candidates, n_tasks), and expected gain in the logarithm
+        of the determinant of the information, shape (n_candidates,).
         """
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape

@@ -60,15 +60,10 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
 
 
 def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
-    """Sweeps ordered and turned round such that the way between them is short.
+    """Sweeps of a plan ordered and turned round such that the way between them is short.
 
-    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of
-    the way are turned round while that shortens it (2-opt, Croes 1958).
-
-    Parameters
-    ----------
-    sweeps
-        A plan of whole sweeps.
+    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of the
+    way are turned round while that shortens it (2-opt, Croes 1958).
     """
     ends = np.stack([sweeps.q_start, sweeps.q_end])
     order, turned = _nearest(cell, ends, limits)
@@ -132,14 +127,7 @@ class PlanSettings:
 class Planner:
     """Searches for plans on one ground.
 
-    Parameters
-    ----------
-    ground
-        What is known, and the tasks.
-    settings
-        How to search.
-    tolerances
-        Standard deviation that each task is judged by, in um; by default all alike.
+    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike.
     """
 
     def __init__(
@@ -247,12 +235,8 @@ class Planner:
         """The fewest sweeps, up to `most`, whose expected standard deviations keep to the tolerances.
 
         Numbers are halved between one that a greedy search shows to be enough and one that is not; a smaller plan may
-        exist that the search does not find.
-
-        Parameters
-        ----------
-        check
-            Where the target is to be met, such as other draws of the prior; by default the planner's own ground.
+        exist that the search does not find. The target is to be met on the ground `check`, such as other draws of the
+        prior, by default the planner's own. `InputError` says the best if no number up to `most` meets it.
         """
         check = self.ground if check is None else check
         readings, sigma = self.settings.readings, self.settings.sigma

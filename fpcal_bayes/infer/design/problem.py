@@ -38,16 +38,11 @@ class Goals:
 def goals_of(
     model: CavityModel, values: Floats, tasks: Sequence[str], *, radius: float = 100.0, points: int = POINTS
 ) -> Goals:
-    """The tasks at each draw, as a controller with these parameters would drive them.
+    """The tasks, names or path files, at each draw, as a controller with these parameters would drive them.
 
-    Points that cannot be driven to are replaced by the nearest on the path that can, so that every draw has as many.
-
-    Parameters
-    ----------
-    values
-        Draws of the free parameters, shape (n_draws, n_free), in um and rad.
-    tasks
-        Names or path files (see `find_task`).
+    `values` (n_draws, n_free) are in um and rad. Points that cannot be driven to are replaced by the nearest on the
+    path that can, so that every draw has as many. `InputError` if a task is unknown, or there is no draw at which all
+    of them can be driven to.
     """
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
@@ -104,10 +99,7 @@ class Ground:
     def expected_sd(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, float]:
         """Worst-point standard deviation of each task in um, the root of its mean variance over the draws.
 
-        Parameters
-        ----------
-        sweeps
-            A plan that is measured as a whole, or None for what is known without one.
+        `sweeps` are a plan that is measured as a whole, or None for what is known without one.
         """
         each = self.sd_at_draws(sweeps, readings=readings, sigma=sigma)
         return {name: float(np.sqrt(np.mean(sd**2))) for name, sd in each.items()}

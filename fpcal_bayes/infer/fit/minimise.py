@@ -131,14 +131,10 @@ MINIMUM_EXCESS = 30.0
 
 
 def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
-    """Points across the directions that the data see at `solution` but hardly at the prior mean.
+    """Points (n_unknowns,) across the directions that the data see at `solution` but hardly at the prior mean.
 
-    Hardly means: they tell less than the prior (singular value below one), or nothing.
-
-    Returns
-    -------
-    list of ndarray
-        Starting points for further fits, each of shape (n_unknowns,); empty where there is no such direction.
+    They are starting points for further fits. Hardly means: they tell less than the prior (singular value below one),
+    or nothing.
     """
     n, unknowns = problem.n_free, solution.unknowns
     at_mean = spectrum_of(problem.data_jacobian(np.zeros(problem.n_unknowns))[:, :n])

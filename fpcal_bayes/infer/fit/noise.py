@@ -123,16 +123,11 @@ class Whitening:
 
 
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
-    """Whitening of the rows of `sweeps`.
+    """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
     A row's variance is that of its reading plus the joints' repeatability at both ends, carried through the joint
     Jacobian at `values`. Rows of a group share the reading and the joint errors at their start, which gives equal
     readings a correlation of 1/2.
-
-    Parameters
-    ----------
-    model, values
-        Where the joint Jacobian is taken; `values` are the free parameters in um and rad, shape (n,).
     """
     repeatability = model.cell.repeatability
     # Of a group's rows: half of the reading's variance and the joints at the start are common.

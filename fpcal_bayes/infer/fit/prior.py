@@ -69,15 +69,7 @@ class Prior:
         return result
 
     def by_scores(self, jacobian: Floats, scores: Floats) -> Floats:
-        """Derivatives by the scores, from those by the parameters.
-
-        Parameters
-        ----------
-        jacobian
-            Shape (..., n_rows, n).
-        scores
-            Where, shape (..., n).
-        """
+        """Derivatives (..., n_rows, n) by the scores, at scores (..., n), from those by the parameters."""
         result: Floats = jacobian * self.sd if self.factor is None else jacobian @ self.factor
         for i, other in self.others:
             result[..., i] = jacobian[..., i] * other.slope(scores[..., i])[..., None]

@@ -143,17 +143,9 @@ class Problem:
         return self.whitening.apply(jacobian * self.prior.sd)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Whitened data residuals and their derivatives at many points.
+        """Whitened data residuals (n_points, n_rows) and their derivatives (n_points, n_rows, n_unknowns).
 
-        Parameters
-        ----------
-        points
-            Scaled unknowns, shape (n_points, n_unknowns).
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_points, n_rows) and (n_points, n_rows, n_unknowns).
+        The `points` are scaled unknowns, shape (n_points, n_unknowns).
         """
         change, scaled = self._unwhitened_batch(points)
         if not self.whitening.batches:

@@ -32,13 +32,7 @@ class Slips:
 
 
 def find_slips(problem: Problem, solution: Solution) -> Slips:
-    """Correct slipped rows of a fitted problem.
-
-    Parameters
-    ----------
-    problem, solution
-        From an identification, which slips may have spoilt.
-    """
+    """Correct slipped rows of an identified problem, whose solution slips may have spoilt."""
     half_wave = 0.5 * problem.model.cell.wavelength
     original = problem.target
     counts = np.zeros(len(original), dtype=np.int64)

@@ -62,16 +62,9 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
 
 
 def statuses(null_share: Floats, posterior_share: Floats, weak_share: float = WEAK_SHARE) -> tuple[Status, ...]:
-    """Status of each parameter.
+    """Status of each parameter from its share in the null space and its posterior over prior variance, shapes (n,).
 
-    Parameters
-    ----------
-    null_share
-        Share of each parameter in the null space, shape (n,).
-    posterior_share
-        Posterior over prior variance, shape (n,).
-    weak_share
-        Posterior share above which a parameter is weak.
+    Above `weak_share` of its prior variance a parameter is weak.
     """
     return tuple(
         "gauge" if null > GAUGE_SHARE else "weak" if left > weak_share else "identified"

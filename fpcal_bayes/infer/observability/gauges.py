@@ -49,14 +49,8 @@ class Gauge:
 def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[Gauge]:
     """Take the null space of a set of sweeps apart.
 
-    Parameters
-    ----------
-    model
-        Cavity model of the free parameters.
-    values
-        Where the sweeps were linearised, shape (n,), in um and rad.
-    null_space
-        Orthonormal directions that the sweeps do not see, in prior-scaled units, shape (k, n).
+    The sweeps were linearised at `values` (n,), in um and rad; `null_space` (k, n) holds orthonormal directions that
+    they do not see, in prior-scaled units.
     """
     if not len(null_space):
         return []

@@ -67,17 +67,10 @@ def cumulative_bits(jacobian: Floats) -> tuple[Ints, Floats]:
 
 
 def gain_of(jacobian: Floats, candidates: Floats) -> Floats:
-    """Information that each candidate row would add to what is measured.
+    """Information in bits, shape (n_candidates,), that each candidate row would add to what is measured.
 
-    Parameters
-    ----------
-    jacobian, candidates
-        Whitened, prior-scaled derivatives of the measured rows (n_rows, n) and of the candidates (n_candidates, n).
-
-    Returns
-    -------
-    ndarray
-        In bits, shape (n_candidates,).
+    Both are whitened, prior-scaled derivatives: of the measured rows (n_rows, n) and of the candidates (n_candidates,
+    n).
     """
     spread = linalg.solve_triangular(posterior_triangle(jacobian), candidates.T, trans="T")
     return 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))

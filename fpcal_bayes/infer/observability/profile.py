@@ -37,14 +37,8 @@ class Profile:
 def profile(problem: Problem, solution: Solution, name: str, *, level: float = 0.95, reach: float = 5.0) -> Profile:
     """Profile one parameter by re-optimising all others (Raue et al. 2009).
 
-    Parameters
-    ----------
-    problem, solution
-        From an identification.
-    level
-        Confidence level of the interval.
-    reach
-        How far to go from the maximum, in prior standard deviations.
+    `level` is the confidence level of the interval, `reach` how far to go from the maximum, in prior standard
+    deviations.
     """
     position = problem.model.free.position(name)
     threshold = 2.0 * float(special.gammaincinv(0.5, level))

@@ -260,20 +260,11 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit, sample and compare models on the sweeps of one session.
+    """Fit, sample and compare two models or more on the sweeps of one session.
 
-    Parameters
-    ----------
-    cell
-        Its path model is replaced by that of each model.
-    specs
-        At least two models.
-    draws
-        Effective draws of every parameter of a model that fits.
-    seed
-        Of the draws; the same for every model.
-    progress
-        Called with what is done next, in words.
+    The cell's path model is replaced by that of each model. `draws` are the effective draws of every parameter of a
+    model that fits; `progress` is called with what is done next, in words. `InputError` if the sweeps carry no
+    measurement, or a likelihood does not take them.
     """
     fits: dict[Opd, Identification] = {}
     models = []

@@ -45,15 +45,7 @@ class Solved:
 
 
 class Chart:
-    """The map around one reference point of a target.
-
-    Parameters
-    ----------
-    target
-        The density.
-    reference
-        Shape (n,); a minimum of the sum of squares serves best.
-    """
+    """The map around one reference point (n,) of a target; a minimum of the sum of squares serves best."""
 
     def __init__(self, target: Target, reference: Floats) -> None:
         self.target, self.reference = target.centred(reference), reference
@@ -189,20 +181,7 @@ _MOST_CHARTS = 4
 
 
 def learn_charts(target: Target, minima: Floats, rng: np.random.Generator) -> Floats:
-    """Reference points of the charts.
-
-    Parameters
-    ----------
-    minima
-        Minima of the sum of squares, shape (n_minima, n).
-    rng
-        Of the trials.
-
-    Returns
-    -------
-    ndarray
-        The minima and further points, shape (n_charts, n).
-    """
+    """Reference points of the charts, shape (n_charts, n): the minima (n_minima, n) and further points."""
     references = minima
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
         atlas = Atlas(target, references)
@@ -223,15 +202,7 @@ LEAST_SHARE = 0.1
 
 
 class Atlas:
-    """A mixture of charts.
-
-    Parameters
-    ----------
-    target
-        The density.
-    references
-        Reference points of the charts, shape (n_charts, n); the first is the lowest minimum.
-    """
+    """A mixture of charts around reference points (n_charts, n), of which the first is the lowest minimum."""
 
     def __init__(self, target: Target, references: Floats) -> None:
         self.target = target

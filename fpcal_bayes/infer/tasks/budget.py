@@ -95,22 +95,12 @@ class Budget:
 
 
 def budget_of(
-    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None, seed: int = 0
+    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None
 ) -> Budget:
-    """The uncertainty budget of a task at its worst point.
+    """The uncertainty budget, at its worst point, of a task whose joint path was found with `estimate`.
 
-    Parameters
-    ----------
-    estimate
-        What the controller holds.
-    task
-        The joint path that was found with it.
-    sweeps
-        Measured sweeps that the estimate was made from, all parameters of the estimate being free.
-    conditions
-        Of laser and air.
-    seed
-        Of the Monte Carlo evaluation.
+    `sweeps` are the measured ones that the estimate was made from, all parameters of the estimate being free;
+    `InputError` if they are not, or if a point of the task is out of reach.
     """
     conditions = Conditions() if conditions is None else conditions
     model = CavityModel.of(estimate.cell, estimate.parameters)
@@ -131,7 +121,7 @@ def budget_of(
     lines += _joint_lines(estimate, model, task, worst)
     full = np.eye(len(lines))
     full[: len(correlation), : len(correlation)] = correlation
-    interval = _monte_carlo(lines, full, np.random.default_rng(seed))
+    interval = _monte_carlo(lines, full, np.random.default_rng(0))
     return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, interval)
 
 

@@ -92,18 +92,10 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
 
 
 def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: Task) -> TaskPrediction:
-    """Predict the error of a task from posterior draws of the truth.
+    """Predict the error of a task from posterior draws of the truth, (n_draws, n_free) in um and rad.
 
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    values
-        What the controller holds, shape (n_free,).
-    task
-        The joint path that was found with it.
+    The controller holds `values` (n_free,), with which the joint path of the task was found. `InputError` if a point of
+    the task is out of reach.
     """
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
@@ -112,18 +104,9 @@ def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: 
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:
-    """The draw whose cavity lengths along a task are nearest to the mean over all draws, shape (n_free,).
+    """The draw (n_free,) whose cavity lengths along a task are nearest to the mean over all draws (n_draws, n_free).
 
     The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.
-
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    task_name, radius
-        As in `find_task`.
     """
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)

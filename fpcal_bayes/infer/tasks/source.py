@@ -36,20 +36,10 @@ _DIGITS = 10
 
 
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima.
+    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
 
-    Parameters
-    ----------
-    found
-        Its minima are the reference points of the charts.
-    draws, seed
-        How many, and the seed of numpy's default generator.
-
-    Returns
-    -------
-    ndarray
-        Free parameters in um and rad, shape (draws, n_free). Points that the charts propose too rarely stand in it more
-        than once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
+    The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
+    once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     target, references = make_target(found, "gaussian")
     atlas, random = Atlas(target, references), np.random.default_rng(seed)
@@ -145,12 +135,8 @@ class Knowledge:
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
     """Read an estimate JSON, with the draws that it may hold, or a posterior netCDF file (suffix ``.nc``).
 
-    Parameters
-    ----------
-    path
-        The file.
-    held
-        Estimate JSON that the controller holds while the truth is drawn from the posterior.
+    `held` is an estimate JSON that the controller holds while the truth is drawn from the posterior. `InputError` if a
+    file cannot be used or is of another cell.
     """
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":

@@ -245,12 +245,8 @@ class _Fit:
     def reduced(self, state: _State) -> tuple[Floats, Floats, Floats]:
         """Whitened rows of the scores and residuals without the nuisances, and how these answer.
 
-        What no sweep sees is zero in the rows to the last digit; their inner products would lose it.
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_traces * (NODES - 1), n_free), (n_traces * (NODES - 1),), (n_traces, n_levels, NODES).
+        What no sweep sees is zero in the rows to the last digit; their inner products would lose it. Shapes (n_traces *
+        (NODES - 1), n_free), (n_traces * (NODES - 1),), (n_traces, n_levels, NODES).
         """
         schur, pull, answers = self._eliminated(state)
         eigenvalues, vectors = np.linalg.eigh(schur)

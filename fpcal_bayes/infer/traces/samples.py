@@ -35,10 +35,8 @@ class TraceSamples:
     def of(cls, model: CavityModel, values: Floats, index: TraceIndex) -> "TraceSamples":
         """Lay out the sweeps of an index; rows without a trace are left out.
 
-        Parameters
-        ----------
-        model, values
-            Whose mirror makes the envelopes; free parameters (n_free,).
+        The mirror of `model` at free parameters `values` (n_free,) makes the envelopes. `InputError` if there is no
+        trace, or the joint of one does not move.
         """
         cell, sweeps = model.cell, index.sweeps
         rows = [i for i, trace in enumerate(index.traces) if len(trace) and sweeps.kind[i] == "sweep"]
@@ -102,14 +100,9 @@ class TraceSamples:
         return model.pose_rows(self.nodes)
 
     def series(self, model: CavityModel, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Chebyshev series of the cavity lengths and their derivatives by the free parameters.
+        """Chebyshev series of the cavity lengths (n_traces, NODES - 1), and derivatives (n_traces, NODES - 1, n_free).
 
         The constant of the series is left out: the phase of a trace stands for it.
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_traces, NODES - 1) and (n_traces, NODES - 1, n_free).
         """
         lengths, jacobian = model.predict_with_jacobian(values, rows)
         # Without the length of the first node the digits of the changes survive.

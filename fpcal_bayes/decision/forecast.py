@@ -43,7 +43,7 @@ class Goal:
     tolerance
         Largest peak to peak of the error of any of the tasks, in um.
     tasks
-        Names as in `control.tasks.TASKS`, or path files.
+        Names as in `TASKS`, or path files.
     level
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.

@@ -1,6 +1,6 @@
 """The policy for one cell: what it must hold, what measuring costs, and which sweeps there are to choose from.
 
-Sweeps are chosen by `infer.planning`: those that leave the least expected error of the tasks, given all that is known.
+Sweeps are chosen by `infer.design`: those that leave the least expected error of the tasks, given all that is known.
 """
 
 from dataclasses import dataclass, field, replace

@@ -115,7 +115,7 @@ class Policies(Study):
     name: ClassVar[str] = "policy"
 
     goal: Goal  # what is to be held
-    policies: tuple[str, ...] = DEFAULT_POLICIES  # names of `policy_rules.rules`
+    policies: tuple[str, ...] = DEFAULT_POLICIES  # names of `rules`
     sigma: float = 0.005  # standard deviation of each change of cavity length, in um
     hours: float = HOURS  # length of a week
     harder: bool = False  # whether the weeks drift otherwise than modelled too

@@ -42,6 +42,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     Dask hands functions and values on as pickles: give the address of a cluster that you trust only.
     """
     try:
+        # An optional extra, which only studies need.
         import dask
         import distributed
     except ImportError as error:
@@ -87,6 +88,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
 
 def _check_workers(client: Any, scheduler: str | None) -> None:
     """Wait for a worker, and refuse workers with another version of this program."""
+    # An optional extra, which only studies need.
     import distributed
 
     try:
@@ -180,6 +182,7 @@ def run_on_cluster(
 
 def replicates_of(study: Study, numbers: list[int], version: str) -> tuple[list[bytes], float]:
     """Some replicates as rows, run by a worker, and the seconds that they took."""
+    # An optional extra, which only studies need.
     from threadpoolctl import threadpool_limits
 
     if version != __version__:
@@ -192,6 +195,7 @@ def replicates_of(study: Study, numbers: list[int], version: str) -> tuple[list[
 
 def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[list[int], list[bytes]]]:
     """Numbers and rows of tasks as they end; as many replicates a task as make it worth handing out."""
+    # An optional extra, which only studies need.
     import distributed
 
     left, given, size = iter(missing), {}, 1
@@ -222,6 +226,7 @@ def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[
 
 def _next_try(client: Any, future: Any, numbers: list[int], tries: int) -> int:
     """Number of the next try of a task that failed; `InputError` if there is none."""
+    # An optional extra, which only studies need.
     import distributed
 
     where = f"replicate {numbers[0]}" if len(numbers) == 1 else f"replicates {numbers[0]} to {numbers[-1]}"

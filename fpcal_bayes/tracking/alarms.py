@@ -110,8 +110,7 @@ class Monitor:
     onsets: tuple[Onset, ...] = ()  # sessions that may hold a jump, oldest first
     # normalised innovation squared and degrees of freedom of the last sessions, oldest first
     recent: tuple[tuple[float, int], ...] = ()
-    # cusum_extrinsic, cusum_residual: cumulative sums of normal scores: of what extrinsic parameters could explain, and
-    # of the rest
+    # cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest
     cusum_extrinsic: float = 0.0
     cusum_residual: float = 0.0
 

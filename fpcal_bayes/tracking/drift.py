@@ -1,4 +1,4 @@
-"""An estimate some time later: as good as drift has left it."""
+"""How parameters drift: the state that holds them and what drives them, and its step through time."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -40,7 +40,7 @@ class DriftModel:
     parameters: ParameterSet  # the parameters that are followed
     sizes: tuple[DriftSize, ...]  # one a parameter, in the same order
     # variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None (see
-    # `hidden_noise`)
+    # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
 
     @classmethod

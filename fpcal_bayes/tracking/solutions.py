@@ -1,6 +1,6 @@
 """Several solutions of one calibration, told apart by the sessions after it.
 
-Where the posterior after the calibration has more than one minimum (see `infer.mirror`), the filter starts from the
+Where the posterior after the calibration has more than one minimum (see `all_minima`), the filter starts from the
 moments of all of them: right on average, and far from normal. The sessions that follow may show which one it is. So for
 some sessions each solution is followed beside them all; where one becomes much likelier than the others and than the
 filter that holds them all, it is followed in its place, from the calibration on.

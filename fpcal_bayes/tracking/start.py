@@ -1,9 +1,10 @@
-"""What a drift does beyond its stated size, because the geometry through which it acts is not exactly known.
+"""Where the filter starts, and what a drift does beyond its stated size.
 
-After a calibration some combinations of the parameters are known to about a degree only: nothing measured then depends
-on them. What a later drift does to the cavity length does depend on them, by a share of about that angle. The part of
-the drift that sessions find is carried by the state itself, whose covariance is seen through the derivatives at the new
-mean. The part that is not yet found acts through derivatives J(x) at an unknown x, and not through J(m):
+The geometry through which a drift acts is not exactly known. After a calibration some combinations of the parameters
+are known to about a degree only: nothing measured then depends on them. What a later drift does to the cavity length
+does depend on them, by a share of about that angle. The part of the drift that sessions find is carried by the state
+itself, whose covariance is seen through the derivatives at the new mean. The part that is not yet found acts through
+derivatives J(x) at an unknown x, and not through J(m):
 
     J(x) dx = J(m) T(x) dx,    T(x) = J(m)^+ J(x),
 
@@ -13,7 +14,7 @@ so that the covariance of T(x) dx over x ~ N(m, P) and dx ~ N(0, Q) is, to first
 
 The sum is the mixed term of a second-order filter (Jazwinski 1970, section 9.3). Its other terms, of P with itself,
 are no part of it: the start of the filter holds them (see `linear_start`), and later sessions are linearised where they
-lead (see `following`).
+lead (see `smoother`).
 """
 
 from dataclasses import replace

@@ -43,7 +43,7 @@ class Track:
     outcomes: tuple[SessionOutcome, ...]  # one a session, in order of time; the first is the calibration
     status: tuple[str, ...]  # of each parameter after the calibration
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
-    solutions: int = 1  # how many the calibration has; see `track.solutions`
+    solutions: int = 1  # how many the calibration has; see `tracking.solutions`
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Refinement: chosen sweeps are varied one at a time, and replaced by the variation that serves best."""
+"""Choose sweeps: greedily among candidates, by exchange, and by variations that serve better."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

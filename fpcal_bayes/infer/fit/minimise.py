@@ -1,4 +1,4 @@
-"""Second minima that the symmetry of the nominal cell hides.
+"""Minima of the sum of squares: the way to one, and the second ones that the symmetry of the nominal cell hides.
 
 Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and
 to a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against

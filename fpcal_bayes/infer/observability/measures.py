@@ -1,4 +1,4 @@
-"""Base parameters: a smallest set that the data can identify, and what is regrouped into each of them."""
+"""Measures of what sweeps can tell: bounds, observability indices, and base parameters with what is regrouped."""
 
 from dataclasses import dataclass
 

@@ -73,7 +73,6 @@ class Observability:
     covariance: Floats  # expected or found posterior covariance in prior-scaled units, shape (n, n)
     status: tuple[Status, ...]  # one a parameter
     weak_share: float  # share of prior variance that makes a parameter weak
-    # gauges, base, blocks, information: see their modules
     gauges: tuple[Gauge, ...]
     base: tuple[BaseParameter, ...]
     blocks: tuple[Block, ...]

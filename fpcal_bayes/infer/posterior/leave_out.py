@@ -106,6 +106,7 @@ def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: 
 
 def _smoothed(row: Floats, effective: float) -> tuple[float, float]:
     """Leave-one-out density of a row and its k, from log densities (n_chains, n_draws), a share being independent."""
+    # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
     if np.ptp(row) < _SAME:
@@ -163,6 +164,7 @@ def _left_out(
     posterior: Posterior, likelihood: Likelihood, row: int, with_row: Floats, rng: np.random.Generator
 ) -> float | None:
     """Log density of a row given the others, the posterior being drawn without it; None if that fails."""
+    # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
     reduced = without_row(posterior.identification, row)

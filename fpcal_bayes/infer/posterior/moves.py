@@ -1,4 +1,4 @@
-"""emcee move: a local step shaped by the Jacobian where the walker stands."""
+"""emcee moves: independent proposals from charts, and a local step shaped by the Jacobian where the walker stands."""
 
 from typing import Any
 

@@ -17,7 +17,7 @@ from fpcal_bayes.decision.policy import decide_track
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
-from fpcal_bayes.infer.posterior.draws import PosteriorSummary, read_posterior_summary
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior_summary
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
 from fpcal_bayes.io.campaign import read_campaign
@@ -105,7 +105,7 @@ def follow(options: argparse.Namespace, cell: Cell, *, anew: bool = False, poste
 
 def _draws(posterior: str, cell: Cell, drift: "DriftModel") -> Floats:
     """The draws of the parameters that are followed, shape (n_draws, n_parameters)."""
-    from fpcal_bayes.infer.posterior.draws import read_posterior
+    from fpcal_bayes.infer.posterior.netcdf import read_posterior
 
     read = read_posterior(posterior, cell)
     missing = [name for name in drift.parameters.names if name not in read.parameters]

@@ -16,8 +16,8 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import TASKS, Task, task_path

@@ -12,7 +12,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
-from fpcal_bayes.infer.tasks.source import independent_draws
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell

@@ -1,134 +1,133 @@
-"""The draws of a posterior file that ``fpcal sample`` wrote, and what they are worth."""
+"""The density of a posterior, and draws of it; apart from the sampler, since emcee takes half a second to import."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any, Literal
 
-import h5py
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import file_sha256, require_readable
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.posterior.diagnostics import diagnose
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
+from fpcal_bayes.infer.fit.slips import Slips, find_slips
+from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
+from fpcal_bayes.infer.posterior.diagnostics import Diagnostics
+from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
+from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
+from fpcal_bayes.infer.posterior.target_slip import SlipTarget
+
+Likelihood = Literal["gaussian", "student", "slip"]
+
+#: Draws that an estimate hands on beside its covariance.
+N_DRAWS = 500
+#: Further draws are made until they are worth this share of those wanted, at most so many times.
+_LEAST_WORTH = 0.5
+_MOST_ROUNDS = 8
+#: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
+_DIGITS = 10
 
 
 @dataclass(frozen=True)
-class PosteriorDraws:
-    """Draws from the posterior of a cell's parameters."""
+class Posterior:
+    """Draws of a posterior."""
 
-    cell: Cell  # the cell they belong to
-    parameters: ParameterSet  # in the cell's order
-    values: Floats  # in um and rad, shape (n_draws, n)
-
-    def thinned(self, most: int) -> "PosteriorDraws":
-        """At most `most` of the draws, evenly spaced."""
-        every = -(-len(self.values) // most)
-        return PosteriorDraws(self.cell, self.parameters, self.values[::every])
-
-
-def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
-    """Read the draws of a posterior file."""
-    path = Path(path)
-    require_readable(path)
-    try:
-        with h5py.File(path, "r") as file:
-            _check(path, dict(file.attrs), cell)
-            group = file.get("posterior")
-            if not isinstance(group, h5py.Group):
-                raise InputError(f"{path}: expected a group posterior, as fpcal sample writes it")
-            parameters = ParameterSet(p for p in cell.parameters if p.name in group)
-            columns = [_column(path, group[p.name], p.name, p.unit) for p in parameters]
-    except OSError as error:
-        raise InputError(f"{path}: not a netCDF file of draws ({error})") from error
-    if not columns:
-        raise InputError(f"{path}: group posterior: expected draws of parameters of cell {cell.name!r}")
-    if len({column.shape for column in columns}) != 1 or columns[0].size == 0:
-        raise InputError(f"{path}: group posterior: expected as many draws of each parameter, one or more")
-    values = parameters.to_internal(np.column_stack([column.ravel() for column in columns]))
-    return PosteriorDraws(cell, parameters, values)
-
-
-def _check(path: Path, attributes: dict[str, object], cell: Cell) -> None:
-    if "cell_sha256" not in attributes:
-        raise InputError(f"{path}: attribute cell_sha256: missing, expected a file that fpcal sample wrote")
-    if attributes["cell_sha256"] != cell.sha256:
-        raise InputError(
-            f"{path}: attribute cell_sha256: the draws are of another cell ({attributes.get('cell_name')!r}, opd "
-            f"{attributes.get('opd')!r}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
-        )
-    if not attributes.get("converged", 1):
-        raise InputError(f"{path}: attribute converged: the sampling did not converge, expected draws to be trusted")
-
-
-def _column(path: Path, data: object, name: str, unit: str) -> Floats:
-    place = f"{path}: posterior/{name}"
-    if not isinstance(data, h5py.Dataset) or data.dtype.kind != "f":
-        raise InputError(f"{place}: expected an array of numbers")
-    stated = data.attrs.get("units", "")
-    if stated != unit:
-        raise InputError(f"{place}: expected the units {unit!r}, found {str(stated)[:40]!r}")
-    values = np.asarray(data[()], dtype=float)
-    if not np.isfinite(values).all():
-        raise InputError(f"{place}: expected finite numbers")
-    return values
-
-
-@dataclass(frozen=True)
-class PosteriorSummary:
-    """Draws of a posterior and what they are worth."""
-
-    # file, sha256: name without folder, and hash of the bytes
-    file: str
-    sha256: str
-    parameters: ParameterSet  # sampled parameters, n of them
-    draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
-    prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
-    n_ensembles: int  # independent ensembles; chains of one ensemble interact
-    # rhat, ess_bulk, ess_tail: nested R-hat and effective sizes, shape (n,)
-    rhat: Floats
-    ess_bulk: Floats
-    ess_tail: Floats
-    residuals: Floats  # measured less predicted, in standard deviations of the prediction, shape (n_rows,)
-    command: str  # that made the file
+    identification: Identification  # where the charts come from
+    target: PosteriorTarget  # the density that was sampled
+    points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up
+    log_density: Floats  # unnormalised, shape (n_ensembles, n_steps, n_walkers)
+    charts: int  # number of charts that proposals came from
+    outside: float  # share of the draws that lie outside every chart, where only the local move leads
+    diagnostics: Diagnostics  # of the free parameters' draws
+    failures: tuple[str, ...]  # what is not converged; empty if the draws can be used
+    acceptance: float  # share of all moves
+    evaluations: int  # points at which the density was evaluated
+    seconds: float  # sampling time
 
     @property
-    def n_draws(self) -> int:
-        """Number of draws."""
-        return int(self.draws.shape[0] * self.draws.shape[1])
+    def converged(self) -> bool:
+        """Whether the draws can be used."""
+        return not self.failures
+
+    def values(self) -> Floats:
+        """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
+        n_ensembles, n_steps, n_walkers, n = self.points.shape
+        chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
+        return self.identification.problem.values(chains)
 
 
-def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
-    """Read a posterior file and work out its convergence."""
-    path = Path(path)
-    parameters = read_posterior(path, cell).parameters
-    with h5py.File(path, "r") as file:
-        try:
-            draws = np.stack([file["posterior"][name][()] for name in parameters.names], axis=-1)
-            prior = np.stack([file["prior"][name][()].ravel() for name in parameters.names], axis=-1)
-            observed, predicted = file["observed_data"]["dl_um"][()], file["posterior_predictive"]["dl_um"][()]
-            attributes = dict(file.attrs)
-        except (KeyError, TypeError, ValueError, OSError) as error:
-            raise InputError(f"{path}: expected the groups that fpcal sample writes ({error})") from error
-    if draws.ndim != 3:
-        raise InputError(f"{path}: group posterior: expected draws by chain and draw")
-    n_ensembles = int(np.ravel(attributes.get("n_ensembles", 1))[0])
-    if n_ensembles < 1 or len(draws) % n_ensembles:
-        raise InputError(f"{path}: attribute n_ensembles: expected a divisor of {len(draws)} chains")
-    walkers = draws.reshape(n_ensembles, -1, draws.shape[1], draws.shape[2]).transpose(0, 2, 1, 3)
-    found = diagnose(walkers)
-    spread = predicted.std(axis=(0, 1))
-    return PosteriorSummary(
-        file=path.name,
-        sha256=file_sha256(path),
-        parameters=parameters,
-        draws=draws,
-        prior=prior,
-        n_ensembles=n_ensembles,
-        rhat=found.rhat,
-        ess_bulk=found.ess_bulk,
-        ess_tail=found.ess_tail,
-        residuals=(observed - predicted.mean(axis=(0, 1))) / spread,
-        command=str(attributes.get("command", "")),
+def make_target(
+    identification: Identification, likelihood: Likelihood, noise_scale: bool = False
+) -> tuple[PosteriorTarget, Floats]:
+    """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
+    problem, signs = identification.problem, identification.signs
+    minima: Sequence[Solution] = (identification.solution, *identification.other_minima)
+    slips: Slips | None = None
+    if likelihood == "slip":
+        slips = find_slips(problem, identification.solution)
+        problem, minima = slips.problem, all_minima(slips.problem, slips.solution)
+    elif likelihood == "student":
+        problem = StudentProblem.like(problem, DOF)
+        minima = all_minima(problem, robust_minimum(problem, identification.solution.unknowns))
+    noise = None
+    if noise_scale:
+        noise = NoiseScale.of(problem, minima[0])
+        minima = [minimise(scaled_problem(problem, noise.reference), minimum.unknowns) for minimum in minima]
+    if signs is not None:
+        # Other signs that fit nearly as well: a chart at the minimum of each.
+        minima = [*minima, *signs.rivals]
+    references = np.array([minimum.unknowns for minimum in minima])
+    if noise is not None:
+        references = np.column_stack([references, np.full(len(references), noise.reference)])
+    if slips is not None:
+        slip_target = SlipTarget(slips, noise=noise)
+        return slip_target, np.column_stack([references, np.full(len(references), slip_target.reference)])
+    target = PosteriorTarget(
+        identification.problem,
+        dof=DOF if likelihood == "student" else None,
+        noise=noise,
+        doubt=None if signs is None else signs.doubt,
     )
+    return target, references
+
+
+def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
+    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
+
+    The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
+    once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
+    """
+    target, references = make_target(found, "gaussian")
+    atlas, random = Atlas(target, references), np.random.default_rng(seed)
+    points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)
+    for _ in range(_MOST_ROUNDS):
+        solved = atlas.propose(random.standard_normal((draws, target.n_unknowns)), random.random(draws))
+        points = np.vstack([points, solved.points[solved.inside]])
+        fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
+        log_weights = np.concatenate([log_weights, fresh])
+        weights = np.exp(log_weights - log_weights.max()) if len(log_weights) else np.zeros(1)
+        worth = float(weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300))
+        if worth >= _LEAST_WORTH * draws:
+            break
+    else:
+        return np.zeros((0, found.problem.n_free))
+    # Systematic resampling: each point as often as its weight says, up to rounding.
+    places = (np.arange(draws) + random.random()) / draws
+    chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
+    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
+
+
+def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
+    """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
+
+    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
+    the data speak about these.
+    """
+    free = found.problem.model.free
+    if not found.converged or free.names != found.estimate.parameters.names:
+        return {}
+    values = independent_draws(found, draws)
+    if not len(values):
+        return {}
+    shown = np.round(free.to_shown(values), _DIGITS)
+    return {"draws": {"names": list(free.names), "rows": shown.tolist()}}

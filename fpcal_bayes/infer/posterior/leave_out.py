@@ -14,9 +14,9 @@ from scipy import special
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import distinct_minima, minimise, solution_rank
-from fpcal_bayes.infer.posterior.proposal import Atlas, make_target
-from fpcal_bayes.infer.posterior.sample import Posterior
-from fpcal_bayes.infer.posterior.target import Likelihood, PosteriorTarget
+from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
+from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 _MOST_K = 0.7
 #: Proposals to a posterior without one row, and draws of the whole posterior that are set against them.

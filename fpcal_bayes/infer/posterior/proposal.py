@@ -1,19 +1,12 @@
 """Proposals to a posterior: charts, one around each minimum of the sum of squares, and their mixture."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, special
 
 from fpcal_bayes.core.typing import Bools, Floats
-from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
-from fpcal_bayes.infer.fit.slips import Slips, find_slips
-from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
-from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
-from fpcal_bayes.infer.posterior.target import Likelihood, PosteriorTarget, Target
-from fpcal_bayes.infer.posterior.target_slip import SlipTarget
+from fpcal_bayes.infer.posterior.target import Target
 
 _MOST_ITERATIONS = 16
 #: Rounding leaves about 1e-9 with nanometre noise, and the density of a proposal is right to this relative error.
@@ -247,38 +240,3 @@ class Atlas:
         with np.errstate(divide="ignore"):
             mixed: Floats = special.logsumexp(parts + np.log(self.shares)[:, None], axis=0)
         return mixed
-
-
-def make_target(
-    identification: Identification, likelihood: Likelihood, noise_scale: bool = False
-) -> tuple[PosteriorTarget, Floats]:
-    """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
-    problem, signs = identification.problem, identification.signs
-    minima: Sequence[Solution] = (identification.solution, *identification.other_minima)
-    slips: Slips | None = None
-    if likelihood == "slip":
-        slips = find_slips(problem, identification.solution)
-        problem, minima = slips.problem, all_minima(slips.problem, slips.solution)
-    elif likelihood == "student":
-        problem = StudentProblem.like(problem, DOF)
-        minima = all_minima(problem, robust_minimum(problem, identification.solution.unknowns))
-    noise = None
-    if noise_scale:
-        noise = NoiseScale.of(problem, minima[0])
-        minima = [minimise(scaled_problem(problem, noise.reference), minimum.unknowns) for minimum in minima]
-    if signs is not None:
-        # Other signs that fit nearly as well: a chart at the minimum of each.
-        minima = [*minima, *signs.rivals]
-    references = np.array([minimum.unknowns for minimum in minima])
-    if noise is not None:
-        references = np.column_stack([references, np.full(len(references), noise.reference)])
-    if slips is not None:
-        slip_target = SlipTarget(slips, noise=noise)
-        return slip_target, np.column_stack([references, np.full(len(references), slip_target.reference)])
-    target = PosteriorTarget(
-        identification.problem,
-        dof=DOF if likelihood == "student" else None,
-        noise=noise,
-        doubt=None if signs is None else signs.doubt,
-    )
-    return target, references

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import emcee
 import numpy as np
@@ -14,9 +13,10 @@ from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
+from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
-from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts, make_target
-from fpcal_bayes.infer.posterior.target import Likelihood, PosteriorTarget
+from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 N_ENSEMBLES = 4
 N_WALKERS = 32
@@ -33,34 +33,6 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 _IN_HAND = 1.05
 
 Progress = Callable[[float, float], None]
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """Draws of a posterior."""
-
-    identification: Identification  # where the charts come from
-    target: PosteriorTarget  # the density that was sampled
-    points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up
-    log_density: Floats  # unnormalised, shape (n_ensembles, n_steps, n_walkers)
-    charts: int  # number of charts that proposals came from
-    outside: float  # share of the draws that lie outside every chart, where only the local move leads
-    diagnostics: Diagnostics  # of the free parameters' draws
-    failures: tuple[str, ...]  # what is not converged; empty if the draws can be used
-    acceptance: float  # share of all moves
-    evaluations: int  # points at which the density was evaluated
-    seconds: float  # sampling time
-
-    @property
-    def converged(self) -> bool:
-        """Whether the draws can be used."""
-        return not self.failures
-
-    def values(self) -> Floats:
-        """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
-        n_ensembles, n_steps, n_walkers, n = self.points.shape
-        chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
-        return self.identification.problem.values(chains)
 
 
 def sample(

@@ -1,7 +1,7 @@
 """The density that is sampled: half a sum of squares of data rows, and unit normal prior rows."""
 
 import copy
-from typing import Literal, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -9,8 +9,6 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.fit.student import StudentTangent, bend, log_peak
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale, factors
-
-Likelihood = Literal["gaussian", "student", "slip"]
 
 #: A row of unknown sign this near to zero, in standard deviations, is proposed for both signs at once.
 _NEAR_ZERO = 3.0

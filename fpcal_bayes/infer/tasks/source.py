@@ -3,16 +3,12 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
-from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.posterior.draws import PosteriorDraws, read_posterior
-from fpcal_bayes.infer.posterior.proposal import Atlas, make_target
+from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
@@ -26,55 +22,6 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task, find_task
-
-N_DRAWS = 500
-#: Further draws are made until they are worth this share of those wanted, at most so many times.
-_LEAST_WORTH = 0.5
-_MOST_ROUNDS = 8
-#: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
-_DIGITS = 10
-
-
-def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
-
-    The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
-    once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
-    """
-    target, references = make_target(found, "gaussian")
-    atlas, random = Atlas(target, references), np.random.default_rng(seed)
-    points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)
-    for _ in range(_MOST_ROUNDS):
-        solved = atlas.propose(random.standard_normal((draws, target.n_unknowns)), random.random(draws))
-        points = np.vstack([points, solved.points[solved.inside]])
-        fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
-        log_weights = np.concatenate([log_weights, fresh])
-        weights = np.exp(log_weights - log_weights.max()) if len(log_weights) else np.zeros(1)
-        worth = float(weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300))
-        if worth >= _LEAST_WORTH * draws:
-            break
-    else:
-        return np.zeros((0, found.problem.n_free))
-    # Systematic resampling: each point as often as its weight says, up to rounding.
-    places = (np.arange(draws) + random.random()) / draws
-    chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
-
-
-def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
-    """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
-
-    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
-    the data speak about these.
-    """
-    free = found.problem.model.free
-    if not found.converged or free.names != found.estimate.parameters.names:
-        return {}
-    values = independent_draws(found, draws)
-    if not len(values):
-        return {}
-    shown = np.round(free.to_shown(values), _DIGITS)
-    return {"draws": {"names": list(free.names), "rows": shown.tolist()}}
 
 
 def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:

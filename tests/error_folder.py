@@ -9,7 +9,7 @@ from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth

@@ -14,8 +14,7 @@ import fpcal_bayes
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
-from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import is_campaign_file, read_csv, read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth

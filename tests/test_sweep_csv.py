@@ -12,8 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
-from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import read_csv, read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 
 CELL = load_cell()

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 
     from fpcal_bayes.decision.decision import Costs
     from fpcal_bayes.decision.policy import decide_track, valid_until
-    from fpcal_bayes.io.csv import write_csv
+    from fpcal_bayes.io.sweeps import write_csv
     from fpcal_bayes.report.track import (
         decision_content,
         decision_sentence,

@@ -45,10 +45,6 @@ class TrackRecord:
     onset_score: Floats
 
 
-_TEXTS = ("session", "label", "reason")
-_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}
-
-
 @dataclass(frozen=True)
 class DoubtfulRecord:
     """Doubtful sweeps, n of them.

@@ -11,10 +11,6 @@ from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.traces import Trace, WavelengthScan, check_scan, check_trace
 from fpcal_bayes.model.cell.cell import Cell
 
-#: Columns of an index beside those of a plan of sweeps, and what an empty field means in `TraceIndex`: NaN or none.
-CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
-SCANS = ("scan_before", "scan_after")
-
 
 @dataclass(frozen=True, eq=False)
 class TraceIndex:

@@ -108,10 +108,11 @@ def paper_truth(cell: Cell) -> Truth:
     # Later tables list what they changed.
     first = full[0]["intrinsic"]
     epochs = [(24.0 * entry["day"], first | entry["intrinsic"] | entry["extrinsic"]) for entry in full]
-    return _truth(cell, epochs, "the paper's truth")
+    return truth_of(cell, epochs, "the paper's truth")
 
 
-def _truth(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:
+def truth_of(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:
+    """The truth with values by name, in um, deg and ppm, at epochs in hours; `place` is for the message."""
     named = {name for _, values in epochs for name in values}
     for name in sorted(named):
         if name not in cell.parameters.names:

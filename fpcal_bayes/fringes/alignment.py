@@ -52,38 +52,24 @@ _IMPROBABLE = 1e-3
 
 @dataclass(frozen=True)
 class Alignment:
-    """The fibre's direction by the fringe amplitude.
+    """The fibre's direction by the fringe amplitude."""
 
-    Attributes
-    ----------
-    estimate
-        The datum: the cell's prior of all parameters, narrowed by the amplitudes.
-    direction, noise, covariance
-        `DIRECTION` with the mirror's geometry held at nominal or at an estimate, in rad, shape (2,); the covariance
-        from noise and drift of the gain alone, and with the uncertainty of what is held; each (2, 2).
-    mode_field_radius, mode_field_radius_sd
-        Of the fibre mode, in um, from the bows.
-    drift
-        Standard deviations of slope and bow that the gain's drift adds, shape (2,).
-    nonlinear
-        The largest standard deviation of a slope or bow that making them linear adds.
-    chi_square, freedom
-        Of slopes and bows under prior and coupling model, and what is expected.
-    n_sweeps
-        That took part.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # the datum: the cell's prior of all parameters, narrowed by the amplitudes
+    #: direction, noise, covariance: `DIRECTION` with the mirror's geometry held at nominal or at an estimate, in rad,
+    #: shape (2,); the covariance from noise and drift of the gain alone, and with the uncertainty of what is held; each
+    #: (2, 2).
     direction: Floats
     noise: Floats
     covariance: Floats
+    #: mode_field_radius, mode_field_radius_sd: Of the fibre mode, in um, from the bows.
     mode_field_radius: float
     mode_field_radius_sd: float
-    drift: Floats
-    nonlinear: float
+    drift: Floats  # standard deviations of slope and bow that the gain's drift adds, shape (2,)
+    nonlinear: float  # the largest standard deviation of a slope or bow that making them linear adds
+    #: chi_square, freedom: Of slopes and bows under prior and coupling model, and what is expected.
     chi_square: float
     freedom: int
-    n_sweeps: int
+    n_sweeps: int  # that took part
 
     @property
     def probability(self) -> float:
@@ -118,11 +104,6 @@ def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) 
         From `fringe_amplitudes`.
     estimate
         Near which the amplitudes are made linear, by default nominal: the better the mirror is known, the less is lost.
-
-    Raises
-    ------
-    InputError
-        If the fibre's direction is no free parameter of the cell, or the amplitudes do not follow the coupling model.
     """
     file = amplitudes.sweeps.file
     missing = [name for name in DIRECTION if name not in cell.free]
@@ -166,20 +147,12 @@ def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) 
 
 @dataclass(frozen=True)
 class _View:
-    """Slopes and bows as a function of the state: the cell's free parameters, then the logarithm of the mode's radius.
-
-    Attributes
-    ----------
-    poses
-        At the nodes of all sweeps, shape (n_sweeps * nodes, n_joints).
-    weights
-        What makes slope and bow of values at the nodes, shape (2, nodes).
-    """
+    """Slopes and bows as a function of the state: the cell's free parameters, then the logarithm of the mode radius."""
 
     cell: Cell
     model: CavityModel
-    poses: Floats
-    weights: Floats
+    poses: Floats  # at the nodes of all sweeps, shape (n_sweeps * nodes, n_joints)
+    weights: Floats  # what makes slope and bow of values at the nodes, shape (2, nodes)
 
     @classmethod
     def of(cls, cell: Cell, sweeps: Sweeps, estimate: Estimate | None) -> "_View":

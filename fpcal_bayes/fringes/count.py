@@ -17,59 +17,31 @@ from fpcal_bayes.fringes.solve import change_of
 
 @dataclass(frozen=True)
 class Reading:
-    """The change of cavity length along one sweep, and how far to trust it.
+    """The change of cavity length along one sweep, and how far to trust it."""
 
-    Attributes
-    ----------
-    label
-        Of the sweep.
-    dl, sigma
-        Change from start to end and its standard deviation, in um; NaN where the trace was refused.
-    signed
-        Whether the sign of `dl` is known; else `dl` is a size.
-    sign_source
-        Who told the sign, or empty.
-    fringes
-        That passed, those that passed back included.
-    turns
-        Places s on the sweep, from -1 to 1, at which L turns.
-    reversals
-        Joint positions of the same, in um or rad.
-    refused
-        Why the trace gives no number at all; empty where it gives one.
-    doubt
-        Why the number is not to be relied on; empty where it is.
-    alternatives
-        Other changes, in um, that the trace allows.
-    samples_a_fringe
-        On average, while the joint moves.
-    noise, amplitude
-        Standard deviation of one sample and mean amplitude of the fringes, in V.
-    course, course_covariance
-        L less its mean along the sweep: Legendre coefficients in um, see `course`; of the sign of `dl`.
-    wavelength_share
-        Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
-    fit, phase_per_um
-        What was fitted and its 4 pi n / wavelength, for figures; None where refused.
-    """
-
-    label: str
+    label: str  # of the sweep
+    #: dl, sigma: Change from start to end and its standard deviation, in um; NaN where the trace was refused.
     dl: float = np.nan
     sigma: float = np.nan
-    signed: bool = False
-    sign_source: str = ""
-    fringes: float = np.nan
-    turns: tuple[float, ...] = ()
-    reversals: tuple[float, ...] = ()
-    refused: str = ""
-    doubt: str = ""
-    alternatives: tuple[float, ...] = ()
-    samples_a_fringe: float = np.nan
+    signed: bool = False  # whether the sign of `dl` is known; else `dl` is a size
+    sign_source: str = ""  # who told the sign, or empty
+    fringes: float = np.nan  # that passed, those that passed back included
+    turns: tuple[float, ...] = ()  # places s on the sweep, from -1 to 1, at which L turns
+    reversals: tuple[float, ...] = ()  # joint positions of the same, in um or rad
+    refused: str = ""  # why the trace gives no number at all; empty where it gives one
+    doubt: str = ""  # why the number is not to be relied on; empty where it is
+    alternatives: tuple[float, ...] = ()  # other changes, in um, that the trace allows
+    samples_a_fringe: float = np.nan  # on average, while the joint moves
+    #: noise, amplitude: Standard deviation of one sample and mean amplitude of the fringes, in V.
     noise: float = np.nan
     amplitude: float = np.nan
+    #: course, course_covariance: L less its mean along the sweep: Legendre coefficients in um, see `course`; of the
+    #: sign of `dl`.
     course: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     course_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    #: Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
     wavelength_share: float = 0.0
+    #: fit, phase_per_um: What was fitted and its 4 pi n / wavelength, for figures; None where refused.
     fit: Fit | None = field(default=None, repr=False)
     phase_per_um: float = np.nan
 
@@ -146,30 +118,14 @@ class Witness:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a trace is taken to say.
+    """What a trace is taken to say."""
 
-    Attributes
-    ----------
-    fit
-        The fit chosen.
-    mirrored
-        Whether L runs opposite to `fit`.
-    signed
-        Whether the sign is certain enough to be stated.
-    sign_source
-        Who told the sign; empty where nobody did.
-    other_counts
-        Probability that L changed by another number of fringes.
-    alternatives
-        Changes in um that this probability falls to, the most likely first.
-    """
-
-    fit: Fit
-    mirrored: bool
-    signed: bool
-    sign_source: str
-    other_counts: float
-    alternatives: tuple[float, ...]
+    fit: Fit  # the fit chosen
+    mirrored: bool  # whether L runs opposite to `fit`
+    signed: bool  # whether the sign is certain enough to be stated
+    sign_source: str  # who told the sign; empty where nobody did
+    other_counts: float  # probability that L changed by another number of fringes
+    alternatives: tuple[float, ...]  # changes in um that this probability falls to, the most likely first
 
     @property
     def doubtful(self) -> bool:

@@ -81,53 +81,26 @@ def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: S
 
 @dataclass(frozen=True)
 class IngestSettings:
-    """How traces are read.
+    """How traces are read."""
 
-    Attributes
-    ----------
-    points
-        Interior points of each sweep that become rows of their own, in a group with its end.
-    absolute
-        Whether scans before and after sweeps become rows of kind ``absolute``.
-    wavelength_sd
-        Standard deviation of the laser's wavelength, in um.
-    index_sd
-        Standard deviation of the refractive index of the air.
-    """
-
-    points: int = 0
-    absolute: bool = False
-    wavelength_sd: float = 0.0
-    index_sd: float = 0.0
+    points: int = 0  # interior points of each sweep that become rows of their own, in a group with its end
+    absolute: bool = False  # whether scans before and after sweeps become rows of kind ``absolute``
+    wavelength_sd: float = 0.0  # standard deviation of the laser's wavelength, in um
+    index_sd: float = 0.0  # standard deviation of the refractive index of the air
 
 
 @dataclass(frozen=True)
 class Ingested:
-    """What recorded traces gave.
+    """What recorded traces gave."""
 
-    Attributes
-    ----------
-    sweeps
-        Rows that may be used.
-    doubtful
-        Recordings that gave none.
-    readings
-        Of each recording, None for absolute lengths.
-    samples
-        Of each recording as it was laid along its sweep, None for absolute lengths.
-    scans_before, scans_after
-        What the scans of each recording say, None where there is none.
-    warnings
-        Sentences for the user.
-    """
-
-    sweeps: Sweeps
-    doubtful: DoubtfulRecord
-    readings: tuple[Reading | None, ...]
-    samples: tuple[Samples | None, ...]
+    sweeps: Sweeps  # rows that may be used
+    doubtful: DoubtfulRecord  # recordings that gave none
+    readings: tuple[Reading | None, ...]  # of each recording, None for absolute lengths
+    samples: tuple[Samples | None, ...]  # of each recording as it was laid along its sweep, None for absolute lengths
+    #: scans_before, scans_after: What the scans of each recording say, None where there is none.
     scans_before: tuple[ScanReading | None, ...]
     scans_after: tuple[ScanReading | None, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # sentences for the user
 
 
 def ingest(
@@ -141,11 +114,6 @@ def ingest(
         Sweeps, their traces and scans.
     estimate
         Of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
-
-    Raises
-    ------
-    InputError
-        If a row is a path, a trace does not belong to its sweep, the air cannot be, or no row can be used.
     """
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)

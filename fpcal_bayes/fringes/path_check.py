@@ -32,42 +32,20 @@ _POINTS = 121
 
 @dataclass(frozen=True, eq=False)
 class PathError:
-    """What a trace says of the error along its path.
+    """What a trace says of the error along its path."""
 
-    Attributes
-    ----------
-    at
-        Samples of the trace's path, as shares of it, shape (n,).
-    error
-        e, counted from the start of the path, in um, shape (n,).
-    draws
-        What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
-    places
-        Samples at which the draws stand, shape (n_points,).
-    residual
-        Standard deviation of the irradiance around the curve, in V.
-    noise
-        That of the reference scan.
-    amplitude
-        Of the fringes at the start, in V.
-    start_sine
-        Sine of the phase at the start: its size is 1 at half height, 0 at an extreme.
-    followed
-        Whether the curve follows the trace.
-    rival
-        Another error that fits as well, shape (n,), or None: near an extreme of the fringes the irradiance does not
-        tell whether the cavity length went on or turned.
-    """
-
-    at: Floats
-    error: Floats
+    at: Floats  # samples of the trace's path, as shares of it, shape (n,)
+    error: Floats  # e, counted from the start of the path, in um, shape (n,)
+    #: What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
     draws: Floats
-    places: NDArray[np.int64]
-    residual: float
-    noise: float
-    amplitude: float
-    start_sine: float
-    followed: bool
+    places: NDArray[np.int64]  # samples at which the draws stand, shape (n_points,)
+    residual: float  # standard deviation of the irradiance around the curve, in V
+    noise: float  # that of the reference scan
+    amplitude: float  # of the fringes at the start, in V
+    start_sine: float  # sine of the phase at the start: its size is 1 at half height, 0 at an extreme
+    followed: bool  # whether the curve follows the trace
+    #: Another error that fits as well, shape (n,), or None: near an extreme of the fringes the irradiance does not tell
+    #: whether the cavity length went on or turned.
     rival: Floats | None = None
 
     @property
@@ -88,31 +66,16 @@ class PathError:
 
 @dataclass(frozen=True, eq=False)
 class PathCheck:
-    """A measured path error against the prediction of an estimate.
+    """A measured path error against the prediction of an estimate."""
 
-    Attributes
-    ----------
-    measured
-        From the trace.
-    predicted
-        Peak to peak of the error by the estimate, one a draw, in um.
-    expected
-        The same with measurement noise: what this trace should show if the calibration holds.
-    probability
-        Of at least the measured peak to peak, if the calibration holds.
-    verdict
-        ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
-        too uncertain to confirm what the estimate predicts (see `blunt`).
-    level
-        See `verdict`.
-    """
-
-    measured: PathError
-    predicted: Floats
-    expected: Floats
-    probability: float
+    measured: PathError  # from the trace
+    predicted: Floats  # peak to peak of the error by the estimate, one a draw, in um
+    expected: Floats  # the same with measurement noise: what this trace should show if the calibration holds
+    probability: float  # of at least the measured peak to peak, if the calibration holds
+    #: ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
+    #: too uncertain to confirm what the estimate predicts (see `blunt`).
     verdict: Verdict
-    level: float
+    level: float  # see `verdict`
 
     @property
     def blunt(self) -> bool:
@@ -141,12 +104,6 @@ def measure_path(
         How gain and offset may bow between the reference scans, relative, one standard deviation.
     seed
         Of numpy's default generator, for the draws of the measurement's uncertainty.
-
-    Raises
-    ------
-    InputError
-        If the parts of the recording are not in order, or a reference scan shows no fringe or less than three quarters
-        of one.
     """
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)

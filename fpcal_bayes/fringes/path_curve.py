@@ -26,28 +26,15 @@ _UNKNOWN_DRIFT = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Mean and height of the fringes, between a reference scan before a path and, where there is one, one after it.
+    """Mean and height of the fringes, between a reference scan before a path and, where there is one, one after it."""
 
-    Attributes
-    ----------
-    first, last
-        The reference scans; `last` may be None.
-    share
-        How far the samples of the path stand between the scans in time, shape (n,).
-    lift
-        By how much the mean rises for a volt of amplitude, since the mirror moves and tilts, shape (n,).
-    ratio
-        Amplitude relative to that of the first scan's place, shape (n,).
-    stability
-        How mean and amplitude may bow between the scans, relative, one standard deviation.
-    """
-
+    #: first, last: The reference scans; `last` may be None.
     first: FringeFit
     last: FringeFit | None
-    share: Floats
-    lift: Floats
-    ratio: Floats
-    stability: float = STABILITY
+    share: Floats  # how far the samples of the path stand between the scans in time, shape (n,)
+    lift: Floats  # by how much the mean rises for a volt of amplitude, since the mirror moves and tilts, shape (n,)
+    ratio: Floats  # amplitude relative to that of the first scan's place, shape (n,)
+    stability: float = STABILITY  # how mean and amplitude may bow between the scans, relative, one standard deviation
 
     def prior(self) -> tuple[Floats, Floats]:
         """Expected nuisances and their covariance: mean and amplitude at either end, phase, bows of mean and amplitude.
@@ -105,30 +92,16 @@ _TURNS, _EXTREME = 4, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A fitted error along a path.
+    """A fitted error along a path."""
 
-    Attributes
-    ----------
-    error
-        In um, shape (n,).
-    coefficients, covariance
-        Of spline and nuisances, shapes (n_splines + 7,) and (n_splines + 7, n_splines + 7).
-    basis
-        Splines at the samples, shape (n, n_splines).
-    residual
-        Standard deviation of the irradiance around the curve, in V.
-    objective
-        Sum of squares over data, roughness and prior of the levels.
-    rival
-        Error of another curve that fits nearly as well and differs by a tenth of a fringe somewhere, or None.
-    """
-
-    error: Floats
+    error: Floats  # in um, shape (n,)
+    #: coefficients, covariance: Of spline and nuisances, shapes (n_splines + 7,) and (n_splines + 7, n_splines + 7).
     coefficients: Floats
     covariance: Floats
-    basis: Floats
-    residual: float
-    objective: float
+    basis: Floats  # splines at the samples, shape (n, n_splines)
+    residual: float  # standard deviation of the irradiance around the curve, in V
+    objective: float  # sum of squares over data, roughness and prior of the levels
+    #: Error of another curve that fits nearly as well and differs by a tenth of a fringe somewhere, or None.
     rival: Floats | None = field(default=None)
 
     def draws(self, random: np.random.Generator, n: int, places: NDArray[np.int64]) -> Floats:

@@ -32,36 +32,18 @@ _POOL_WEIGHT = 60.0
 
 @dataclass(frozen=True)
 class Recorded:
-    """One sweep as the reader takes it.
+    """One sweep as the reader takes it."""
 
-    Attributes
-    ----------
-    label
-        Of the sweep.
-    samples
-        Laid along it.
-    start, end
-        Of the joint that moves, in um or rad.
-    course
-        What the cell's priors know of it.
-    wavelength
-        In the air of the cavity, in um.
-    wavelength_share
-        Its relative standard deviation.
-    fading
-        How visibility may fade along it.
-    witnesses
-        Changes that others expect, the most trustworthy first; the cell's priors need not be named.
-    """
-
-    label: str
-    samples: Samples
+    label: str  # of the sweep
+    samples: Samples  # laid along it
+    #: start, end: Of the joint that moves, in um or rad.
     start: float
     end: float
-    course: Course
-    wavelength: float
-    wavelength_share: float = 0.0
-    fading: Nuisance = LIVELY
+    course: Course  # what the cell's priors know of it
+    wavelength: float  # in the air of the cavity, in um
+    wavelength_share: float = 0.0  # its relative standard deviation
+    fading: Nuisance = LIVELY  # how visibility may fade along it
+    #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
     witnesses: tuple[Witness, ...] = ()
 
     @property

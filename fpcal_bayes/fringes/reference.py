@@ -13,24 +13,12 @@ _CLEAR = 10.0
 
 @dataclass(frozen=True)
 class FringeFit:
-    """Irradiance A + C cos(k x) - S sin(k x) = A + B cos(k x + phase) against a change x of the cavity length.
+    """Irradiance A + C cos(k x) - S sin(k x) = A + B cos(k x + phase) against a change x of the cavity length."""
 
-    Attributes
-    ----------
-    wave_number
-        k = 4 pi n / lambda, in rad per um of cavity length.
-    coefficients
-        A, C and S in V, shape (3,).
-    covariance
-        Of these, shape (3, 3).
-    noise
-        Standard deviation of a sample, in V.
-    """
-
-    wave_number: float
-    coefficients: Floats
-    covariance: Floats
-    noise: float
+    wave_number: float  # k = 4 pi n / lambda, in rad per um of cavity length
+    coefficients: Floats  # A, C and S in V, shape (3,)
+    covariance: Floats  # of these, shape (3, 3)
+    noise: float  # standard deviation of a sample, in V
 
     @property
     def mean(self) -> float:
@@ -58,11 +46,6 @@ class FringeFit:
         ----------
         low, high
             Changes that the rig can make.
-
-        Raises
-        ------
-        InputError
-            If there is none between them.
         """
         around = np.arange(-4, 5) + np.round(self.phase / np.pi)
         places = ((around + 0.5) * np.pi - self.phase) / self.wave_number
@@ -83,11 +66,6 @@ def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeF
         In V, shape (n,).
     wavelength
         Of the light in air, in um.
-
-    Raises
-    ------
-    InputError
-        If the scan spans less than three quarters of a fringe, or shows no fringe beyond its noise.
     """
     wave_number = 4.0 * np.pi / wavelength
     if len(change) < 4 or np.ptp(change) < 0.75 * wavelength / 2.0:

@@ -22,18 +22,10 @@ _GRID = np.linspace(-1.0, 1.0, 129)
 
 @dataclass(frozen=True)
 class Solution:
-    """What explains a signal.
+    """What explains a signal."""
 
-    Attributes
-    ----------
-    fits
-        Distinct courses, the most likely first; at least one.
-    samples
-        What the first was fitted to.
-    """
-
-    fits: tuple[Fit, ...]
-    samples: Samples
+    fits: tuple[Fit, ...]  # distinct courses, the most likely first; at least one
+    samples: Samples  # what the first was fitted to
 
     @property
     def best(self) -> Fit:

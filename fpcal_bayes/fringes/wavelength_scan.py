@@ -29,25 +29,14 @@ _WIDENED, _LEAST_SHARE = 2.0, 0.2
 
 @dataclass(frozen=True)
 class ScanReading:
-    """What a wavelength scan says.
+    """What a wavelength scan says."""
 
-    Attributes
-    ----------
-    length, sigma
-        Cavity length and its standard deviation, in um; NaN where the scan was refused.
-    fringes
-        Within the scan.
-    refused
-        Why it gives no number; empty where it does.
-    doubt
-        Why the number is not to be relied on; empty where it is.
-    """
-
+    #: length, sigma: Cavity length and its standard deviation, in um; NaN where the scan was refused.
     length: float = np.nan
     sigma: float = np.nan
-    fringes: float = np.nan
-    refused: str = ""
-    doubt: str = ""
+    fringes: float = np.nan  # within the scan
+    refused: str = ""  # why it gives no number; empty where it does
+    doubt: str = ""  # why the number is not to be relied on; empty where it is
 
     @property
     def good(self) -> bool:

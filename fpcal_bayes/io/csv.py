@@ -54,7 +54,9 @@ class Records:
         columns = zip(*self.texts, strict=True) if self.texts else [()] * len(self.header)
         return dict(zip(self.header, columns, strict=True))
 
-    def numbers(self, name: str, texts: Sequence[str], *, finite: bool = False) -> Floats:
+    def numbers(
+        self, name: str, texts: Sequence[str], *, finite: bool = False, expected: str = "expected a number"
+    ) -> Floats:
         """The numbers of column `name`; `InputError` that names the line of the first text that is none."""
         if _NUMBER_CHARACTERS.issuperset("".join(texts)) and "" not in texts:
             try:
@@ -64,8 +66,9 @@ class Records:
             else:
                 if not finite or np.isfinite(numbers).all():
                     return numbers
-        expected = "expected a finite number" if finite else "expected a number"
         first = next(i for i, text in enumerate(texts) if not _is_number(text, finite))
+        if _NUMBER.fullmatch(texts[first]):
+            expected = "expected a finite number"
         found = f"found {shown(texts[first])}" if texts[first] else "found nothing"
         raise located(self.path, f"{expected}, {found}", row=int(self.rows[first]), column=name)
 

@@ -22,12 +22,6 @@ def read_index(path: str | Path, cell: Cell) -> TraceIndex:
     ----------
     path
         A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
-
-    Raises
-    ------
-    InputError
-        If anything in the index or in a file that it names is not as documented, or a named file lies outside the
-        folder of the index.
     """
     path = Path(path)
     require_readable(path)
@@ -46,11 +40,6 @@ def write_index(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     """Write recorded sweeps in the format that the suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
 
     A CSV gets a folder for its traces and scans beside it: ``INDEX_traces`` for ``INDEX.csv``.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another one, a file cannot be written, or `read_index` would refuse what was written.
     """
     path = Path(path)
     check_index(index, cell)

@@ -17,13 +17,7 @@ HDF5_SUFFIXES = (".h5", ".hdf5")
 
 
 def is_campaign_file(path: str | Path) -> bool:
-    """Whether a file is to be read as HDF5: it begins like one or is called ``.h5`` or ``.hdf5``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, a folder, empty or not readable.
-    """
+    """Whether a file is to be read as HDF5: it begins like one or is called ``.h5`` or ``.hdf5``."""
     path = Path(path)
     require_readable(path)
     return path.suffix.lower() in HDF5_SUFFIXES or is_hdf5(path)

@@ -16,8 +16,11 @@ def read_path(path: str | Path) -> Floats:
     path = Path(path)
     records = read_records(path, f"the header {','.join(COLUMNS)}")
     records.require_header(COLUMNS)
-    columns = records.columns()
-    shown: Floats = np.column_stack([records.numbers(name, texts, finite=True) for name, texts in columns.items()])
+    numbers = [
+        records.numbers(name, texts, finite=True, expected="expected a finite number")
+        for name, texts in records.columns().items()
+    ]
+    shown: Floats = np.column_stack(numbers)
     n = len(shown)
     if n < 2:
         raise InputError(f"{path}: {n} row{'' if n == 1 else 's'}, expected a path of two or more")

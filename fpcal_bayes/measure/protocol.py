@@ -104,11 +104,6 @@ def single_sweep(
         Of that joint, in um or rad.
     pose
         Joint vector at which the others stand, in um and rad, shape (n_joints,); by default zero.
-
-    Raises
-    ------
-    InputError
-        If there is no such joint, it does not move, or a joint leaves its limits.
     """
     n_joints = len(cell.joints)
     if not 1 <= joint <= n_joints:
@@ -146,11 +141,6 @@ def mark_signs(sweeps: Sweeps, signs: str) -> Sweeps:
     signs
         ``all``, or ``paper``: only X and Z translations (labels that end in ``-tx``, ``-tz``, their midpoints
         included) and absolute lengths, which have no sign to lose.
-
-    Raises
-    ------
-    InputError
-        If `signs` is another word.
     """
     if signs not in ("all", "paper"):
         raise InputError(f"unknown signs {signs!r}: expected all or paper")

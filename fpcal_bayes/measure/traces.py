@@ -24,24 +24,12 @@ SCAN_COLUMNS = ("wavelength_nm", "irradiance_v")
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The photodiode during one sweep.
+    """The photodiode during one sweep."""
 
-    Attributes
-    ----------
-    time_s
-        Increasing, shape (n,).
-    joint
-        Position of the joint that moves, in um or rad, shape (n,).
-    irradiance
-        In V, shape (n,).
-    file
-        Where it was read, or empty.
-    """
-
-    time_s: Floats
-    joint: Floats
-    irradiance: Floats
-    file: str = ""
+    time_s: Floats  # increasing, shape (n,)
+    joint: Floats  # position of the joint that moves, in um or rad, shape (n,)
+    irradiance: Floats  # in V, shape (n,)
+    file: str = ""  # where it was read, or empty
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -52,21 +40,11 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class WavelengthScan:
-    """The photodiode while the laser's wavelength is swept and the robot stands still.
+    """The photodiode while the laser's wavelength is swept and the robot stands still."""
 
-    Attributes
-    ----------
-    wavelength
-        In vacuum, in um, rising or falling throughout, shape (n,).
-    irradiance
-        In V, shape (n,).
-    file
-        Where it was read, or empty.
-    """
-
-    wavelength: Floats
-    irradiance: Floats
-    file: str = ""
+    wavelength: Floats  # in vacuum, in um, rising or falling throughout, shape (n,)
+    irradiance: Floats  # in V, shape (n,)
+    file: str = ""  # where it was read, or empty
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -146,33 +124,16 @@ FEWEST = 8
 
 @dataclass(frozen=True, eq=False)
 class PathTrace:
-    """A recorded path.
+    """A recorded path."""
 
-    Attributes
-    ----------
-    time_s
-        Increasing, shape (n,).
-    q
-        Joint vectors, shape (n, n_joints), in um and rad.
-    irradiance
-        In V, shape (n,).
-    reference
-        Whether a sample belongs to a reference scan, shape (n,); the others to the path, all in one piece.
-    time_h
-        Hours since the campaign began.
-    file
-        Where it was read, or empty.
-    length
-        True cavity length of a simulated recording, in um, shape (n,); else None.
-    """
-
-    time_s: Floats
-    q: Floats
-    irradiance: Floats
+    time_s: Floats  # increasing, shape (n,)
+    q: Floats  # joint vectors, shape (n, n_joints), in um and rad
+    irradiance: Floats  # in V, shape (n,)
+    #: Whether a sample belongs to a reference scan, shape (n,); the others to the path, all in one piece.
     reference: NDArray[np.bool_]
-    time_h: float = 0.0
-    file: str = ""
-    length: Floats | None = None
+    time_h: float = 0.0  # hours since the campaign began
+    file: str = ""  # where it was read, or empty
+    length: Floats | None = None  # true cavity length of a simulated recording, in um, shape (n,); else None
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -208,11 +169,6 @@ def check_parts(trace: PathTrace, rows: list[int] | None = None) -> None:
     ----------
     rows
         Line of each sample, for the message; by default its number, from 1.
-
-    Raises
-    ------
-    InputError
-        If the path is not in one piece after a reference scan, or a part has fewer than 8 samples.
     """
     file, back = trace.file or "recording", np.flatnonzero(np.diff(trace.reference.astype(int)) < 0)
     if not trace.reference[:1].any():

@@ -36,11 +36,6 @@ def ciddor(wavelength: ArrayLike, temperature_c: ArrayLike, pressure_hpa: ArrayL
     -------
     ndarray
         The index, of the shape that the arguments broadcast to.
-
-    Raises
-    ------
-    InputError
-        If a value is outside the ranges of the formula, or not a number.
     """
     given = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (wavelength, temperature_c, pressure_hpa)))
     humidity = np.asarray(humidity_pct, dtype=float)

@@ -16,30 +16,17 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class PoseGroups:
-    """Distinct poses, sorted by group.
+    """Distinct poses, sorted by group."""
 
-    Attributes
-    ----------
-    q
-        Distinct joint vectors, shape (n_poses, n_joints), in um and rad.
-    group_q, group_cos, group_sin
-        Joint values of each group and their cosines and sines, shape (n_groups, n_joints); zero, one, zero at
-        prismatic joints.
-    group_start
-        Poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,).
-    prismatic_q
-        Values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic).
-    inverse
-        Where each joint vector that was given stands among the distinct ones, shape (n_given,).
-    """
-
-    q: Floats
+    q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
+    #: group_q, group_cos, group_sin: Joint values of each group and their cosines and sines, shape (n_groups,
+    #: n_joints); zero, one, zero at prismatic joints.
     group_q: Floats
     group_cos: Floats
     group_sin: Floats
-    group_start: Ints
-    prismatic_q: Floats
-    inverse: Ints
+    group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
+    prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
+    inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
 
     @property
     def n_groups(self) -> int:
@@ -84,21 +71,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class CavityModel:
-    """Cavity length of a cell as a function of its free parameters.
+    """Cavity length of a cell as a function of its free parameters."""
 
-    Attributes
-    ----------
-    cell
-        The cell, which also says along which path light is counted.
-    free
-        Parameters that `values` hold, in this order.
-    held
-        Model vector of the parameters that are not free, shape (model size,), in um and rad.
-    """
-
-    cell: Cell
-    free: ParameterSet
-    held: Floats
+    cell: Cell  # the cell, which also says along which path light is counted
+    free: ParameterSet  # parameters that `values` hold, in this order
+    held: Floats  # model vector of the parameters that are not free, shape (model size,), in um and rad
 
     @classmethod
     def of(cls, cell: Cell, free: ParameterSet | None = None, held: Floats | None = None) -> "CavityModel":

@@ -31,24 +31,14 @@ _FAR_TURN, _FAR_TRAVEL = np.pi, 1000.0
 
 @dataclass(frozen=True)
 class JointSolutions:
-    """Joint values of poses, and what became of each pose.
+    """Joint values of poses, and what became of each pose."""
 
-    Attributes
-    ----------
-    cell
-        Whose joints they are.
-    q
-        Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
-        saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
-    status
-        `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...).
-    joint
-        Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
-    """
-
-    cell: Cell
+    cell: Cell  # whose joints they are
+    #: Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
+    #: saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
     q: Floats
-    status: Ints
+    status: Ints  # `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...)
+    #: Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
     joint: Ints
 
     @property
@@ -78,20 +68,9 @@ class JointSolutions:
 
 @dataclass(frozen=True)
 class InverseModel:
-    """The inverse geometric model of a cell with six joints.
+    """The inverse geometric model of a cell with six joints."""
 
-    Parameters
-    ----------
-    cell
-        Gives kinds and limits of the joints.
-
-    Raises
-    ------
-    InputError
-        If the cell has other than six joints, or so many prismatic ones that a pose is never fully reached.
-    """
-
-    cell: Cell
+    cell: Cell  # gives kinds and limits of the joints
 
     def __post_init__(self) -> None:
         n, n_prismatic = len(self.cell.joints), int(np.count_nonzero(~self.cell.revolute))
@@ -171,11 +150,6 @@ class InverseModel:
         -------
         JointSolutions
             Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
-
-        Raises
-        ------
-        InputError
-            If a pose is not finite or its rotation is not orthonormal.
         """
         if check:
             check_poses(poses)

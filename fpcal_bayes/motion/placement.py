@@ -17,21 +17,12 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class Placement:
-    """Frames of a model vector that a command in the fibre frame needs.
+    """Frames of a model vector that a command in the fibre frame needs."""
 
-    Attributes
-    ----------
-    fibre
-        wTf, shape (4, 4).
-    tool_in_point
-        (eTt tTPr)^-1: the tool in the mirror frame placed at the reflection point, shape (4, 4).
-    aligned
-        fX of the aligned pose, shape (4, 4): mirror normal against the light, Xt along Xf, the mirror point that
-        reflects at joint vector zero where it reflects there.
-    """
-
-    fibre: Floats
-    tool_in_point: Floats
+    fibre: Floats  # wTf, shape (4, 4)
+    tool_in_point: Floats  # (eTt tTPr)^-1: the tool in the mirror frame placed at the reflection point, shape (4, 4)
+    #: fX of the aligned pose, shape (4, 4): mirror normal against the light, Xt along Xf, the mirror point that
+    #: reflects at joint vector zero where it reflects there.
     aligned: Floats
 
     @classmethod

@@ -35,11 +35,6 @@ def read_now(text: str | None, estimate: Estimate) -> float | None:
     ----------
     text
         Hours, a clock time as ISO 8601, or None for the clock.
-
-    Raises
-    ------
-    InputError
-        If the text is neither, or is a clock time while the estimate carries none.
     """
     if text is None:
         return hours_of_estimate(estimate, datetime.now(UTC))

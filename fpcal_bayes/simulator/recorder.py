@@ -25,13 +25,7 @@ _REFERENCE_SAMPLES = 40
 
 
 def check_recordable(sweeps: Sweeps) -> None:
-    """Hold sweeps to what a trace can hold.
-
-    Raises
-    ------
-    InputError
-        If a row is a path, belongs to a group, or is a sweep of several joints: a trace holds one joint.
-    """
+    """Hold sweeps to what a trace can hold."""
     several = ((sweeps.q_start != sweeps.q_end).sum(axis=1) > 1) & (sweeps.kind == "sweep")
     refusals = (
         (sweeps.kind == "path", "kind", "expected a sweep or an absolute length: a path is recorded by itself"),
@@ -71,11 +65,6 @@ def record_sweeps(
     -------
     TraceIndex
         Its sweeps are a plan, without measurement.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are not such (see `check_recordable`, `check_sweeps`), or the seed is negative.
     """
     settings = RecorderSettings() if settings is None else settings
     rig, n = OpticalRig(cell, truth, settings), len(sweeps)
@@ -140,12 +129,6 @@ def record_path(
     -------
     PathTrace
         With the true cavity lengths.
-
-    Raises
-    ------
-    InputError
-        If the path has fewer than two points or holds a value that is no number, a joint leaves its limits, or the rig
-        cannot move to half fringe height within the limits of the reference joint.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():
@@ -190,13 +173,7 @@ def record_path(
 
 
 def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:
-    """The prismatic joint that changes the nominal cavity length most at a pose (n_joints,), and um of it per um.
-
-    Raises
-    ------
-    InputError
-        If the cell has no prismatic joint.
-    """
+    """The prismatic joint that changes the nominal cavity length most at a pose (n_joints,), and um of it per um."""
     if cell.revolute.all():
         raise InputError(f"cell {cell.name!r} has no prismatic joint for a reference scan")
     model = CavityModel.of(cell)

@@ -98,12 +98,9 @@ class Alignment:
 def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) -> Alignment:
     """Find the fibre's direction.
 
-    Parameters
-    ----------
-    amplitudes
-        From `fringe_amplitudes`.
-    estimate
-        Near which the amplitudes are made linear, by default nominal: the better the mirror is known, the less is lost.
+    amplitudes: from `fringe_amplitudes`.
+    estimate: near which the amplitudes are made linear, by default nominal: the better the mirror is known, the less is
+    lost.
     """
     file = amplitudes.sweeps.file
     missing = [name for name in DIRECTION if name not in cell.free]

@@ -56,12 +56,8 @@ def _turns(cell: Cell, sweeps: Sweeps) -> Floats:
 def fringe_amplitudes(cell: Cell, sweeps: Sweeps, found: Ingested) -> Amplitudes:
     """Slope and bow of the logarithm of the fringe amplitude along sweeps of the first session that tilt the mirror.
 
-    Parameters
-    ----------
-    sweeps
-        Of the index that was read.
-    found
-        What `ingest` made of it: phases, which the amplitudes are fitted beside; doubtful sweeps take no part.
+    sweeps: of the index that was read.
+    found: what `ingest` made of it: phases, which the amplitudes are fitted beside; doubtful sweeps take no part.
     """
     readings = found.readings
     rows = [i for i in tilting(cell, sweeps).tolist() if (reading := readings[i]) is not None and reading.good]

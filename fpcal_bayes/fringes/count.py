@@ -53,15 +53,9 @@ class Reading:
     def changes(self, s: Floats) -> tuple[Floats, Floats]:
         """Changes of L from the start to places on the sweep, with their full covariance.
 
-        Parameters
-        ----------
-        s
-            Places from -1 (start) to 1 (end), shape (n,).
-
-        Returns
-        -------
-        tuple of ndarray
-            In um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly correlated.
+        s: places from -1 (start) to 1 (end), shape (n,).
+        Returns in um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly
+        correlated.
         """
         rows = legendre(s)[:, 1:] - legendre(np.array([-1.0]))[:, 1:]
         changes = rows @ self.course
@@ -74,15 +68,8 @@ class Reading:
         The campaign's groups have equal variances and correlation 1/2. The standard deviation given is the least for
         which such a covariance is nowhere below the true one: rows of the group then never claim more than is known.
 
-        Parameters
-        ----------
-        points
-            Interior points.
-
-        Returns
-        -------
-        tuple
-            Places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
+        points: interior points.
+        Returns places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
         """
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
@@ -136,12 +123,8 @@ class Verdict:
 def decide(fits: Sequence[Fit], witnesses: Sequence[Witness]) -> Verdict:
     """Weigh fits and their mirror images.
 
-    Parameters
-    ----------
-    fits
-        Distinct courses of one trace.
-    witnesses
-        The most trustworthy first; the first that tells the sign by itself is named as its source.
+    fits: distinct courses of one trace.
+    witnesses: the most trustworthy first; the first that tells the sign by itself is named as its source.
     """
     dl, sd = np.array([change_of(fit) for fit in fits]).T
     both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])

@@ -102,22 +102,14 @@ def fit_course(
 ) -> Fit:
     """Fit a signal from a starting course.
 
-    Parameters
-    ----------
-    samples
-        Signal along the sweep.
-    course
-        Prior of the course; it is widened.
-    start
-        Coefficients to start from, shape (DEGREE,), in um.
-    phase_per_um
-        4 pi n / wavelength.
-    noise
-        Standard deviation of one reading, in V.
-    mirror_light
-        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with visibility.
-    warm
-        A fit of the same samples with the same nuisance, from which this one starts in place of `start`.
+    samples: signal along the sweep.
+    course: prior of the course; it is widened.
+    start: coefficients to start from, shape (DEGREE,), in um.
+    phase_per_um: 4 pi n / wavelength.
+    noise: standard deviation of one reading, in V.
+    mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with
+    visibility.
+    warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
     """
     mean, modes_um = _modes(course)
     over_place, over_time = legendre(samples.s), legendre(samples.time)

@@ -25,12 +25,8 @@ from fpcal_bayes.model.estimate import Estimate
 def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
     """The rows of one sweep: its end, after `points` interior points that share a group with it.
 
-    Parameters
-    ----------
-    sweeps, row
-        The plan and the position in it.
-    reading
-        A good one.
+    sweeps, row: the plan and the position in it.
+    reading: a good one.
     """
     one = sweeps.take(np.array([row]))
     if points == 0:
@@ -108,12 +104,8 @@ def ingest(
 ) -> Ingested:
     """Read recorded traces.
 
-    Parameters
-    ----------
-    index
-        Sweeps, their traces and scans.
-    estimate
-        Of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
+    index: sweeps, their traces and scans.
+    estimate: of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
     """
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)

@@ -94,16 +94,10 @@ def measure_path(
 ) -> PathError:
     """The error along a path, from its irradiance.
 
-    Parameters
-    ----------
-    estimate
-        What the path was made with, or any other whose error is asked for.
-    index
-        Refractive index of the air.
-    stability
-        How gain and offset may bow between the reference scans, relative, one standard deviation.
-    seed
-        Of numpy's default generator, for the draws of the measurement's uncertainty.
+    estimate: what the path was made with, or any other whose error is asked for.
+    index: refractive index of the air.
+    stability: how gain and offset may bow between the reference scans, relative, one standard deviation.
+    seed: of numpy's default generator, for the draws of the measurement's uncertainty.
     """
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)
@@ -161,24 +155,14 @@ def check_path(
 ) -> PathCheck:
     """Hold a measured error against what an estimate leaves unknown.
 
-    Parameters
-    ----------
-    measured
-        From `measure_path`.
-    model, values
-        Cavity model and free parameters (n_free,) of the estimate.
-    draws
-        Of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
-    covariance
-        Of the free parameters, shape (n_free, n_free), in um and rad.
-    trace
-        What was measured.
-    drift
-        Covariance of what the free parameters may have drifted since the estimate, or None.
-    level
-        Probability below which the calibration is refuted.
-    seed
-        Of the draws.
+    measured: from `measure_path`.
+    model, values: cavity model and free parameters (n_free,) of the estimate.
+    draws: of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
+    covariance: of the free parameters, shape (n_free, n_free), in um and rad.
+    trace: what was measured.
+    drift: covariance of what the free parameters may have drifted since the estimate, or None.
+    level: probability below which the calibration is refuted.
+    seed: of the draws.
     """
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
@@ -236,21 +220,12 @@ def check_rows(
 ) -> Sweeps:
     """The measured error of a path as sweeps.
 
-    Parameters
-    ----------
-    estimate
-        The one that the error was measured against.
-    session, time_h
-        Of all rows.
-    points
-        How many sweeps from the start of the path to points along it to add. They are one group: the reading at the
-        start, and the signal's drift, which counts as part of it, are common to them.
-
-    Returns
-    -------
-    Sweeps
-        First a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the measured
-        change of the cavity length itself.
+    estimate: the one that the error was measured against.
+    session, time_h: of all rows.
+    points: how many sweeps from the start of the path to points along it to add. They are one group: the reading at the
+    start, and the signal's drift, which counts as part of it, are common to them.
+    Returns first a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the
+    measured change of the cavity length itself.
     """
     q = trace.q[trace.path]
     name = Path(trace.file).name or "path"

@@ -39,10 +39,7 @@ class Levels:
     def prior(self) -> tuple[Floats, Floats]:
         """Expected nuisances and their covariance: mean and amplitude at either end, phase, bows of mean and amplitude.
 
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (7,) and (7, 7), in V and rad.
+        Returns shapes (7,) and (7, 7), in V and rad.
         """
         first, last = self.first, self.last
         turn = np.array(
@@ -115,19 +112,10 @@ class Curve:
 def fit_curve(irradiance: Floats, expected: Floats, levels: Levels) -> Curve:
     """Fit the error along a path.
 
-    Parameters
-    ----------
-    irradiance
-        In V, shape (n,).
-    expected
-        Phase that the estimate expects beyond that of the first reference scan, in rad, shape (n,).
-    levels
-        What the reference scans tell.
-
-    Returns
-    -------
-    Curve
-        The best of those found from several starts.
+    irradiance: in V, shape (n,).
+    expected: phase that the estimate expects beyond that of the first reference scan, in rad, shape (n,).
+    levels: what the reference scans tell.
+    Returns the best of those found from several starts.
     """
     fit = _Fit.of(irradiance, expected, levels)
     curves = [fit.minimise(start) for start in fit.starts()]

@@ -61,19 +61,10 @@ def read_traces(
 ) -> list[Reading]:
     """Read the traces of a campaign.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one reading in V to begin with; the traces' residuals correct it.
-    full_scale
-        Voltage at which the converter is at its end.
-    mirror_light
-        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
-
-    Returns
-    -------
-    list of Reading
-        One a trace.
+    noise: standard deviation of one reading in V to begin with; the traces' residuals correct it.
+    full_scale: voltage at which the converter is at its end.
+    mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
+    Returns one a trace.
     """
     faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
     solutions = [

@@ -42,10 +42,7 @@ class FringeFit:
     def to_quadrature(self, low: float = -np.inf, high: float = np.inf) -> float:
         """The smallest change of cavity length, in um, that leads to half fringe height.
 
-        Parameters
-        ----------
-        low, high
-            Changes that the rig can make.
+        low, high: changes that the rig can make.
         """
         around = np.arange(-4, 5) + np.round(self.phase / np.pi)
         places = ((around + 0.5) * np.pi - self.phase) / self.wave_number
@@ -58,14 +55,9 @@ class FringeFit:
 def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeFit:
     """Fit mean, amplitude and phase by linear least squares.
 
-    Parameters
-    ----------
-    change
-        Of the cavity length from where the phase is counted, in um, shape (n,), n at least 4.
-    irradiance
-        In V, shape (n,).
-    wavelength
-        Of the light in air, in um.
+    change: of the cavity length from where the phase is counted, in um, shape (n,), n at least 4.
+    irradiance: in V, shape (n,).
+    wavelength: of the light in air, in um.
     """
     wave_number = 4.0 * np.pi / wavelength
     if len(change) < 4 or np.ptp(change) < 0.75 * wavelength / 2.0:

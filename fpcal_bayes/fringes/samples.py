@@ -47,14 +47,9 @@ class Samples:
 def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:
     """Lay a trace along its sweep.
 
-    Parameters
-    ----------
-    start, end
-        Of the joint that moves, in um or rad, as the index says.
-    unit, scale
-        Of that joint as a person reads it, and internal units per shown unit; for messages.
-    place
-        What the message begins with where the trace has no file.
+    start, end: of the joint that moves, in um or rad, as the index says.
+    unit, scale: of that joint as a person reads it, and internal units per shown unit; for messages.
+    place: what the message begins with where the trace has no file.
     """
     travel = end - start
     s = (2.0 * trace.joint - start - end) / travel
@@ -84,10 +79,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
 def fault(samples: Samples, full_scale: float | None = None) -> str:
     """Why a trace cannot be read at all, as a phrase; empty if it can.
 
-    Parameters
-    ----------
-    full_scale
-        Voltage at which the converter is at its end; None: unknown.
+    full_scale: voltage at which the converter is at its end; None: unknown.
     """
     n = len(samples)
     if n < FEWEST:

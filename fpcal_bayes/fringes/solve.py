@@ -43,19 +43,10 @@ def solve(
 ) -> Solution | None:
     """Find the courses that explain a signal.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
-    mirror_light
-        As in `fit_course`.
-    fading
-        What the signal may do beside its fringes where it does not stay calm.
-
-    Returns
-    -------
-    Solution or None
-        None where nothing resembles a fringe.
+    noise: standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
+    mirror_light: as in `fit_course`.
+    fading: what the signal may do beside its fringes where it does not stay calm.
+    Returns none where nothing resembles a fringe.
     """
     found = find_courses(samples, course, phase_per_um)
     if len(found) == 0:

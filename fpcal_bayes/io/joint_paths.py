@@ -52,14 +52,9 @@ def write_joints(
     status is not ``ok``, so that nobody drives there. ``.mat``: variables of the same names, NaN there, ``q``
     (n_points, n_joints) with all joints side by side, and ``task``.
 
-    Parameters
-    ----------
-    q, status
-        Joint vectors in um and rad, shape (n_points, n_joints), and the status of each, shape (n_points,).
-    predicted_sd
-        Of the task error at each point, shape (n_points,), in um; NaN where there is none.
-    task
-        Name of the task.
+    q, status: joint vectors in um and rad, shape (n_points, n_joints), and the status of each, shape (n_points,).
+    predicted_sd: of the task error at each point, shape (n_points,), in um; NaN where there is none.
+    task: name of the task.
     """
     path = Path(path)
     check_suffix(path)

@@ -18,10 +18,7 @@ _MAT_SUFFIX = ".mat"
 def read_index(path: str | Path, cell: Cell) -> TraceIndex:
     """Read recorded sweeps with their traces and scans.
 
-    Parameters
-    ----------
-    path
-        A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
+    path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
     """
     path = Path(path)
     require_readable(path)

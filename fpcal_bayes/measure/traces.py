@@ -56,10 +56,7 @@ class WavelengthScan:
 def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a trace holds finite numbers and its time runs forwards.
 
-    Parameters
-    ----------
-    line_of
-        Tells the line of a sample, for the message; by default its number, from 1.
+    line_of: tells the line of a sample, for the message; by default its number, from 1.
     """
     columns = dict(zip(TRACE_COLUMNS, (trace.time_s, trace.joint, trace.irradiance), strict=True))
     _require_finite(trace.file or "trace", columns, line_of)
@@ -76,10 +73,7 @@ def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
 def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way.
 
-    Parameters
-    ----------
-    line_of
-        Tells the line of a sample, for the message; by default its number, from 1.
+    line_of: tells the line of a sample, for the message; by default its number, from 1.
     """
     file = scan.file or "scan"
     _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
@@ -165,10 +159,7 @@ class PathTrace:
 def check_parts(trace: PathTrace, rows: list[int] | None = None) -> None:
     """Hold a recording to the order of its parts and to samples enough in each.
 
-    Parameters
-    ----------
-    rows
-        Line of each sample, for the message; by default its number, from 1.
+    rows: line of each sample, for the message; by default its number, from 1.
     """
     file, back = trace.file or "recording", np.flatnonzero(np.diff(trace.reference.astype(int)) < 0)
     if not trace.reference[:1].any():

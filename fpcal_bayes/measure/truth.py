@@ -25,10 +25,7 @@ class TruthRecord:
     def check(self, cell: Cell, place: str) -> None:
         """Raise `InputError` unless the record is one of parameters of `cell`, at epochs in order.
 
-        Parameters
-        ----------
-        place
-            Where the record comes from, for the message.
+        place: where the record comes from, for the message.
         """
         shape = (len(self.times_h), len(self.names))
         if self.values.shape != shape or len(self.units) != len(self.names) or not self.names:

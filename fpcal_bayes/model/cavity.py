@@ -103,12 +103,8 @@ class CavityModel:
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None) -> Rows:
         """Lay out sweeps for the kernels.
 
-        Parameters
-        ----------
-        q_start, q_end
-            Joint vectors, shape (n_rows, n_joints), in um and rad.
-        absolute
-            Rows that give L(end) itself, shape (n_rows,).
+        q_start, q_end: joint vectors, shape (n_rows, n_joints), in um and rad.
+        absolute: rows that give L(end) itself, shape (n_rows,).
         """
         poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
         starts, ends = np.split(poses.inverse, 2)
@@ -124,17 +120,9 @@ class CavityModel:
     def predict(self, values: Floats, rows: Rows) -> Floats:
         """Predict rows for one or many parameter vectors.
 
-        Parameters
-        ----------
-        values
-            Free parameters in um and rad, shape (n,) or (n_vectors, n).
-        rows
-            From `rows` or `pose_rows`.
-
-        Returns
-        -------
-        ndarray
-            Shape (n_rows,) or (n_vectors, n_rows), in um.
+        values: free parameters in um and rad, shape (n,) or (n_vectors, n).
+        rows: from `rows` or `pose_rows`.
+        Returns shape (n_rows,) or (n_vectors, n_rows), in um.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         result = batch_lengths(*self._arguments(many, rows))
@@ -143,11 +131,8 @@ class CavityModel:
     def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
         """Predict rows with their derivatives by the free parameters.
 
-        Returns
-        -------
-        tuple of ndarray
-            Predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
-            one; in um, and um per um or rad.
+        Returns predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
+        one; in um, and um per um or rad.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         result, jacobian = batch_jacobians(*self._arguments(many, rows), self._columns)
@@ -156,17 +141,9 @@ class CavityModel:
     def joint_jacobian(self, values: Floats, q: Floats) -> Floats:
         """Derivatives of the cavity length by the joints.
 
-        Parameters
-        ----------
-        values
-            Free parameters, shape (n,).
-        q
-            Joint vectors, shape (n_poses, n_joints).
-
-        Returns
-        -------
-        ndarray
-            Shape (n_poses, n_joints), in um per um or rad.
+        values: free parameters, shape (n,).
+        q: joint vectors, shape (n_poses, n_joints).
+        Returns shape (n_poses, n_joints), in um per um or rad.
         """
         n_joints = len(self.cell.joints)
         links = np.arange(n_joints) * STRIDE
@@ -185,17 +162,9 @@ class CavityModel:
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Mirror normals and origins in the world frame, columns three and four of wTt.
 
-        Parameters
-        ----------
-        values
-            Free parameters, shape (n,) or (n_vectors, n).
-        q
-            Joint vectors, shape (n_poses, n_joints).
-
-        Returns
-        -------
-        tuple of ndarray
-            Normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        values: free parameters, shape (n,) or (n_vectors, n).
+        q: joint vectors, shape (n_poses, n_joints).
+        Returns normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         joints = np.ascontiguousarray(q, dtype=float)
@@ -211,17 +180,9 @@ class CavityModel:
     def reflection_sd(self, values: Floats, covariance: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Standard deviations of the coordinates of wPr and tPr, to first order.
 
-        Parameters
-        ----------
-        values, covariance
-            Free parameters and their covariance in um and rad, shapes (n,) and (n, n).
-        q
-            One joint vector, shape (n_joints,).
-
-        Returns
-        -------
-        tuple of ndarray
-            Each of shape (3,), in um.
+        values, covariance: free parameters and their covariance in um and rad, shapes (n,) and (n, n).
+        q: one joint vector, shape (n_joints,).
+        Returns each of shape (3,), in um.
         """
         vector = self.vector(values).astype(complex)
         step = 1e-30

@@ -110,17 +110,9 @@ class InverseModel:
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
         """DGM: tool frames wTe of joint vectors.
 
-        Parameters
-        ----------
-        vectors
-            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        q
-            Joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
-
-        Returns
-        -------
-        ndarray
-            Shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
+        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        q: joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
+        Returns shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
         """
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         joints = np.ascontiguousarray(q if np.ndim(q) == 3 else q[None], dtype=float)
@@ -132,24 +124,13 @@ class InverseModel:
     ) -> JointSolutions:
         """IGM: joint values at which the tool frame takes `poses`.
 
-        Parameters
-        ----------
-        vectors
-            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        poses
-            wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
-        near
-            Of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
-            by default `home`.
-        follow
-            Poses are points of a path: each is solved near the one before it.
-        check
-            Whether to look whether `poses` are poses.
-
-        Returns
-        -------
-        JointSolutions
-            Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
+        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        poses: wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
+        near: of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
+        by default `home`.
+        follow: poses are points of a path: each is solved near the one before it.
+        check: whether to look whether `poses` are poses.
+        Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
         if check:
             check_poses(poses)
@@ -178,17 +159,9 @@ class InverseModel:
         Whole turns of a joint without limits count once. For a chain without closed form these are the solutions that
         Newton finds from its starts.
 
-        Parameters
-        ----------
-        vector
-            Model vector, shape (model size,).
-        pose
-            wTe, shape (4, 4).
-
-        Returns
-        -------
-        ndarray
-            Shape (n_solutions, n_joints), in um and rad, nearest to `home` first.
+        vector: model vector, shape (model size,).
+        pose: wTe, shape (4, 4).
+        Returns shape (n_solutions, n_joints), in um and rad, nearest to `home` first.
         """
         check_poses(pose)
         found: list[Floats] = []

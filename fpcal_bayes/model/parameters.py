@@ -72,10 +72,7 @@ def model_size(n_links: int) -> int:
 class ParameterSet:
     """An ordered set of parameters, found by position or by name.
 
-    Parameters
-    ----------
-    parameters
-        With distinct names.
+    parameters: with distinct names.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:

@@ -41,16 +41,9 @@ class Placement:
     def moved(self, offsets: Floats) -> Floats:
         """Poses fX away from the aligned one.
 
-        Parameters
-        ----------
-        offsets
-            Shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y, then
-            Z axis through the reflection point.
-
-        Returns
-        -------
-        ndarray
-            Shape (n, 4, 4).
+        offsets: shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y,
+        then Z axis through the reflection point.
+        Returns shape (n, 4, 4).
         """
         poses = np.zeros((len(offsets), 4, 4))
         poses[:, :3, :3] = turns(offsets[:, 3:]) @ self.aligned[:3, :3]

@@ -82,18 +82,11 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
     about Xf and Zf through wPr; ``spin`` turns about Yf through wPr, to either side until a joint limit or 90 deg.
 
-    Parameters
-    ----------
-    cell
-        A cell with six joints.
-    vector
-        Model vector that the joint path is found with, shape (model size,), in um and rad.
-    name
-        One of `TASKS`.
-    radius
-        Of the circle, in um.
-    n_points
-        Points of the path, both ends included; the circle ends where it starts.
+    cell: a cell with six joints.
+    vector: model vector that the joint path is found with, shape (model size,), in um and rad.
+    name: one of `TASKS`.
+    radius: of the circle, in um.
+    n_points: points of the path, both ends included; the circle ends where it starts.
     """
     if name not in TASKS:
         raise InputError(f"unknown task {name!r}: expected one of {', '.join(TASKS)}, or the name of a path CSV")
@@ -122,11 +115,8 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
     """A user's path as a task.
 
-    Parameters
-    ----------
-    path
-        CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
-        turns in the order x, y, z about axes through wPr.
+    path: CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
+    turns in the order x, y, z about axes through wPr.
     """
     offsets = read_path(path)
     placement = Placement.of(cell, vector)

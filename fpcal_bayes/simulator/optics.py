@@ -163,12 +163,8 @@ class OpticalRig:
     def progress(self, n: int, ripple: float) -> Floats:
         """Share of a sweep that is done at each of its samples, from 0 to 1, with the ripple of its velocity.
 
-        Parameters
-        ----------
-        n
-            Samples of the motion; those at rest are added on either side.
-        ripple
-            Phase of the ripple.
+        n: samples of the motion; those at rest are added on either side.
+        ripple: phase of the ripple.
         """
         if n == 0:
             return np.zeros(0)
@@ -182,12 +178,8 @@ class OpticalRig:
     def voltages(self, seen: Views, chances: Chances, at: Floats | None = None) -> Floats:
         """What is recorded along a trace.
 
-        Parameters
-        ----------
-        seen
-            From `views`.
-        at
-            Share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
+        seen: from `views`.
+        at: share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
         """
         s, optics = self.settings, self.cell.interferometer
         length, distance, tilt = seen

@@ -48,23 +48,14 @@ def record_sweeps(
 ) -> TraceIndex:
     """Record sweeps on the simulated cell.
 
-    Parameters
-    ----------
-    sweeps
-        A plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time. Joints
-        reach either end with the cell's repeatability; the traces hold the positions that the controller believes.
-    settings
-        By default `RecorderSettings`.
-    seed
-        Equal seeds give equal recordings.
-    scans
-        Which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one at
-        their end in any case.
-
-    Returns
-    -------
-    TraceIndex
-        Its sweeps are a plan, without measurement.
+    sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
+    Joints reach either end with the cell's repeatability; the traces hold the positions that the controller
+    believes.
+    settings: by default `RecorderSettings`.
+    seed: equal seeds give equal recordings.
+    scans: which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one
+    at their end in any case.
+    Returns its sweeps are a plan, without measurement.
     """
     settings = RecorderSettings() if settings is None else settings
     rig, n = OpticalRig(cell, truth, settings), len(sweeps)
@@ -118,17 +109,9 @@ def record_path(
     fits the first one with the nominal geometry, and moves that joint to the nearest point at half fringe height along
     the whole path. The second one shows how gain and offset drifted meanwhile.
 
-    Parameters
-    ----------
-    path
-        Joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
-    time_h
-        When; the truth of that time is used.
-
-    Returns
-    -------
-    PathTrace
-        With the true cavity lengths.
+    path: joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
+    time_h: when; the truth of that time is used.
+    Returns with the true cavity lengths.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():

@@ -168,12 +168,8 @@ def make_parameters(
 ) -> ParameterSet:
     """Every parameter of the model vector of a chain.
 
-    Parameters
-    ----------
-    entries
-        By name; what is missing is zero and cannot be freed.
-    n_joints
-        Number of links of the chain.
+    entries: by name; what is missing is zero and cannot be freed.
+    n_joints: number of links of the chain.
     """
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
     names += [(name, UNITS[name], "extrinsic") for name in EXTRINSICS]
@@ -192,12 +188,8 @@ def check_joints(
 ) -> None:
     """Raise `InputError` at the first joint value outside the cell's limits.
 
-    Parameters
-    ----------
-    q
-        Joint vectors in internal units, shape (n, n_joints).
-    file, rows, columns
-        For the message: the source, the line of each row, the column of each joint.
+    q: joint vectors in internal units, shape (n, n_joints).
+    file, rows, columns: for the message: the source, the line of each row, the column of each joint.
     """
     # The tolerance lets a limit written in degrees survive its conversion to radians.
     slack = 1e-9 * (1.0 + np.abs(q))

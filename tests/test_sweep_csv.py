@@ -203,6 +203,21 @@ def test_refuses_another_layout(tmp_path, text, expected):
     assert expected in refusal(write(tmp_path, text))
 
 
+@pytest.mark.parametrize("column", ["t_start_h", "t_end_h", "approach", "beam", "shot"])
+@pytest.mark.parametrize("plan", [False, True])
+def test_refuses_columns_that_this_version_does_not_read(tmp_path, column, plan):
+    path = write(tmp_path, with_option(column, ""))
+    assert refusal(path, plan=plan) == f"row 1: the column {column} is reserved and not read by this version of fpcal"
+
+
+@pytest.mark.parametrize("column", ["readings", "expires_h", "expires_utc", "ticket"])
+def test_refuses_columns_of_plans(tmp_path, column):
+    beside = refusal(write(tmp_path, with_option(column, "1")))
+    assert beside == f"row 1: the column {column} belongs to a plan, expected no column dl_um beside it"
+    path = write(tmp_path, ",".join([*QS, column]) + "\n" + ",".join([*ROW.split(",")[3:15], "1"]) + "\n")
+    assert "reserved and not read by this version" in refusal(path, plan=True)
+
+
 def test_refuses_what_is_no_text_file(tmp_path):
     assert "no such file" in refusal(tmp_path / "absent.csv")
     assert "is a folder" in refusal(tmp_path)

@@ -1,6 +1,6 @@
 """Where the fibre points, from the fringes' amplitude: what a perpendicular path's dL cannot see.
 
-The amplitude falls with the square of the angle between mirror normal and fibre axis (see `fibre_coupling`). Along a
+The amplitude falls with the square of the angle between mirror normal and fibre axis (see `mirror_coupling`). Along a
 sweep that tilts the mirror its logarithm has a slope, which tells that angle at the sweep's middle, and a bow, which
 tells the mode's radius. Its mean is left free, sweep by sweep, and with it gain and reflectivity.
 

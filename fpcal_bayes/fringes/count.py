@@ -1,4 +1,4 @@
-"""Which of the possible readings of a trace it is, and whether that may be said.
+"""The reading of a trace: which of the possible ones it is, and whether that may be said.
 
 A photodiode alone tells L only up to its mirror image, and now and then up to some fringes. Witnesses (wavelength scans
 before and after, an estimate, the cell's priors) say what change to expect; all of it is weighed together.
@@ -13,6 +13,13 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit
 from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.fringes.solve import change_of
+
+#: Probability of another count, or of the other sign, from which on a reading does not stand.
+_COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
+#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
+_WITNESS_LIES, _ANYTHING = 1e-6, 200.0
+#: Changes closer than this, in um, are one count.
+_SAME_COUNT = 0.1
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class Reading:
     #: noise, amplitude: Standard deviation of one sample and mean amplitude of the fringes, in V.
     noise: float = np.nan
     amplitude: float = np.nan
-    #: course, course_covariance: L less its mean along the sweep: Legendre coefficients in um, see `course`; of the
+    #: course, course_covariance: L less its mean along the sweep: Legendre coefficients in um, see `Course`; of the
     #: sign of `dl`.
     course: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     course_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -77,14 +84,6 @@ class Reading:
         root = np.linalg.inv(np.linalg.cholesky(shape))
         largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
         return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
-
-
-#: Probability of another count, or of the other sign, from which on a reading does not stand.
-_COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
-#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
-_WITNESS_LIES, _ANYTHING = 1e-6, 200.0
-#: Changes closer than this, in um, are one count.
-_SAME_COUNT = 0.1
 
 
 @dataclass(frozen=True)

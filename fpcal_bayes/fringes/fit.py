@@ -53,7 +53,7 @@ class Fit:
     #: course, covariance: Coefficients of the course in um, shape (DEGREE,), and their covariance.
     course: Floats
     covariance: Floats
-    #: unknowns, unknowns_covariance: All that was fitted, in the order of `kernel_fit`, and its covariance.
+    #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
     unknowns: Floats
     unknowns_covariance: Floats
     nuisance: Nuisance  # what was allowed beside the fringes

@@ -1,4 +1,4 @@
-"""Compiled kernel: follow the phase of fringes through their extremes."""
+"""Compiled kernels of fringe reading: courses searched for, a signal fitted, a phase followed through extremes."""
 
 import math
 
@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.kernels.compile import compiled
+
+#: Harmonics of a fringe whose sizes are fitted, two numbers each for the second and the third.
+HARMONICS = 4
 
 
 @compiled
@@ -68,9 +71,6 @@ def floating_fits(
                 explained += vector[i] * vector[i] / pivot
             left[a, b] = total - explained
     return left
-
-
-HARMONICS = 4
 
 
 @compiled

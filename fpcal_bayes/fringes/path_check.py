@@ -1,4 +1,4 @@
-"""A checked path as rows of a campaign."""
+"""A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +28,8 @@ _COARSE = 0.05
 _DRAWS = 2000
 #: Points along the path at which the estimate's own uncertainty is worked out.
 _POINTS = 121
+#: Of a row, in um: what no noise estimate goes below.
+_LEAST_SIGMA = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +204,6 @@ def _root(matrix: Floats) -> Floats:
     """A square root of a positive semidefinite matrix."""
     eigenvalues, vectors = np.linalg.eigh(matrix)
     return np.asarray(vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
-
-
-#: Of a row, in um: what no noise estimate goes below.
-_LEAST_SIGMA = 1e-4
 
 
 def check_rows(

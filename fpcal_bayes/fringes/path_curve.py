@@ -1,8 +1,9 @@
 """Fit the error along a path to the irradiance: a smooth curve, with the levels of the fringes as nuisances.
 
-Near an extreme of a fringe the irradiance does not tell whether the cavity length goes on or turns, so several curves
-are fitted and compared: those that a Kalman filter follows, and each of them turned at the extremes that it meets. Of
-curves that fit as well the smoothest is the likeliest: the size of the second differences is taken as unknown, with its
+The reference scans around the path tell mean and height of the fringes, which may drift and bow between them. Near an
+extreme of a fringe the irradiance does not tell whether the cavity length goes on or turns, so several curves are
+fitted and compared: those that a Kalman filter follows, and each of them turned at the extremes that it meets. The
+smoothest of curves that fit as well is the likeliest: the size of the second differences is taken as unknown, with its
 scale-free prior.
 """
 
@@ -22,6 +23,19 @@ from fpcal_bayes.fringes.reference import FringeFit
 STABILITY = 5e-3
 #: Their relative drift where there is no second scan.
 _UNKNOWN_DRIFT = 1e-2
+#: Spline pieces along a path.
+_PIECES = 24
+#: Standard deviation of the spline's second differences, in um: at first, and at the least.
+_ROUGH, _SMOOTH = 0.1, 1e-3
+#: The path starts where the reference scan stood, up to the error of the small step to half height, in um.
+_START = 2e-4
+#: What the error may do along a path, for the filter: speed at the start in rad a path, acceleration in rad a path^2.
+_SPEED, _ACCELERATION = 30.0, 160.0
+_STEPS = 40
+#: A second curve counts if it leaves the first by a share of a fringe and its objective is higher by less than this.
+_APART, _RIVAL = 0.03, 12.0
+#: At most so many extremes are tried as turning points; an extreme is where the sine of the phase is below this.
+_TURNS, _EXTREME = 4, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,21 +84,6 @@ class Levels:
         mean = np.column_stack([1.0 - self.share, none, self.share, none, none, bow, none])
         amplitude = np.column_stack([none, 1.0 - self.share, none, self.share, none, none, bow])
         return mean + self.lift[:, None] * amplitude, self.ratio[:, None] * amplitude
-
-
-#: Spline pieces along a path.
-_PIECES = 24
-#: Standard deviation of the spline's second differences, in um: at first, and at the least.
-_ROUGH, _SMOOTH = 0.1, 1e-3
-#: The path starts where the reference scan stood, up to the error of the small step to half height, in um.
-_START = 2e-4
-#: What the error may do along a path, for the filter: speed at the start in rad a path, acceleration in rad a path^2.
-_SPEED, _ACCELERATION = 30.0, 160.0
-_STEPS = 40
-#: A second curve counts if it leaves the first by a share of a fringe and its objective is higher by less than this.
-_APART, _RIVAL = 0.03, 12.0
-#: At most so many extremes are tried as turning points; an extreme is where the sine of the phase is below this.
-_TURNS, _EXTREME = 4, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +188,8 @@ class _Fit:
     def phase(self, unknowns: Floats) -> Floats:
         """Phase of the fringes at each sample."""
         count = self.basis.shape[1]
-        result: Floats = self.expected + unknowns[count + 4] + self.first.wave_number * (self.basis @ unknowns[:count])
-        return result
+        phase = self.expected + unknowns[count + 4] + self.first.wave_number * (self.basis @ unknowns[:count])
+        return np.asarray(phase)
 
     def minimise(self, start: Floats) -> Curve:
         """The minimum near a curve `start` (n,), in um: first with room for bends, then with as much as it takes."""

@@ -1,4 +1,4 @@
-"""Read a cell from its TOML description, with a message for everything that can be wrong in it."""
+"""A cell from its TOML description, with a message for everything that can be wrong in it."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""An index of recorded sweeps: what moved, and the files of the irradiance that belongs to each."""
+"""Recorded sweeps from and to files: an index as CSV that names its traces, or HDF5 or MATLAB that holds them."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Campaign files: sweeps with the cell, the program and the truth or estimates that belong to them, in HDF5."""
+"""A campaign in memory: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

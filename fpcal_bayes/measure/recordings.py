@@ -1,4 +1,4 @@
-"""An index of recorded sweeps: what moved, and the files of the irradiance that belongs to each."""
+"""Recorded sweeps in memory: what moved, with the trace, the wavelength scans and the air of each."""
 
 from dataclasses import dataclass
 

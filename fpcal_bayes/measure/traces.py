@@ -1,9 +1,8 @@
-"""The photodiode along a path of several joints, with the reference scans that go before and after it.
+"""What the photodiode recorded: traces along sweeps, wavelength scans at rest, and paths of several joints.
 
-In a file: CSV with the columns ``part,t_s`` and the joints, ``q1_um`` .. ``q6_deg``, then ``irradiance_v``. Lines whose
-part is ``reference`` come first: one joint moves through a few fringes, which tells the height of the fringes and where
-on a fringe the path starts. Lines whose part is ``path`` follow. A second reference scan may come after them; it tells
-how gain and offset drifted meanwhile.
+A path goes with the reference scans around it: in the first, one joint moves through a few fringes, which tells the
+height of the fringes and where on a fringe the path starts. A second one may come after the path; it tells how gain
+and offset drifted meanwhile.
 """
 
 from collections.abc import Callable
@@ -20,6 +19,9 @@ LineOf = Callable[[int], int]
 
 TRACE_COLUMNS = ("t_s", "joint", "irradiance_v")
 SCAN_COLUMNS = ("wavelength_nm", "irradiance_v")
+PARTS = ("reference", "path")
+#: Samples of either part that a check needs.
+FEWEST = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +111,6 @@ def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | Non
             raise located(file, found, row=_line(line_of, first), column=name)
     if len(values) < 2:
         raise InputError(f"{file}: {len(values)} samples, expected two or more")
-
-
-PARTS = ("reference", "path")
-#: Samples of either part that a check needs.
-FEWEST = 8
 
 
 @dataclass(frozen=True, eq=False)

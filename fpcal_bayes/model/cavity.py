@@ -1,4 +1,7 @@
-"""The cavity model: lengths, their changes and their derivatives, for one cell and one choice of free parameters."""
+"""The cavity model: lengths, their changes and their derivatives, for one cell and one choice of free parameters.
+
+Poses are laid out for the kernels once: those that differ in prismatic joints alone share their rotations.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -156,8 +159,7 @@ class CavityModel:
         gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
         turned = q * (1.0 + gain)
         climb = np.where(self.cell.revolute, runout_sin * np.cos(turned) - runout_cos * np.sin(turned), 0.0)
-        derivative: Floats = (moved + climb * along) * (1.0 + gain)
-        return derivative
+        return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Mirror normals and origins in the world frame, columns three and four of wTt.

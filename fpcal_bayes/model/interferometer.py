@@ -1,14 +1,14 @@
-"""The interferometer forwards: from a cavity length to the share of light that comes back, and to a voltage.
+"""The interferometer forwards: from where the mirror stands to the light that comes back, and to a voltage.
 
 The fibre end reflects a part r1 of the field; the mirror returns the rest, of which the fibre takes back the part that
-`fibre_coupling` tells. With s = (coupled amplitude) x sqrt(mirror reflectivity) and d = 4 pi n L / lambda
+`mirror_coupling` tells. With s = (coupled amplitude) x sqrt(mirror reflectivity) and d = 4 pi n L / lambda
 
     two-beam   |r1 + (1 - r1^2) s exp(i d)|^2                        = A + B cos(d)
     airy       |r1 + (1 - r1^2) s exp(i d) / (1 + r1 s exp(i d))|^2     (M. Born, E. Wolf, Principles of Optics, 7.6)
 
 As the mirror tilts or moves away s falls, and the visibility B / A with it. The second harmonic of the airy form is
 r1 s of the first: 1 % for a bare fibre at 0.9 mm. L is the length of the cell's path model; the small further phase of
-the coupling (see `fibre_coupling.mirror_coupling`) is left out, as everywhere in the project.
+the coupling (see `mirror_coupling`) is left out, as everywhere in the project.
 """
 
 import numpy as np
@@ -45,8 +45,7 @@ def coupling(
     slope = 1j * wave_number * (np.sin(angle) + aside * np.cos(angle) / curve)
     start = 1j * wave_number * (np.asarray(distance, dtype=float) + aside**2 / (2.0 * curve))
     size = 2.0 / mode_field_radius**2 * 1j * rayleigh / (curve * np.sqrt(across * along))
-    result: Complexes = size * np.exp(slope**2 / (4.0 * along) - start)
-    return result
+    return np.asarray(size * np.exp(slope**2 / (4.0 * along) - start))
 
 
 def mirror_coupling(

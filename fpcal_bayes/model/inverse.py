@@ -5,10 +5,8 @@ solution is found; other chains of six joints are solved by damped Newton steps 
 as out of reach when none of them meets it.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +15,6 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
-from fpcal_bayes.model.kernels.lengths import GAIN, STRIDE
 from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
 
 __all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
@@ -44,8 +41,7 @@ class JointSolutions:
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each pose can be driven to, shape (...)."""
-        good: NDArray[np.bool_] = self.status == OK
-        return good
+        return np.asarray(self.status == OK)
 
     def texts(self) -> NDArray[np.str_]:
         """The status of each pose in words, shape (...): ``ok``, or the reason why it cannot be driven to."""
@@ -153,49 +149,6 @@ class InverseModel:
             q, status, joint = q[0], status[0], joint[0]
         return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
 
-    def all_solutions(self, vector: Floats, pose: Floats) -> Floats:
-        """Every joint vector inside the limits at which the tool frame takes `pose`.
-
-        Whole turns of a joint without limits count once. For a chain without closed form these are the solutions that
-        Newton finds from its starts.
-
-        vector: model vector, shape (model size,).
-        pose: wTe, shape (4, 4).
-        Returns shape (n_solutions, n_joints), in um and rad, nearest to `home` first.
-        """
-        check_poses(pose)
-        found: list[Floats] = []
-        for branch in range(2 if self.closed_form else 1 + len(self._starts)):
-            q, status, _ = batch_inverse(
-                np.ascontiguousarray(vector, dtype=float)[None],
-                self.cell.revolute,
-                self.cell.low,
-                self.cell.high,
-                np.ascontiguousarray(pose, dtype=float)[None, None],
-                self.home,
-                False,
-                self._starts,
-                branch,
-            )
-            if status[0, 0] == OK:
-                found += [other for other in self._turned(vector, q[0, 0]) if not _among(other, found)]
-        found.sort(key=lambda q: float(np.abs((q - self.home) / np.where(self.cell.revolute, 1.0, 1e3)).max()))
-        return np.array(found).reshape(-1, len(self.cell.joints))
-
-    def _turned(self, vector: Floats, q: Floats) -> Iterator[Floats]:
-        """The same pose with whole turns added, inside the limits of joints that have both."""
-        choices = []
-        for i, joint in enumerate(self.cell.joints):
-            turns = np.zeros(1)
-            if joint.kind == "revolute" and np.isfinite(joint.low) and np.isfinite(joint.high):
-                period = 2.0 * np.pi / abs(1.0 + vector[STRIDE * i + GAIN])
-                slack = 1e-9 * (1.0 + abs(q[i]))
-                first = np.ceil((joint.low - slack - q[i]) / period)
-                turns = period * np.arange(first, np.floor((joint.high + slack - q[i]) / period) + 1)
-            choices.append(turns)
-        for combination in product(*choices):
-            yield q + np.array(combination)
-
 
 def check_poses(poses: ArrayLike) -> None:
     """Raise `InputError` at the first of `poses` (..., 4, 4) that is no pose, naming it by its number from 1."""
@@ -207,7 +160,3 @@ def check_poses(poses: ArrayLike) -> None:
         raise InputError(
             f"pose {bad + 1}: expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
         )
-
-
-def _among(q: Floats, others: list[Floats]) -> bool:
-    return any(bool((np.abs(q - other) < 1e-6).all()) for other in others)

@@ -43,7 +43,7 @@ class Parameter:
     nominal: float
     prior_sd: float
     kind: Kind  # ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit)
-    slot: int  # position in the model vector (see `model_size`)
+    slot: int  # position in the model vector: `LINK_SLOTS` of each link, then `EXTRINSICS`
     optional: bool = False  # freed only when it is asked for by name
     prior: Marginal | None = None  # the prior where it is not normal; `prior_sd` is its standard deviation
 
@@ -62,11 +62,6 @@ class Parameter:
     def shown(self, internal: float) -> float:
         """Convert a value from internal units to the shown unit."""
         return internal / self.scale
-
-
-def model_size(n_links: int) -> int:
-    """Length of the model vector: eight numbers a link in `LINK_SLOTS` order, then `EXTRINSICS`."""
-    return len(LINK_SLOTS) * n_links + len(EXTRINSICS)
 
 
 class ParameterSet:

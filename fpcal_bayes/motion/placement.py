@@ -53,13 +53,11 @@ class Placement:
 
     def tool_poses(self, poses: Floats) -> Floats:
         """Tool frames wTe of poses fX (..., 4, 4); same shape."""
-        result: Floats = self.fibre @ poses @ self.tool_in_point
-        return result
+        return np.asarray(self.fibre @ poses @ self.tool_in_point)
 
     def mirror_poses(self, tools: Floats) -> Floats:
         """Poses fX of tool frames wTe (..., 4, 4); same shape."""
-        result: Floats = _inverse(self.fibre) @ tools @ _inverse(self.tool_in_point)
-        return result
+        return np.asarray(_inverse(self.fibre) @ tools @ _inverse(self.tool_in_point))
 
 
 def turns(angles: Floats) -> Floats:

@@ -48,8 +48,7 @@ class Task:
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each point can be driven to, shape (n_points,)."""
-        good: NDArray[np.bool_] = self.status == "ok"
-        return good
+        return np.asarray(self.status == "ok")
 
     @property
     def finite(self) -> NDArray[np.bool_]:

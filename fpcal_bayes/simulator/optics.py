@@ -1,4 +1,4 @@
-"""The simulated rig's optics: from joint positions to the voltages that its photodiode shows."""
+"""The simulated rig: how it moves and what disturbs it, and the voltages that its photodiode then shows."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +13,9 @@ from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views, read_out, reflected
+
+#: Points at which the speed of a sweep is looked at before it is recorded.
+_COARSE = 257
 
 
 @dataclass(frozen=True)
@@ -84,9 +87,6 @@ class RecorderSettings:
 HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
 #: Cavity length, perpendicular distance and tilt along a recording, each of shape (n,).
 Views = tuple[Floats, Floats, Floats]
-
-#: Points at which the speed of a sweep is looked at before it is recorded.
-_COARSE = 257
 
 
 @dataclass(frozen=True)
@@ -215,5 +215,4 @@ class OpticalRig:
 def _shape(time: Floats, phase: float) -> Floats:
     """A ramp and a bow, mixed by a phase: about zero, about one from peak to peak."""
     ramp, bow = time - 0.5, 4.0 * time * (1.0 - time) - 0.5
-    mixed: Floats = np.cos(phase) * ramp + np.sin(phase) * bow
-    return mixed
+    return np.asarray(np.cos(phase) * ramp + np.sin(phase) * bow)

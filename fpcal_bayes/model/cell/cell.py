@@ -110,11 +110,6 @@ class Cell:
             }
         )
 
-    @cached_property
-    def drift_sha256(self) -> str:
-        """Hash of the drift sizes, which `sha256` leaves out: they change no cavity length."""
-        return content_sha256([size.content() for size in self.drift])
-
     def with_opd(self, opd: Opd) -> "Cell":
         """The same cell with the other path model."""
         return replace(self, opd=opd)

@@ -1,6 +1,6 @@
 """Compiled kernels: joint values at which the tool frame takes a given pose, for many vectors and poses at once.
 
-Chains of three revolute and three prismatic joints are solved in closed form (see `kernel_turns`); Newton only removes
+Chains of three revolute and three prismatic joints are solved in closed form (see `turns`); Newton only removes
 what rounding leaves. Other chains are solved by damped Newton steps from several starts.
 """
 

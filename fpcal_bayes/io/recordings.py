@@ -8,10 +8,10 @@ from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.io.recordings_csv import read_csv_index, write_csv_index
 from fpcal_bayes.io.recordings_hdf5 import read_hdf5_index, write_hdf5_index
 from fpcal_bayes.io.recordings_mat import read_mat_index
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 from fpcal_bayes.measure.recordings import TraceIndex, check_index
 from fpcal_bayes.model.cell.cell import Cell
 
-_HDF5_SUFFIXES = (".h5", ".hdf5")
 _MAT_SUFFIX = ".mat"
 
 
@@ -23,7 +23,7 @@ def read_index(path: str | Path, cell: Cell) -> TraceIndex:
     path = Path(path)
     require_readable(path)
     suffix = path.suffix.lower()
-    if suffix in _HDF5_SUFFIXES or (suffix != _MAT_SUFFIX and is_hdf5(path)):
+    if suffix in HDF5_SUFFIXES or (suffix != _MAT_SUFFIX and is_hdf5(path)):
         index = read_hdf5_index(path, cell)
     elif suffix == _MAT_SUFFIX:
         index = read_mat_index(path, cell)
@@ -41,9 +41,9 @@ def write_index(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     path = Path(path)
     check_index(index, cell)
     suffix = path.suffix.lower()
-    if suffix in _HDF5_SUFFIXES:
+    if suffix in HDF5_SUFFIXES:
         write_hdf5_index(path, index, cell)
     elif suffix == ".csv":
         write_csv_index(path, index, cell)
     else:
-        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(_HDF5_SUFFIXES)}")
+        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")

@@ -20,7 +20,7 @@ from fault_child import Child, meaning
 
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 

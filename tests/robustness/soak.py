@@ -4,7 +4,7 @@ Each week: a full calibration, then a few sweeps a day, recorded as traces (`sim
 followed (`track`), judged (`decide`) and driven (`control`). Each command is killed once or more before it may end. The
 first week also runs in peace: every file must say the same. In all weeks no row may be missing.
 
-    python studies/soak.py --weeks 8
+    python tests/robustness/soak.py --weeks 8
 """
 
 import argparse

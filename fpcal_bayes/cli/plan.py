@@ -137,8 +137,8 @@ def run(options: argparse.Namespace) -> int:
     if options.rows is not None:
         write_sweeps(options.rows, read_often(ordered, readings), cell)
     if options.figure is not None:
+        from fpcal_bayes.report.pages import save_figure
         from fpcal_bayes.report.plan import draw_plan
-        from fpcal_bayes.report.week import save_figure
 
         save_figure(draw_plan(cell, ordered), options.figure)
     out = console(options)

@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(summary: "Summary", out: Console) -> None:
-    from fpcal_bayes.report.fit import plain_table
+    from fpcal_bayes.report.table import plain_table
 
     if summary.rows:
         table = plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])

@@ -184,7 +184,8 @@ def _write_circles(folder: Path, cell: "Cell", checks: "list[Circle]", renewed: 
 def _write_figures(
     folder: Path, week: "Week", followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]"
 ) -> None:
-    from fpcal_bayes.report.week import draw_circles, draw_courses, draw_week, save_figure
+    from fpcal_bayes.report.pages import save_figure
+    from fpcal_bayes.report.week import draw_circles, draw_courses, draw_week
 
     save_figure(draw_week(week, followed), folder / "extrinsics.svg")
     save_figure(draw_circles(checks, renewed), folder / "circles.svg")
@@ -201,7 +202,8 @@ def _write_posterior(options: argparse.Namespace, posterior: "Posterior | None",
 
 def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
     """Print each session's parameters beside the truth, as the paper's tables have them."""
-    from fpcal_bayes.report.fit import fit_lines, reflection_lines, truth_table
+    from fpcal_bayes.report.fit import fit_lines
+    from fpcal_bayes.report.week import reflection_lines, truth_table
     from fpcal_bayes.study.paper_week import SESSIONS
 
     for session in SESSIONS:

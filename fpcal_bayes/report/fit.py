@@ -2,12 +2,12 @@
 
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.report.table import Cell, Table, number, numbers, words
+from fpcal_bayes.report.table import Cell, Table, number, plain_table
 
 
 def parameter_table(estimate: Estimate, title: str) -> Table:
     """Value, standard deviation, prior and status of each parameter."""
-    table = Table(title, [*words("parameter", "unit"), *numbers("value", "sd", "prior sd", "status")])
+    table = plain_table(title, ["parameter", "unit", "value", "sd", "prior sd", "status"])
     shown = estimate.shown()
     for parameter, status in zip(estimate.parameters, estimate.status, strict=True):
         value, sd = shown[parameter.name]["value"], shown[parameter.name]["sd"]

@@ -16,7 +16,7 @@ from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.observability.profile import Profile
 from fpcal_bayes.report import observe_figures as figures
 from fpcal_bayes.report.pages import ENVIRONMENT
-from fpcal_bayes.report.table import Cell, Table, number, numbers, words
+from fpcal_bayes.report.table import Cell, Table, number, plain_table
 
 _MOST_NAMED = 10
 _MOST_CANDIDATES = 5
@@ -61,8 +61,8 @@ def parameter_table(result: Observability) -> Table:
     sds = parameters.to_shown(np.sqrt(np.diag(result.covariance)) * parameters.prior_sd)
     prior = parameters.to_shown(parameters.prior_sd)
     heads = (*(["value"] if measured else []), "sd" if measured else "expected sd", "prior sd", "contraction")
-    columns = [*words("parameter", "unit", "status"), *numbers(*heads), *words("strongest correlations")]
-    table = Table("Parameters", columns)
+    heads = ("parameter", "unit", "status", *heads, "strongest correlations")
+    table = plain_table("Parameters", heads, words=(0, 1, 2, -1))
     for i, parameter in enumerate(parameters):
         strong = [(n, c) for n, c in result.strongest_correlations(parameter.name, 2) if abs(c) >= _LEAST_CORRELATION]
         table.add_row(
@@ -112,8 +112,8 @@ def base_sentence(result: Observability) -> str:
 
 def block_table(result: Observability) -> Table:
     """Rank and observability indices of the sweeps, of their parts, and with additions."""
-    columns = [*words("sweeps"), *numbers("rows", "rank", "condition", "O1", "O2", "O3", "O4", "O5")]
-    table = Table("What parts of the sweeps tell, and what additions would", columns)
+    heads = ["sweeps", "rows", "rank", "condition", "O1", "O2", "O3", "O4", "O5"]
+    table = plain_table("What parts of the sweeps tell, and what additions would", heads, words=[0])
     for block in result.blocks:
         condition = f"{block.indices.condition:.3g}" if block.spectrum.rank else "-"
         indices = [f"{value:.3g}" for value in block.indices.content().values()]
@@ -132,7 +132,7 @@ def _sortable(text: str) -> Cell:
 def sweep_table(result: Observability) -> Table:
     """The sweeps that tell most."""
     information = result.information
-    table = Table("Sweeps that tell most", [*words("sweep"), *numbers("bits lost without it", "leverage")])
+    table = plain_table("Sweeps that tell most", ["sweep", "bits lost without it", "leverage"], words=[0])
     for i in np.argsort(-information.bits, kind="stable")[:_MOST_SWEEPS]:
         table.add_row(information.labels[i], f"{information.bits[i]:.2f}", f"{information.leverage[i]:.2f}")
     return table
@@ -163,10 +163,8 @@ def bounds_table(result: Observability) -> Table:
     """Cramer-Rao bounds by what is identified; the others are taken as known exactly."""
     names = {"full": "all", "extrinsic": "extrinsic only", "intrinsic": "intrinsic only"}
     chosen = [free for free in names if free in result.bounds]
-    columns = words("parameter", "unit")
-    for free in chosen:
-        columns += numbers(names[free], "with prior")
-    table = Table("Cramer-Rao bounds: least standard deviations, by what is identified", columns)
+    heads = ["parameter", "unit", *(head for free in chosen for head in (names[free], "with prior"))]
+    table = plain_table("Cramer-Rao bounds: least standard deviations, by what is identified", heads)
     for parameter in result.parameters:
         cells = [parameter.name, parameter.unit]
         for free in chosen:

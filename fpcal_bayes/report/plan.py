@@ -10,7 +10,7 @@ from fpcal_bayes.infer.design.exchange import ChosenSweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.pages import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from fpcal_bayes.report.table import Table, numbers, plain_table, words
+from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.report.track import add_sweeps
 
 #: Expected standard deviation of each task in um, by what is measured.
@@ -23,8 +23,8 @@ def accuracy_table(expected: Outlook, title: str) -> Table:
     What is called ``plan`` is compared with the one called ``paper`` if it is there.
     """
     ratio = "paper" in expected and "plan" in expected
-    columns = [*words("task", ""), *numbers(*expected, unit="nm"), *numbers(*(["plan / paper"] if ratio else []))]
-    table = Table(title, columns)
+    heads = ["task", "", *(f"{name} [nm]" for name in expected), *(["plan / paper"] if ratio else [])]
+    table = plain_table(title, heads)
     for task in next(iter(expected.values())):
         row = [task, "sd", *[f"{1e3 * sd[task]:.3g}" for sd in expected.values()]]
         if ratio:

@@ -4,7 +4,7 @@ A page shows it by the macro `table` of ``templates/macros.html``.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import StringIO
 
@@ -46,7 +46,7 @@ class Cell:
 
 @dataclass
 class Table:
-    """Rows under a title and the heads of the columns; `rules` holds after how many rows a line is drawn."""
+    """Rows under a title and the heads of the columns; `rules` are the numbers of rows after which a gap stands."""
 
     title: str
     columns: list[Column]
@@ -58,7 +58,7 @@ class Table:
         self.rows.append([cell if isinstance(cell, Cell) else Cell(cell) for cell in cells])
 
     def add_rule(self) -> None:
-        """Set off what follows by a line, in a terminal."""
+        """Set off what follows, in a terminal."""
         self.rules.append(len(self.rows))
 
     def __rich__(self) -> TerminalTable:
@@ -76,19 +76,11 @@ class Table:
         return text.getvalue()
 
 
-def words(*names: str) -> list[Column]:
-    """Columns of words."""
-    return [Column(name, words=True) for name in names]
-
-
-def numbers(*names: str, unit: str = "") -> list[Column]:
-    """Columns of numbers in one unit."""
-    return [Column(name, unit) for name in names]
-
-
-def plain_table(title: str, names: Iterable[str]) -> Table:
-    """An empty table; the first two columns hold words, the others numbers."""
-    return Table(title, [Column(name, words=i < 2) for i, name in enumerate(names)])
+def plain_table(title: str, heads: Sequence[str], words: Sequence[int] = (0, 1)) -> Table:
+    """An empty table under heads such as ``size [nm]``; `words` are the columns that hold no numbers."""
+    texts = {i % len(heads) for i in words}
+    parts = [head.removesuffix("]").partition(" [") for head in heads]
+    return Table(title, [Column(name, unit, i in texts) for i, (name, _, unit) in enumerate(parts)])
 
 
 def figure_of(value: float, text: str | None = None, style: str = "") -> Cell:

@@ -9,7 +9,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
 from fpcal_bayes.motion.tasks import Task
-from fpcal_bayes.report.table import Table, numbers, words
+from fpcal_bayes.report.table import Table, plain_table
 
 
 def prediction_content(prediction: TaskPrediction, tolerance: float | None, task: Task) -> dict[str, Any]:
@@ -46,14 +46,9 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
 
 def prediction_table(predictions: list[TaskPrediction], tolerance: float | None, title: str) -> Table:
     """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding."""
-    columns = [
-        *words("task", "path"),
-        *numbers("worst sd", "pk-pk", f"{BAND:.0%} band", unit="nm"),
-        *numbers("normal 95 %", "turn 95 %", unit="deg"),
-    ]
-    if tolerance is not None:
-        columns += numbers(f"P(> {1e3 * tolerance:g} nm)")
-    table = Table(title, columns)
+    heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]
+    heads += ["normal 95 % [deg]", "turn 95 % [deg]", *([] if tolerance is None else [f"P(> {1e3 * tolerance:g} nm)"])]
+    table = plain_table(title, heads)
     for found in [TaskNumbers.of(prediction, tolerance) for prediction in predictions]:
         table.add_row(
             found.task.name,
@@ -116,13 +111,9 @@ def budget_content(budget: Budget) -> dict[str, Any]:
 def budget_table(budget: Budget) -> Table:
     """One line per input, then what they combine to."""
     place = f"{budget.along:.4g} {budget.unit}"
-    table = Table(
+    table = plain_table(
         f"uncertainty budget of {budget.task} at {place}: change of cavity length since the aligned pose",
-        [
-            *words("input", "type"),
-            *numbers("distribution", "estimate", "std. uncertainty"),
-            *numbers("sensitivity", "contribution", unit="nm"),
-        ],
+        ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"],
     )
     for line in budget.lines:
         table.add_row(

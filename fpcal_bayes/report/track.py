@@ -11,7 +11,7 @@ from fpcal_bayes.decision.forecast import Goal, Outlook
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.table import Cell as Entry
-from fpcal_bayes.report.table import Table, numbers, plain_table, words
+from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track
 
@@ -71,12 +71,8 @@ def decision_sentence(decision: Decision, track: Track) -> str:
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
-    columns = [
-        *words("when", "time"),
-        *numbers("median", "95 % band", unit="nm"),
-        *numbers(f"P(> {1e3 * goal.tolerance:g} nm)"),
-    ]
-    table = Table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", columns)
+    heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance:g} nm)"]
+    table = plain_table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", heads)
     after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),

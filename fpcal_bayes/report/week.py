@@ -13,15 +13,14 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.report.pages import BLACK, BLUE, GREEN, PURPLE, SKY, VERMILION
-from fpcal_bayes.report.table import Cell, Table, number, numbers, plain_table, words
+from fpcal_bayes.report.table import Cell, Table, number, plain_table
 from fpcal_bayes.study.paper_scenarios import Course, Followed
 from fpcal_bayes.study.paper_week import SESSIONS, Circle, Week
 
 
 def truth_table(estimate: Estimate, truth: Floats, names: Sequence[str], title: str) -> Table:
     """Identified values beside the truth of the parameters `names`, in um and rad, shape (n,)."""
-    columns = [*words("parameter", "unit"), *numbers("truth", "identified", "sd", "error / sd", "status")]
-    table = Table(title, columns)
+    table = plain_table(title, ["parameter", "unit", "truth", "identified", "sd", "error / sd", "status"])
     shown = estimate.shown()
     for name, true in zip(names, truth, strict=True):
         parameter = estimate.cell.parameters[name]
@@ -61,8 +60,7 @@ def reflection_lines(estimate: Estimate, true_parameters: ParameterSet, truth: F
 
 def circle_table(title: str, circles: Sequence[Circle], tolerance: float) -> Table:
     """Peak to peak of the cavity length along each circle; `tolerance` in um."""
-    columns = [*words("circle", "estimate of"), *numbers("time", unit="h"), *numbers("peak to peak", unit="nm")]
-    table = Table(title, [*columns, *numbers("in tolerance")])
+    table = plain_table(title, ["circle", "estimate of", "time [h]", "peak to peak [nm]", "in tolerance"])
     for circle in circles:
         inside = "yes" if circle.peak_to_peak <= tolerance else "no"
         table.add_row(circle.name, circle.estimate, f"{circle.time_h:g}", f"{1e3 * circle.peak_to_peak:.1f}", inside)

@@ -9,7 +9,7 @@ from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals, saved_decisions, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
-from fpcal_bayes.report.table import Cell, Table, figure_of, numbers, words
+from fpcal_bayes.report.table import Cell, Table, figure_of, plain_table
 
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
@@ -32,13 +32,7 @@ def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
                 alone[place] = values[parameter.name][0]
         marked = np.full(len(hours), np.nan)
         marked[alarms] = mean[alarms]
-        series = {
-            "filter": mean,
-            "low": mean - 2 * sd,
-            "high": mean + 2 * sd,
-            "session alone": alone,
-            "alarm": marked,
-        }
+        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "session alone": alone, "alarm": marked}
         if found.truth is not None:
             series["truth"] = found.truth[:, i]
         parameters.append(
@@ -99,9 +93,9 @@ def log_table(facts: CampaignFacts) -> Table | None:
     log, decided = session_log(facts), saved_decisions(facts)
     if log is None:
         return None
-    columns = [*words("session"), *numbers("time"), *words(*(["decision before it"] if decided else []))]
-    columns += [*numbers("estimate good for"), *words("next session", "evidence and warnings")]
-    table = Table("Log", columns)
+    heads = ["session", "time", *(["decision before it"] if decided else [])]
+    heads += ["estimate good for", "next session", "evidence and warnings"]
+    table = plain_table("Log", heads, words=(0, *([2] if decided else []), -2, -1))
     for entry in log:
         outcome = entry.outcome
         action, reason = decided.get(outcome.session, ("", ""))

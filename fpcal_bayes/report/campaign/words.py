@@ -14,7 +14,7 @@ from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
-from fpcal_bayes.report.table import Cell, Table, figure_of, number, numbers, words
+from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
 
@@ -82,13 +82,9 @@ def standing(outlook: TaskOutlook, facts: CampaignFacts) -> tuple[str, str]:
 
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
-    columns = [
-        *words("task", "to be held", "standing"),
-        *numbers("peak to peak, median", f"{BAND:.0%} band", unit="nm"),
-        *numbers(f"P(above {1e3 * facts.goal.tolerance:g} nm)"),
-        *numbers("mirror direction, 95 %", unit="deg"),
-    ]
-    table = Table("Error of each task now", columns)
+    heads = ["task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]"]
+    heads += [f"P(above {1e3 * facts.goal.tolerance:g} nm)", "mirror direction, 95 % [deg]"]
+    table = plain_table("Error of each task now", heads, words=(0, 1, 2))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)
         asked, found = "yes" if outlook.asked else "no", outlook.numbers
@@ -126,9 +122,8 @@ def measured_sentence(facts: CampaignFacts) -> str:
 
 def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
-    columns = [*words("session"), *numbers("time", "rows"), *numbers("sigma, median", unit="nm")]
-    columns += [*numbers("without sign"), *words("verdict"), *numbers("innovation", "95 % bounds")]
-    table = Table("Sessions", columns)
+    heads = ["session", "time", "rows", "sigma, median [nm]", "without sign", "verdict", "innovation", "95 % bounds"]
+    table = plain_table("Sessions", heads, words=(0, 5))
     for i, found in enumerate(session_numbers(facts)):
         table.add_row(
             found.session,
@@ -155,11 +150,9 @@ def _tested(found: SessionNumbers, *, first: bool) -> list[str | Cell]:
 
 def parameter_table(facts: CampaignFacts) -> Table:
     """Each parameter now: value, 95 % interval, status; beside it the calibration and the prior."""
-    columns = [
-        *words("parameter", "belongs to", "unit", "status"),
-        *numbers("value", "sd", "95 % interval", "at calibration", "sd / prior sd"),
-    ]
-    table = Table("Parameters now", columns)
+    heads = ["parameter", "belongs to", "unit", "status"]
+    heads += ["value", "sd", "95 % interval", "at calibration", "sd / prior sd"]
+    table = plain_table("Parameters now", heads, words=(0, 1, 2, 3))
     estimate, before = facts.estimate, facts.calibration.estimate.shown()
     now = estimate.shown()
     for parameter, status in zip(estimate.parameters, estimate.status, strict=True):
@@ -183,7 +176,7 @@ def parameter_table(facts: CampaignFacts) -> Table:
 
 def residual_table(residuals: list[tuple[str, str, float]], most: int = 12) -> Table:
     """The rows that the estimate of their session meets worst."""
-    table = Table("Largest residuals", [*words("session", "sweep"), *numbers("residual / sigma")])
+    table = plain_table("Largest residuals", ["session", "sweep", "residual / sigma"])
     for session, label, value in sorted(residuals, key=lambda entry: -abs(entry[2]))[:most]:
         table.add_row(session, label, figure_of(value, f"{value:+.2f}"))
     return table
@@ -193,9 +186,8 @@ def posterior_table(facts: CampaignFacts) -> Table | None:
     """Mean, interval and worth of the draws of each parameter."""
     if facts.posterior is None:
         return None
-    columns = [*words("parameter", "unit"), *numbers("median", "95 % interval")]
-    columns += numbers("effective draws", "in the tails", "R-hat")
-    table = Table("Posterior of the calibration", columns)
+    heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
+    table = plain_table("Posterior of the calibration", heads)
     for found in saved_parameters(facts.posterior):
         table.add_row(
             found.name,
@@ -230,15 +222,10 @@ def posterior_sentence(facts: CampaignFacts) -> str:
 def budget_table(budget: Budget) -> Table:
     """Each input of the budget and what it contributes; shares where the inputs are independent."""
     shares = variance_shares(budget)
-    columns = [
-        *words("input", "type", "distribution"),
-        *numbers("std. uncertainty"),
-        *numbers("sensitivity", "contribution", unit="nm"),
-        *numbers(*([] if shares is None else ["share of the variance"])),
-    ]
-    table = Table(
-        f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration", columns
-    )
+    heads = ["input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
+    heads += [] if shares is None else ["share of the variance"]
+    title = f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration"
+    table = plain_table(title, heads, words=(0, 1, 2))
     for i, line in enumerate(budget.lines):
         table.add_row(
             line.name,

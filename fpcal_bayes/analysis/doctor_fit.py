@@ -33,13 +33,7 @@ class Finding:
 
     def content(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "severity": self.severity,
-            "kind": self.kind,
-            "session": self.where,
-            "what": self.what,
-            "remedy": self.remedy,
-        }
+        return {("session" if name == "where" else name): text for name, text in vars(self).items()}
 
 
 def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:

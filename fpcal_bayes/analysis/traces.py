@@ -13,47 +13,25 @@ from fpcal_bayes.fringes.samples import Samples
 
 @dataclass(frozen=True)
 class CheckNumbers:
-    """A checked path: lengths in nm, bands that hold 95 %."""
+    """What is shown of a checked path beside its own numbers: lengths in nm."""
 
-    peak_to_peak: float  # of what was measured
-    peak_to_peak_sd: float
-    median: float  # of the peak to peak that the estimate predicts
-    low: float
-    high: float
+    predicted: tuple[float, float, float]  # of the peak to peak by the estimate: lower edge of its band, median, upper
     noisy: float  # upper edge of the same with the noise of the recording
     rival: float | None  # peak to peak of another error that fits as well
-    least_probability: float  # that so many draws can tell
     height: float | None  # percent of the way to a fringe's extreme at the start, where that is too near
-    along: Floats  # (n_points,), shares of the path
-    error: Floats  # (n_points,)
-    error_sd: Floats  # (n_points,)
-    tolerance: float | None
     within: float | None  # probability, by the measurement alone, that the peak to peak is within the tolerance
 
     @classmethod
     def of(cls, check: PathCheck, tolerance: float | None = None) -> "CheckNumbers":
-        """Of a check, with the probability that the path is within `tolerance` in um."""
+        """Of a check, with a tolerance in um."""
         measured, (low, high) = check.measured, check.predicted_band()
-        within = None
-        if tolerance is not None:
-            sizes = np.ptp(measured.error[measured.places] + measured.draws, axis=1)
-            within = float((sizes <= tolerance).mean())
-        height = 50.0 * (1.0 + np.sqrt(1.0 - measured.start_sine**2)) if starts_flat(measured) else None
+        sizes = np.ptp(measured.error[measured.places] + measured.draws, axis=1)
         return cls(
-            peak_to_peak=1e3 * measured.peak_to_peak,
-            peak_to_peak_sd=1e3 * measured.peak_to_peak_sd,
-            median=1e3 * float(np.median(check.predicted)),
-            low=1e3 * low,
-            high=1e3 * high,
+            predicted=(1e3 * low, 1e3 * float(np.median(check.predicted)), 1e3 * high),
             noisy=1e3 * float(np.quantile(check.expected, 0.975)),
             rival=None if measured.rival is None else 1e3 * float(np.ptp(measured.rival)),
-            least_probability=1.0 / (1.0 + len(check.expected)),
-            height=height,
-            along=measured.at[measured.places],
-            error=1e3 * measured.error[measured.places],
-            error_sd=1e3 * measured.draws.std(axis=0),
-            tolerance=None if tolerance is None else 1e3 * tolerance,
-            within=within,
+            height=50.0 * (1.0 + np.sqrt(1.0 - measured.start_sine**2)) if starts_flat(measured) else None,
+            within=None if tolerance is None else float((sizes <= tolerance).mean()),
         )
 
 

@@ -8,25 +8,26 @@ from fpcal_bayes.fringes.path_check import PathCheck
 
 def check_sentences(check: PathCheck, tolerance: float | None) -> list[str]:
     """What a check says, one sentence per line; `tolerance` of the peak to peak in um."""
-    found = CheckNumbers.of(check, tolerance)
-    size = f"{found.peak_to_peak:.1f} +- {found.peak_to_peak_sd:.1f} nm"
+    found, measured = CheckNumbers.of(check, tolerance), check.measured
+    low, _, high = found.predicted
+    size = f"{1e3 * measured.peak_to_peak:.1f} +- {1e3 * measured.peak_to_peak_sd:.1f} nm"
     lines = [
         f"Measured: the cavity length goes {size} peak to peak beside what the estimate expects along the path.",
-        f"Predicted by the estimate: {found.low:.1f} to {found.high:.1f} nm (95 %); with the noise of this recording "
+        f"Predicted by the estimate: {low:.1f} to {high:.1f} nm (95 %); with the noise of this recording "
         f"up to {found.noisy:.1f} nm.",
     ]
-    chance = f"probability of so much if the calibration holds: {_shown_probability(check, found)}"
+    chance = f"probability of so much if the calibration holds: {_shown_probability(check)}"
     if check.verdict == "confirmed":
         lines.append(f"The calibration is confirmed on the cell ({chance}).")
     elif check.verdict == "refuted":
         lines.append(f"The calibration is refuted on the cell ({chance}): it does not hold any more, or never did.")
     else:
         lines.append(f"Not evaluated: {_reason(check)}.")
-    if found.within is not None and check.verdict != "not evaluated":
+    if tolerance is not None and found.within is not None and check.verdict != "not evaluated":
         within = found.within
         verdict = "within" if within > 0.975 else "beyond" if within < 0.025 else "neither clearly within nor beyond"
         chance = f"probability of within: {within:.3f}"
-        lines.append(f"The path is {verdict} {found.tolerance:g} nm peak to peak ({chance}).")
+        lines.append(f"The path is {verdict} {1e3 * tolerance:g} nm peak to peak ({chance}).")
     return lines
 
 
@@ -53,27 +54,27 @@ def check_content(check: PathCheck, tolerance: float | None) -> dict[str, Any]:
         "verdict": check.verdict,
         "probability": check.probability,
         "level": check.level,
-        "peak_to_peak_nm": found.peak_to_peak,
-        "peak_to_peak_sd_nm": found.peak_to_peak_sd,
-        "predicted_nm": {"median": found.median, "low": found.low, "high": found.high},
+        "peak_to_peak_nm": 1e3 * measured.peak_to_peak,
+        "peak_to_peak_sd_nm": 1e3 * measured.peak_to_peak_sd,
+        "predicted_nm": {"median": found.predicted[1], "low": found.predicted[0], "high": found.predicted[2]},
         "expected_high_nm": found.noisy,
         "share": 0.95,
         "start_sine": measured.start_sine,
         "followed": measured.followed,
         "alternative_nm": found.rival,
-        "along": found.along.tolist(),
-        "error_nm": found.error.tolist(),
-        "error_sd_nm": found.error_sd.tolist(),
+        "along": measured.at[measured.places].tolist(),
+        "error_nm": (1e3 * measured.error[measured.places]).tolist(),
+        "error_sd_nm": (1e3 * measured.draws.std(axis=0)).tolist(),
     }
     if tolerance is not None:
-        content["tolerance_nm"] = found.tolerance
+        content["tolerance_nm"] = 1e3 * tolerance
         content["within_tolerance_probability"] = found.within
     return content
 
 
-def _shown_probability(check: PathCheck, found: CheckNumbers) -> str:
+def _shown_probability(check: PathCheck) -> str:
     """The probability, or that it is below what the draws can tell."""
-    least = found.least_probability
+    least = 1.0 / (1.0 + len(check.expected))
     return f"below {2 * least:.1g}" if check.probability < 1.5 * least else f"{check.probability:.2g}"
 
 

@@ -60,8 +60,8 @@ def parameter_table(result: Observability) -> Table:
     values = parameters.to_shown(result.values)
     sds = parameters.to_shown(np.sqrt(np.diag(result.covariance)) * parameters.prior_sd)
     prior = parameters.to_shown(parameters.prior_sd)
-    heads = (*(["value"] if measured else []), "sd" if measured else "expected sd", "prior sd", "contraction")
-    heads = ("parameter", "unit", "status", *heads, "strongest correlations")
+    heads = ["parameter", "unit", "status", *(["value", "sd"] if measured else ["expected sd"])]
+    heads += ["prior sd", "contraction", "strongest correlations"]
     table = plain_table("Parameters", heads, words=(0, 1, 2, -1))
     for i, parameter in enumerate(parameters):
         strong = [(n, c) for n, c in result.strongest_correlations(parameter.name, 2) if abs(c) >= _LEAST_CORRELATION]

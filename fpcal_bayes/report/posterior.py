@@ -1,6 +1,6 @@
 """A posterior as a table and as figures (ranks, prior, pairs, residuals, Pareto k), and a model comparison."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -59,21 +59,18 @@ def write_posterior_figures(
     """
     make_folder(folder)
     names = most_correlated(tree, _CHOSEN_PAIRS) if pairs is None else list(pairs)
-    drawn: dict[str, Callable[[], Figure]] = {
-        "ranks": lambda: rank_figure(tree),
-        "prior-posterior": lambda: prior_posterior_figure(tree),
-        "residuals": lambda: residual_figure(tree),
-        "pareto-k": lambda: pareto_k_figure(tree, loo),
-    }
-    if len(names) > 1:
-        drawn["pairs"] = lambda: pair_figure(tree, names)
-    written = []
-    for name, draw in drawn.items():
-        with _off_screen():
-            path = folder / f"{name}.png"
-            save_figure(draw(), path)
-            written.append(path)
-    return written
+    with _off_screen():
+        drawn = {
+            "ranks": rank_figure(tree),
+            "prior-posterior": prior_posterior_figure(tree),
+            "residuals": residual_figure(tree),
+            "pareto-k": pareto_k_figure(tree, loo),
+        }
+        if len(names) > 1:
+            drawn["pairs"] = pair_figure(tree, names)
+        for name, figure in drawn.items():
+            save_figure(figure, folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in drawn]
 
 
 def rank_figure(tree: Any) -> Figure:

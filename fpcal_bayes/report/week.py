@@ -84,7 +84,7 @@ def course_table(courses: Sequence[Course]) -> Table:
     return table
 
 
-def draw_week(week: Week, followed: Followed | None = None) -> Figure:
+def draw_week(week: Week, followed: Followed) -> Figure:
     """Draw each extrinsic parameter against time: truth, estimates, filter, policy; two standard deviations of each."""
     parameters = [p for p in week.cell.free if p.kind == "extrinsic"]
     figure = Figure(figsize=(10, 7.5), layout="constrained")
@@ -93,13 +93,12 @@ def draw_week(week: Week, followed: Followed | None = None) -> Figure:
     truth = week.truth.parameters.to_shown(week.truth.at(hours))
     for axis, parameter in zip(axes.flat, parameters, strict=False):
         true = truth[:, week.truth.parameters.position(parameter.name)]
-        if followed is not None:
-            drift = followed.track.drift
-            days, low, high = parameter_band(drift, parameter, followed.loop.outcomes, hours[-1])
-            axis.fill_between(days, low, high, color=GREEN, alpha=0.25, linewidth=0, label="policy")
-            days, low, high = parameter_band(drift, parameter, followed.track.outcomes, hours[-1])
-            axis.plot(days, low, "--", color=PURPLE, linewidth=0.8, label="filter, the same sweeps")
-            axis.plot(days, high, "--", color=PURPLE, linewidth=0.8)
+        drift = followed.track.drift
+        days, low, high = parameter_band(drift, parameter, followed.loop.outcomes, hours[-1])
+        axis.fill_between(days, low, high, color=GREEN, alpha=0.25, linewidth=0, label="policy")
+        days, low, high = parameter_band(drift, parameter, followed.track.outcomes, hours[-1])
+        axis.plot(days, low, "--", color=PURPLE, linewidth=0.8, label="filter, the same sweeps")
+        axis.plot(days, high, "--", color=PURPLE, linewidth=0.8)
         axis.plot(hours / 24.0, true, color=BLACK, linewidth=1, label="truth")
         for kind, colour, marker in (("all", BLUE, "o"), ("extrinsic", VERMILION, "s")):
             chosen = [s for s in SESSIONS if s.free == kind]

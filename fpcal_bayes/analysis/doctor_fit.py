@@ -38,7 +38,6 @@ class Finding:
 
 def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """Fit each measured session that can stand alone, and follow all of them."""
-    fitted = 0
     for number, name in enumerate(sweeps.sessions):
         part = sweeps.of_session(name)
         used = part.take(part.kind != "path")
@@ -51,7 +50,6 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             )  # fmt: skip
             continue
         found = identify(cell, used)
-        fitted += 1
         if number == 0:
             yield from _rank(cell, used)
         yield from _fit(cell, name, used, found)

@@ -65,13 +65,9 @@ class SessionResiduals:
 class SessionNumbers:
     """What was measured in a session, and what the tests say of it."""
 
-    session: str
-    time_h: float
-    n_rows: int
+    rows: Sweeps
     sigma: float  # median, um
-    n_unsigned: int
     outcome: SessionOutcome | None  # None where the sessions are not followed
-    bounds: tuple[float, float] | None  # of the innovation; None without rows that are tested
 
 
 @dataclass(frozen=True)
@@ -218,21 +214,8 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
 def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
     """What was measured, session by session."""
     outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
-    found = []
-    for name in facts.sweeps.sessions:
-        part, outcome = facts.sweeps.of_session(name), outcomes.get(name)
-        found.append(
-            SessionNumbers(
-                session=name,
-                time_h=float(part.time_h.max()),
-                n_rows=len(part),
-                sigma=float(np.median(part.sigma)),
-                n_unsigned=int((~part.signed).sum()),
-                outcome=outcome,
-                bounds=None if outcome is None else session_bounds(outcome),
-            )
-        )
-    return found
+    parts = {name: facts.sweeps.of_session(name) for name in facts.sweeps.sessions}
+    return [SessionNumbers(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
 
 
 def session_log(facts: CampaignFacts) -> list[LogEntry] | None:

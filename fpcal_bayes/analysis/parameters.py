@@ -114,24 +114,17 @@ def predictive_residuals(tree: Any) -> tuple[list[str], Floats]:
     return [str(label) for label in observed["sweep"].to_numpy()], residuals.to_numpy()
 
 
-@dataclass(frozen=True)
-class Reflection:
-    """The reflection point at joint vector zero, in the world (3,) and in the mirror frame (2,), um."""
+def reflection_points(
+    estimate: Estimate, parameters: ParameterSet, truth: Floats
+) -> dict[str, tuple[Floats, Floats, Floats]]:
+    """The reflection point at joint vector zero, its sd and its truth, um: in the world (3,), in the mirror frame (2,).
 
-    world: Floats
-    world_sd: Floats
-    true_world: Floats
-    mirror: Floats
-    mirror_sd: Floats
-    true_mirror: Floats
-
-    @classmethod
-    def of(cls, estimate: Estimate, parameters: ParameterSet, truth: Floats) -> "Reflection":
-        """Of an estimate, beside the truth of `parameters` in um and rad, shape (n,)."""
-        cell = estimate.cell
-        model = CavityModel.of(cell, estimate.parameters)
-        home = np.zeros((1, len(cell.joints)))
-        world, mirror = model.reflection_points(estimate.values, home)
-        world_sd, mirror_sd = model.reflection_sd(estimate.values, estimate.covariance, home[0])
-        true_world, true_mirror = CavityModel.of(cell, parameters).reflection_points(truth, home)
-        return cls(world[0], world_sd, true_world[0], mirror[0][:2], mirror_sd[:2], true_mirror[0][:2])
+    `truth` holds values of `parameters` in um and rad, shape (n,).
+    """
+    cell = estimate.cell
+    model = CavityModel.of(cell, estimate.parameters)
+    home = np.zeros((1, len(cell.joints)))
+    found = model.reflection_points(estimate.values, home)
+    sds = model.reflection_sd(estimate.values, estimate.covariance, home[0])
+    trues = CavityModel.of(cell, parameters).reflection_points(truth, home)
+    return {"wPr": (found[0][0], sds[0], trues[0][0]), "tPr": (found[1][0][:2], sds[1][:2], trues[1][0][:2])}

@@ -26,7 +26,7 @@ from fpcal_bayes.infer.posterior.sample import Posterior
 from fpcal_bayes.report.pages import BLUE, GREEN, GREY, ORANGE, VERMILION, save_figure
 from fpcal_bayes.report.table import Table, number, plain_table
 
-# ArviZ, corner and xarray take seconds to import: only figures pay for them.
+# ArviZ, corner, xarray and pyplot are imported in functions: they take seconds, and only figures pay for them.
 
 _SETTINGS: dict[Any, Any] = {
     "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, VERMILION]),

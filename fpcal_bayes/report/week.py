@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from fpcal_bayes.analysis.history import parameter_band
-from fpcal_bayes.analysis.parameters import Reflection
+from fpcal_bayes.analysis.parameters import reflection_points
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -43,19 +43,14 @@ def reflection_lines(estimate: Estimate, true_parameters: ParameterSet, truth: F
 
     The truth holds values of `true_parameters` in um and rad, shape (n,).
     """
-    found = Reflection.of(estimate, true_parameters, truth)
-
-    def line(name: str, values: Floats, sds: Floats, trues: Floats) -> str:
+    lines = []
+    for name, columns in reflection_points(estimate, true_parameters, truth).items():
         parts = (
             f"{axis} {number(value, sd)} +- {number(sd, sd)} (truth {true:.1f})"
-            for axis, value, sd, true in zip("xyz", values, sds, trues, strict=False)
+            for axis, value, sd, true in zip("xyz", *columns, strict=False)
         )
-        return f"{name} at q = 0 [um]: " + ", ".join(parts)
-
-    return [
-        line("reflection point wPr", found.world, found.world_sd, found.true_world),
-        line("reflection point tPr", found.mirror, found.mirror_sd, found.true_mirror),
-    ]
+        lines.append(f"reflection point {name} at q = 0 [um]: {', '.join(parts)}")
+    return lines
 
 
 def circle_table(title: str, circles: Sequence[Circle], tolerance: float) -> Table:

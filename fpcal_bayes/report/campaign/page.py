@@ -87,7 +87,6 @@ def campaign_html(facts: CampaignFacts) -> str:
         "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
         "residuals": data.residual_chart(rows),
     }
-    flat = [(part.session, label, float(v)) for part in rows for label, v in zip(part.labels, part.values, strict=True)]
     return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
@@ -110,7 +109,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         blocks=observe_words.block_table(seen),
         posterior=words.posterior_table(facts),
         posterior_sentence=words.posterior_sentence(facts),
-        worst=words.residual_table(flat),
+        worst=words.residual_table(rows),
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,

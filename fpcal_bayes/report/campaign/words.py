@@ -7,7 +7,7 @@ from platform import python_version
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskOutlook
-from fpcal_bayes.analysis.history import SessionNumbers, session_numbers
+from fpcal_bayes.analysis.history import SessionResiduals, session_bounds, session_numbers
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.version import __version__
@@ -17,12 +17,14 @@ from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
+from fpcal_bayes.tracking.session import SessionOutcome
 
 _ACTIONS = {
     "hold": ("Hold", "good", "The cell keeps its tolerance; nothing is to be measured now."),
     "extrinsic": ("Re-identify", "caution", "A few sweeps now bring mirror and fibre back into tolerance."),
     "full": ("Recalibrate", "bad", "The whole calibration is to be made again."),
 }
+_MOST_RESIDUALS = 12
 _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
 
 
@@ -125,23 +127,25 @@ def session_table(facts: CampaignFacts) -> Table:
     heads = ["session", "time", "rows", "sigma, median [nm]", "without sign", "verdict", "innovation", "95 % bounds"]
     table = plain_table("Sessions", heads, words=(0, 5))
     for i, found in enumerate(session_numbers(facts)):
+        rows, time_h = found.rows, float(found.rows.time_h.max())
+        unsigned = int((~rows.signed).sum())
         table.add_row(
-            found.session,
-            figure_of(found.time_h, shown_time(found.time_h, facts)),
-            figure_of(found.n_rows, str(found.n_rows)),
+            str(rows.session[0]),
+            figure_of(time_h, shown_time(time_h, facts)),
+            figure_of(len(rows), str(len(rows))),
             figure_of(1e3 * found.sigma),
-            figure_of(found.n_unsigned, str(found.n_unsigned)),
-            *_tested(found, first=i == 0),
+            figure_of(unsigned, str(unsigned)),
+            *_tested(found.outcome, first=i == 0),
         )
     return table
 
 
-def _tested(found: SessionNumbers, *, first: bool) -> list[str | Cell]:
+def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | Cell]:
     """Verdict, innovation and bounds."""
-    outcome, bounds = found.outcome, found.bounds
     if outcome is None:
         return ["not followed", "", ""]
     word = Cell("calibration", style="good") if first else Cell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
+    bounds = session_bounds(outcome)
     if bounds is None:
         return [word, "", ""]
     low, high = bounds
@@ -174,10 +178,11 @@ def parameter_table(facts: CampaignFacts) -> Table:
     return table
 
 
-def residual_table(residuals: list[tuple[str, str, float]], most: int = 12) -> Table:
+def residual_table(parts: list[SessionResiduals]) -> Table:
     """The rows that the estimate of their session meets worst."""
+    residuals = [(part.session, *row) for part in parts for row in zip(part.labels, part.values.tolist(), strict=True)]
     table = plain_table("Largest residuals", ["session", "sweep", "residual / sigma"])
-    for session, label, value in sorted(residuals, key=lambda entry: -abs(entry[2]))[:most]:
+    for session, label, value in sorted(residuals, key=lambda entry: -abs(entry[2]))[:_MOST_RESIDUALS]:
         table.add_row(session, label, figure_of(value, f"{value:+.2f}"))
     return table
 

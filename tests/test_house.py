@@ -1,6 +1,8 @@
 """The house: which room may import which, and how large a file may grow. docs/reference/house.md draws it."""
 
 import ast
+import importlib
+import inspect
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -91,6 +93,25 @@ def test_imports_stand_at_the_top():
                 if found:
                     inside.append((name, function.name, len(found)))
     assert [entry for entry in inside if not entry[0].startswith("fpcal_bayes.cli.")] == []
+
+
+def test_report_computes_nothing():
+    """It may name types and constants of the rooms that compute; their functions are called in `analysis`."""
+    computing = tuple(f"fpcal_bayes.{room}." for room in ("fringes", "infer", "tracking", "decision"))
+    called = []
+    for name, tree in TREES.items():
+        if not name.startswith("fpcal_bayes.report."):
+            continue
+        for other, statement in imported(tree):
+            if not other.startswith(computing):
+                continue
+            source = importlib.import_module(other)
+            for alias in statement.names:
+                # A whole module would bring its functions.
+                found = getattr(source, alias.name, source)
+                if inspect.ismodule(found) or inspect.isroutine(inspect.unwrap(found)):
+                    called.append(f"{name} imports {other}.{alias.name}")
+    assert called == []
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import mark_signs
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.report.fit import fit_lines, number, parameter_table, plain_table, reflection_lines, truth_table

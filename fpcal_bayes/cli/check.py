@@ -83,9 +83,8 @@ def _drift(options: argparse.Namespace, cell: Cell, estimate: Estimate) -> "NDAr
             f"--time-h {options.time_h:g}: expected a time after that of the estimate, {estimate.time_h:g} h"
         )
     drift = DriftModel.of(cell, estimate.parameters)
-    _, start = drift.initial(estimate.values, np.zeros_like(estimate.covariance))
-    step = drift.transition(hours)
-    return drift.covariance(step.matrix @ start @ step.matrix.T + step.noise)
+    start = drift.initial(estimate.values, np.zeros_like(estimate.covariance))
+    return drift.covariance(drift.propagate(*start, hours)[1])
 
 
 def _write_rows(

@@ -10,7 +10,7 @@ from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.policy import decide_track, valid_until
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,

@@ -20,6 +20,7 @@ from fpcal_bayes.io.sweeps import is_campaign_file
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
 from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.fit_sizes import fit_sizes
 from fpcal_bayes.tracking.record import decisions_of, record_of
 from fpcal_bayes.tracking.tracker import Track
 
@@ -97,12 +98,17 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         valid = f"valid until {until}: {exceeds} < {options.level:g}"
         passed = f"not valid: {exceeds} is above {options.level:g} already"
         out.say(valid if valid_until_h > found.last.time_h else passed)
+    drift_fit = {}
+    if options.fit_drift:
+        fitted = fit_sizes(cell, sweeps)
+        out.say("\n".join(fitted.lines()))
+        drift_fit = {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     warn(warnings)
     content = found.estimate(valid_until_h).content() | {"fit": _fit(found)}
     if options.estimate is not None:
         write_result(options.estimate, "track", content)
-    write_result(options.json, "track", content | _content(found) | {"warnings": warnings})
+    write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
     return 0 if found.converged else 1
 
 

@@ -91,6 +91,9 @@ def track(commands: Commands) -> None:
     parser.add_argument(
         "--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted"
     )
+    parser.add_argument(
+        "--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell"
+    )
     add_json(parser)
 
 

@@ -30,45 +30,19 @@ _DIGITS = 10
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of a posterior.
+    """Draws of a posterior."""
 
-    Attributes
-    ----------
-    identification
-        Where the charts come from.
-    target
-        The density that was sampled.
-    points
-        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
-    log_density
-        Unnormalised, shape (n_ensembles, n_steps, n_walkers).
-    charts
-        Number of charts that proposals came from.
-    outside
-        Share of the draws that lie outside every chart, where only the local move leads.
-    diagnostics
-        Of the free parameters' draws.
-    failures
-        What is not converged; empty if the draws can be used.
-    acceptance
-        Of all moves.
-    evaluations
-        Points at which the density was evaluated.
-    seconds
-        Sampling time.
-    """
-
-    identification: Identification
-    target: PosteriorTarget
-    points: Floats
-    log_density: Floats
-    charts: int
-    outside: float
-    diagnostics: Diagnostics
-    failures: tuple[str, ...]
-    acceptance: float
-    evaluations: int
-    seconds: float
+    identification: Identification  # where the charts come from
+    target: PosteriorTarget  # the density that was sampled
+    points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up
+    log_density: Floats  # unnormalised, shape (n_ensembles, n_steps, n_walkers)
+    charts: int  # number of charts that proposals came from
+    outside: float  # share of the draws that lie outside every chart, where only the local move leads
+    diagnostics: Diagnostics  # of the free parameters' draws
+    failures: tuple[str, ...]  # what is not converged; empty if the draws can be used
+    acceptance: float  # share of all moves
+    evaluations: int  # points at which the density was evaluated
+    seconds: float  # sampling time
 
     @property
     def converged(self) -> bool:
@@ -118,20 +92,10 @@ def make_target(
 
 
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima.
+    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
 
-    Parameters
-    ----------
-    found
-        Its minima are the reference points of the charts.
-    draws, seed
-        How many, and the seed of numpy's default generator.
-
-    Returns
-    -------
-    ndarray
-        Free parameters in um and rad, shape (draws, n_free). Points that the charts propose too rarely stand in it more
-        than once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
+    The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
+    once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     target, references = make_target(found, "gaussian")
     atlas, random = Atlas(target, references), np.random.default_rng(seed)
@@ -150,8 +114,7 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     # Systematic resampling: each point as often as its weight says, up to rounding.
     places = (np.arange(draws) + random.random()) / draws
     chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    values: Floats = found.problem.values(points[np.minimum(chosen, len(points) - 1)])
-    return values
+    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:

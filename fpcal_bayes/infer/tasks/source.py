@@ -25,13 +25,7 @@ from fpcal_bayes.motion.tasks import Task, find_task
 
 
 def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:
-    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none.
-
-    Raises
-    ------
-    InputError
-        If they are not rows of finite numbers, one for each parameter of the file.
-    """
+    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none."""
     content = json.loads(read_text(Path(path)))
     stated = content.get("draws")
     if stated is None:
@@ -54,20 +48,12 @@ _MOST_DRAWS = 20_000
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of a cell's parameters when a task is planned.
-
-    Attributes
-    ----------
-    cell
-        The cell.
-    estimate
-        What the controller holds, or None: then the draws themselves say, task by task (see `central_draw`).
-    draws
-        Of the posterior, from its own file or from the estimate's; None where there is only the covariance.
-    """
+    """What is known of a cell's parameters when a task is planned."""
 
     cell: Cell
+    # what the controller holds, or None: then the draws themselves say, task by task (see `central_draw`)
     estimate: Estimate | None
+    # of the posterior, from its own file or from the estimate's; None where there is only the covariance
     draws: PosteriorDraws | None
 
     def held(self, task: str, *, radius: float = 100.0) -> Estimate:
@@ -96,17 +82,8 @@ class Knowledge:
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
     """Read an estimate JSON, with the draws that it may hold, or a posterior netCDF file (suffix ``.nc``).
 
-    Parameters
-    ----------
-    path
-        The file.
-    held
-        Estimate JSON that the controller holds while the truth is drawn from the posterior.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used or is of another cell.
+    `held` is an estimate JSON that the controller holds while the truth is drawn from the posterior. `InputError` if a
+    file cannot be used or is of another cell.
     """
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":

@@ -1,6 +1,6 @@
 """A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +16,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
+from fpcal_bayes.model.trust import Trust
 
 Verdict = Literal["confirmed", "refuted", "not evaluated"]
 
@@ -78,6 +79,7 @@ class PathCheck:
     #: too uncertain to confirm what the estimate predicts (see `blunt`).
     verdict: Verdict
     level: float  # see `verdict`
+    trust: Trust = field(default_factory=Trust)  # of the estimate; nothing is evaluated against one not to be used
 
     @property
     def blunt(self) -> bool:

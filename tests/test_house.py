@@ -1,6 +1,8 @@
 """The house: which room may import which, and how large a file may grow. docs/reference/house.md draws it."""
 
 import ast
+import importlib
+import inspect
 import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -82,32 +84,22 @@ def test_no_circle():
         pytest.fail(f"circle: {' -> '.join(error.args[1])}")
 
 
-#: Optional, or slow to import and not always needed: these a function may import.
-MAY_WAIT = {
-    "arviz",
-    "arviz_plots",
-    "arviz_stats",
-    "corner",
-    "dask",
-    "distributed",
-    "matplotlib",
-    "threadpoolctl",
-    "xarray",
-}
+#: Libraries that are an extra, or that take long to import and are not always needed.
+SLOW = {"arviz", "arviz_plots", "arviz_stats", "corner", "dask", "distributed", "matplotlib", "threadpoolctl", "xarray"}
 
 
 def test_imports_stand_at_the_top():
-    """No function imports from this package; what the program loads when the command is known is tested below."""
+    """A function imports a slow library at most; `cli.main` alone loads what a command runs when it is known which."""
     inside = []
     for name, tree in TREES.items():
         for function in ast.walk(tree):
             if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
                 for node in ast.walk(function):
-                    if isinstance(node, ast.Import):
-                        inside += [(name, function.name, alias.name) for alias in node.names]
-                    elif isinstance(node, ast.ImportFrom):
-                        inside.append((name, function.name, str(node.module)))
-    assert [entry for entry in inside if entry[2].split(".")[0] not in MAY_WAIT] == []
+                    if isinstance(node, ast.Import | ast.ImportFrom):
+                        source = node.names[0].name if isinstance(node, ast.Import) else str(node.module)
+                        if source.split(".")[0] not in SLOW:
+                            inside.append(f"{name}.{function.name}: {source}")
+    assert inside == []
 
 
 def test_one_import_waits_in_the_program():
@@ -130,6 +122,25 @@ def test_one_import_waits_in_the_program():
 
 def is_deferred_import(node: ast.AST) -> bool:
     return isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("import_module", "__import__")
+
+
+def test_report_computes_nothing():
+    """It may name types and constants of the rooms that compute; their functions are called in `analysis`."""
+    computing = tuple(f"fpcal_bayes.{room}." for room in ("fringes", "infer", "tracking", "decision"))
+    called = []
+    for name, tree in TREES.items():
+        if not name.startswith("fpcal_bayes.report."):
+            continue
+        for other, statement in imported(tree):
+            if not other.startswith(computing):
+                continue
+            source = importlib.import_module(other)
+            for alias in statement.names:
+                # A whole module would bring its functions.
+                found = getattr(source, alias.name, source)
+                if inspect.ismodule(found) or inspect.isroutine(inspect.unwrap(found)):
+                    called.append(f"{name} imports {other}.{alias.name}")
+    assert called == []
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

@@ -70,7 +70,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         # Two that save their states in one campaign would each lose what the other found.
         campaign_file = is_campaign_file(options.campaign)
         require_same = alone.enter_context(exclusive(Path(options.campaign))) if campaign_file else None
-        followed = follow(options, cell, anew=options.anew, posterior=options.posterior)
+        followed = follow(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
         found, sweeps, notes = followed.track, followed.sweeps, followed.notes
         if followed.campaign is not None and require_same is not None and found.resumed < len(found.outcomes):
             try:

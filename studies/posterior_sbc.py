@@ -22,7 +22,7 @@ from rich.console import Console
 from scipy import stats
 
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.study.sbc import FAMILY_WISE, PROTOCOLS, RANKED, PosteriorRanks, quantities, sbc_plan
 
 

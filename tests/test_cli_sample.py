@@ -5,9 +5,9 @@ import arviz as az
 import pytest
 from test_cli import error_lines, refused
 
+from fpcal_bayes.cli import sample as sample_module
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.infer.fit import minimise as least_squares
-from fpcal_bayes.infer.posterior import sample as sample_module
 
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 
@@ -111,7 +111,7 @@ class TestRefused:
 
     def test_blocks_of_another_run(self, capsys, monkeypatch):
         """Resuming with another seed is refused; the blocks of the first run stay for it."""
-        monkeypatch.setattr("fpcal_bayes.infer.posterior.netcdf.write_netcdf", _interrupt)
+        monkeypatch.setattr("fpcal_bayes.cli.sample.write_netcdf", _interrupt)
         run("-o", "p.nc", "--draws", 50, "--quiet", code=130)
         capsys.readouterr()
         blocks = list(Path("p.nc.blocks").iterdir())

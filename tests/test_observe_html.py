@@ -16,8 +16,8 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.report import observe_figures as figures
-from fpcal_bayes.report import svg
 from fpcal_bayes.report.observe import observe_html, write_observe_html
+from fpcal_bayes.report.pages import drawable
 
 CELL = load_cell()
 ODD = '<script>alert("&")</script> $x_{$ [red] --> \u4e2d'
@@ -119,8 +119,8 @@ def test_bins_keep_the_largest():
 
 
 def test_labels_that_no_font_draws_are_replaced():
-    assert svg.drawable("a\u4e2d\nb") == "a??b"
-    assert svg.drawable("x" * 30) == "x" * 21 + "..."
+    assert drawable("a\u4e2d\nb") == "a??b"
+    assert drawable("x" * 30) == "x" * 21 + "..."
 
 
 def test_the_template_is_part_of_the_package():

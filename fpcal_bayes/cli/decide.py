@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.json}: expected two names for -o and --json")
     goal = goal_of(options)
     warm_up_inverse(cell)
-    followed = follow(options, cell)
+    followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps
     sigma = float(np.median(sweeps.sigma)) if options.sigma_nm is None else 1e-3 * options.sigma_nm
     costs = Costs(

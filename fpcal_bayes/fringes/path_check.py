@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.linalg import quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
@@ -87,10 +88,10 @@ class PathCheck:
         noisy, predicted = np.quantile(self.expected, 0.975), np.quantile(self.predicted, 0.975)
         return bool(noisy > max(2.0 * predicted, _COARSE))
 
-    def predicted_band(self, share: float = 0.95) -> tuple[float, float]:
-        """Band that holds this share of the predicted peak-to-peak values, in um."""
-        low, high = np.quantile(self.predicted, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        return float(low), float(high)
+    def predicted_band(self) -> tuple[float, float]:
+        """Band that holds 95 % of the predicted peak-to-peak values, in um."""
+        low, high = quantile_band(self.predicted, 0.95).tolist()
+        return low, high
 
 
 def measure_path(

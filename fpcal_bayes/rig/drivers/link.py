@@ -127,7 +127,7 @@ class Link:
             raise self.error("not connected")
         if len(self._buffer) > _MOST_BYTES:
             raise self.error("the answer has no end")
-        watched = [self._socket, self._halt] if self.obeys else [self._socket]
+        watched = [self._socket.fileno(), *([self._halt.fileno()] if self.obeys else [])]
         ready, _, _ = select.select(watched, [], [], max(0.0, end - time.monotonic()))
         if self.obeys:
             self._halt.check()

@@ -1,8 +1,8 @@
 """A photodiode behind a program of the user's: any that writes a trace file.
 
-The program is started for each sweep with ``{trace}``, ``{seconds}``, ``{joint}``, ``{start}`` and ``{end}`` filled in. It
-prints a line once it takes samples, writes the trace (CSV with the columns ``t_s,joint,irradiance_v``) when its standard
-input is closed or the seconds are over, and ends with status 0.
+The program is started for each sweep with ``{trace}``, ``{seconds}``, ``{joint}``, ``{start}`` and ``{end}`` filled in.
+It prints a line once it takes samples, writes the trace (CSV with the columns ``t_s,joint,irradiance_v``) when its
+standard input is closed or the seconds are over, and ends with status 0.
 """
 
 import select
@@ -56,7 +56,7 @@ class PhotodiodeProgram:
         out = self._process.stdout
         if out is None:
             raise self._error("has no output")
-        ready, _, _ = select.select([out, self._halt], [], [], self._timeout_s)
+        ready, _, _ = select.select([out.fileno(), self._halt.fileno()], [], [], self._timeout_s)
         self._halt.check()
         if not ready or not out.readline().strip():
             raise self._error(f"printed no line within {self._timeout_s:g} s, expected one when samples are taken")

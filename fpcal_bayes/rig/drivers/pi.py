@@ -81,7 +81,7 @@ class PIStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         read = self._of(self._gcs.qPOS)
-        return np.array([float(axis.to_model(np.float64(read[axis.channel]))) for axis in self._axes])
+        return np.array([float(axis.to_model(np.asarray(read[axis.channel]))) for axis in self._axes])
 
     def settled(self) -> bool:
         """Whether all axes are on target."""

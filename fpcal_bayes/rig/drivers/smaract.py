@@ -65,7 +65,7 @@ class SmarActStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         read = [
-            axis.to_model(np.float64(self._number(f":CHAN{axis.channel}:POS?") * wire / axis.per_unit))
+            axis.to_model(np.asarray(self._number(f":CHAN{axis.channel}:POS?") * wire / axis.per_unit))
             for axis, wire in zip(self._axes, self._wire, strict=True)
         ]
         return np.array(read, dtype=float)
@@ -99,7 +99,7 @@ class SmarActStage:
 
     @staticmethod
     def _count(axis: ControllerAxis, q: float, wire: float) -> float:
-        return float(axis.to_controller(np.float64(q))) * axis.per_unit / wire
+        return float(axis.to_controller(np.asarray(q))) * axis.per_unit / wire
 
     def _tell(self, command: str) -> None:
         self._link.send(command + _END)

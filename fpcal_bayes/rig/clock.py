@@ -78,7 +78,7 @@ class Halt:
     def wait(self, wall_s: float) -> None:
         """Wait; raise `Halted` as soon as all must stop."""
         self.check()
-        select.select([self], [], [], max(wall_s, 0.0))
+        select.select([self], [], [], min(max(wall_s, 0.0), 1e6))
         self.check()
 
     def close(self) -> None:

@@ -47,9 +47,8 @@ class PIStage:
         self._speeds = speeds
         self._servo_on = servo_on
         self._channels = [axis.channel for axis in axes]
-        library = _library()
-        self._gcs = library.GCS2Commands(library.GCSMessages(_Gateway(link)))
-        self._failure = library.GCSError
+        self._gcs = _library("gcs2.gcs2commands").GCS2Commands(_library("gcsmessages").GCSMessages(_Gateway(link)))
+        self._failure = _library("gcserror").GCSError
 
     def prepare(self) -> None:
         """Connect; servos on, speeds set."""
@@ -167,8 +166,8 @@ class _Gateway:
     unload = close
 
 
-def _library() -> Any:
+def _library(module: str) -> Any:
     try:
-        return import_module("pipython")
+        return import_module(f"pipython.pidevice.{module}")
     except ImportError as error:
         raise InputError('driver pi-gcs2 needs PIPython: pip install "fpcal-bayes[rig]"') from error

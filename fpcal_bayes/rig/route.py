@@ -1,0 +1,190 @@
+"""Where the joints go: what forbids a move, and what a dry run tells of it."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Protocol
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.rig.settings import Rig
+from fpcal_bayes.rig.ticket import Order
+
+#: Points of a straight line on which gap and length are looked at.
+_POINTS = 33
+#: Points per moving joint of the box through which joints that are not in step may pass.
+_BOX = 3
+
+
+class Envelope(Protocol):
+    """Where a cell may be, beyond the limits of its joints."""
+
+    def refusal(self, q: Floats) -> str | None:
+        """Why one of the poses, shape (n, n_joints) in um and rad, is forbidden; None if all are allowed."""
+
+
+class ForbiddenMoveError(InputError):
+    """A move that must not be made; the message is one line and says why."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One move and the reading after it.
+
+    Attributes
+    ----------
+    name
+        What it is for.
+    start, end
+        Joint vectors in um and rad.
+    seconds
+        That it takes, with settling.
+    gap
+        Least distance of fibre and mirror on the way, in um.
+    fringe_rate
+        Most fringes per second.
+    """
+
+    name: str
+    start: Floats
+    end: Floats
+    seconds: float
+    gap: float
+    fringe_rate: float
+
+
+class Guard:
+    """Looks at every move before it is made.
+
+    Parameters
+    ----------
+    estimate
+        Geometry by which gap and length are told; by default the cell's nominal one.
+    envelope
+        Where the cell may be, beyond the limits of its joints; by default the cell's own, if it has one.
+    """
+
+    def __init__(
+        self, cell: Cell, rig: Rig, estimate: Estimate | None = None, envelope: Envelope | None = None
+    ) -> None:
+        self._cell = cell
+        self._rig = rig
+        self._envelope = getattr(cell, "envelope", None) if envelope is None else envelope
+        parameters = cell.free if estimate is None else estimate.parameters
+        self._values = parameters.nominal if estimate is None else estimate.values
+        self._model = CavityModel.of(cell, parameters)
+        self.tolerance = np.array([joint.tolerance for joint in rig.joints])
+        self.speed = np.array([joint.speed for joint in rig.joints])
+
+    def inside(self, q: Floats) -> Floats:
+        """The pose that is commanded for `q`: at a limit, one tolerance inside it, where it is sure to be reached."""
+        return np.clip(q, self._cell.low + self.tolerance, self._cell.high - self.tolerance)
+
+    def check_pose(self, q: Floats, what: str) -> None:
+        """Raise `ForbiddenMoveError` where a joint is out of its limits by more than its tolerance."""
+        outside = ~((q >= self._cell.low - self.tolerance) & (q <= self._cell.high + self.tolerance))
+        if outside.any():
+            i = int(np.argmax(outside))
+            joint, scale = self._cell.joints[i], self._cell.joint_scales[i]
+            raise ForbiddenMoveError(
+                f"{what}: q{i + 1} = {q[i] / scale:g} {joint.unit} is outside the limits of cell {self._cell.name!r}, "
+                f"{joint.low / scale:g} to {joint.high / scale:g} {joint.unit}"
+            )
+
+    def check_move(self, start: Floats, end: Floats, what: str) -> None:
+        """Raise `ForbiddenMoveError` unless all poses between two are allowed, whatever the order of the joints.
+
+        Axes do not move in step: each may be anywhere between its start and its end while another is where it was.
+        """
+        self.check_pose(start, what)
+        self.check_pose(end, what)
+        if self._envelope is None and self._rig.least_gap <= 0.0:
+            return
+        poses = _box(start, end)
+        if self._rig.least_gap > 0.0:
+            gap = float(self.gaps(poses).min())
+            if gap < self._rig.least_gap:
+                raise ForbiddenMoveError(
+                    f"{what}: the mirror comes as near to the fibre as {gap:.1f} um, "
+                    f"expected {self._rig.least_gap:g} um or more"
+                )
+        if self._envelope is not None:
+            refusal = self._envelope.refusal(poses)
+            if refusal:
+                raise ForbiddenMoveError(f"{what}: {refusal}")
+
+    def gaps(self, q: Floats) -> Floats:
+        """Distance from the fibre's end to the mirror's plane at poses (n, n_joints), in um."""
+        normals, origins = self._model.mirrors(self._values, q)
+        fibre = chain.fibre_in_world(self._model.vector(self._values))[:3, 3]
+        distance: Floats = np.abs(np.sum(normals * (origins - fibre), axis=1))
+        return distance
+
+    def seconds(self, start: Floats, end: Floats) -> float:
+        """Time of a move, with settling."""
+        moving = start != end
+        if not moving.any():
+            return 0.0
+        rest = [joint.settle_s for joint, moves in zip(self._rig.joints, moving, strict=True) if moves]
+        return float((np.abs(end - start) / self.speed).max()) + max(rest)
+
+    def leg(self, name: str, start: Floats, end: Floats) -> Leg:
+        """A move as a dry run shows it; joints are taken to arrive together."""
+        line = start + (end - start) * np.linspace(0.0, 1.0, _POINTS)[:, None]
+        lengths = self._model.predict(self._values, self._model.pose_rows(line))
+        motion = float((np.abs(end - start) / self.speed).max())
+        change = float(np.abs(np.diff(lengths)).max()) * (_POINTS - 1)
+        rate = change / motion / (self._cell.wavelength / 2.0) if motion > 0.0 else 0.0
+        gap = float(self.gaps(np.concatenate([line, _box(start, end)])).min())
+        return Leg(name, start, end, self.seconds(start, end), gap, rate)
+
+    def legs(self, order: Order, at: Floats) -> Iterator[Leg]:
+        """The moves of an order from where the joints stand; `ForbiddenMoveError` names the ticket's row."""
+        stops = list(self.stops(order))
+        names = ["to the start", *order.labels, "back to the start"]
+        for name, (start, end) in zip(names, pairwise([at, *stops]), strict=True):
+            self.check_move(start, end, f"row {order.row}: {order.label!r}, {name}")
+            yield self.leg(name, start, end)
+
+    def stops(self, order: Order) -> Iterator[Floats]:
+        """The poses at which an order stops: its start, its targets, its start."""
+        yield self.inside(order.start)
+        for target in order.targets:
+            yield self.inside(target)
+        yield self.inside(order.start)
+
+
+def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]]:
+    """Every move of every order, looked at and timed, none made.
+
+    Raises
+    ------
+    ForbiddenMoveError
+        At the first move that must not be made.
+    """
+    found = []
+    for order in orders:
+        legs = list(guard.legs(order, at))
+        at = legs[-1].end
+        found.append(legs)
+    return found
+
+
+def total_seconds(legs: Iterable[Iterable[Leg]]) -> float:
+    """Time of all moves."""
+    return sum(leg.seconds for order in legs for leg in order)
+
+
+def _box(start: Floats, end: Floats) -> Floats:
+    """A grid over all poses whose joints each lie between start and end."""
+    moving = np.flatnonzero(start != end)
+    shares = np.array(list(product(np.linspace(0.0, 1.0, _BOX), repeat=len(moving))))
+    poses = np.tile(start, (len(shares), 1))
+    poses[:, moving] += (end - start)[moving] * shares
+    return poses

@@ -20,6 +20,7 @@ FLOORS = (
     "fringes",
     "simulator",
     "motion",
+    "rig",
     "infer",
     "tracking",
     "decision",

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.rig.drivers.link import Link
 
@@ -32,7 +32,7 @@ class SmarActStage:
     """
 
     def __init__(
-        self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, revolute: Floats
+        self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, revolute: Bools
     ) -> None:
         self.name = link.device
         self.joints = joints

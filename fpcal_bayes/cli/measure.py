@@ -52,12 +52,11 @@ def run(options: argparse.Namespace) -> int:
 
     cell = cell_of(options)
     ticket = read_ticket(options.ticket, cell)
+    if ticket.plan is None:
+        console(options).print(f"{options.ticket}: no rows, nothing to measure", markup=False, soft_wrap=True)
+        return 0
     rig = read_rig(options.rig, cell)
     check_output(options.output, options.ticket, options.rig, options.campaign, options.estimate)
-    out = console(options)
-    if ticket.plan is None:
-        out.print(f"{options.ticket}: no rows, nothing to measure", markup=False, soft_wrap=True)
-        return 0
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     warm_up(cell)
     guard = Guard(cell, rig, estimate)

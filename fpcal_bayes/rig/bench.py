@@ -35,7 +35,7 @@ _LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005
 #: How long the axes may take to stand still after a stop, in s of the wall.
 _STOP_S = 2.0
 #: An emulated clock runs on while this program waits for a core: no move fails sooner, in s of the wall.
-_PATIENCE_S = 2.0
+_PATIENCE_S = 1.0
 
 
 @dataclass(frozen=True)

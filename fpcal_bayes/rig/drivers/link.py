@@ -113,15 +113,6 @@ class Link:
         self.send(message)
         return self.take(lambda data: data.find(end) + len(end) if end in data else 0)[: -len(end)]
 
-    def chunk(self) -> str:
-        """Wait for whatever comes next, as a library wants it that cuts answers itself."""
-        if not self._buffer:
-            self._more(time.monotonic() + self.timeout_s)
-        text = self._buffer.decode("latin-1")
-        self._buffer.clear()
-        self._log.write(self.device, "<", text)
-        return text
-
     def _more(self, end: float) -> None:
         if self._socket is None:
             raise self.error("not connected")

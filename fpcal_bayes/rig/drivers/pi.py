@@ -20,6 +20,7 @@ from fpcal_bayes.rig.drivers.link import Link
 DEFAULT_PORT = 50000
 
 _STOP_ALL = "\x18"
+_ERROR = "ERR?\n"
 #: "Controller was stopped by command": what a stop leaves behind.
 _STOPPED_BY_COMMAND = 10
 
@@ -46,13 +47,17 @@ class PIStage:
         self._axes = axes
         self._speeds = speeds
         self._servo_on = servo_on
+        # Axes whose targets stay are left alone.
+        self._targets = np.full(len(axes), np.nan)
         self._channels = [axis.channel for axis in axes]
-        self._gcs = _library("gcs2.gcs2commands").GCS2Commands(_library("gcsmessages").GCSMessages(_Gateway(link)))
+        self._gateway = _Gateway(link)
+        self._gcs = _library("gcs2.gcs2commands").GCS2Commands(_library("gcsmessages").GCSMessages(self._gateway))
         self._failure = _library("gcserror").GCSError
 
     def prepare(self) -> None:
         """Connect; servos on, speeds set."""
         self._link.open()
+        self._targets[:] = np.nan
         self._gcs.errcheck = False
         self._asked(self._gcs.qERR)  # An error from before this session is none of ours.
         self._gcs.errcheck = True
@@ -93,6 +98,7 @@ class PIStage:
 
     def stop(self) -> None:
         """Stop all axes by the one character that interrupts everything."""
+        self._targets[:] = np.nan
         self._link.shout(_STOP_ALL)
 
     def stopped(self) -> bool:
@@ -129,7 +135,7 @@ class PIStage:
         except DeviceError:
             raise
         except self._failure as error:
-            raise self._link.error(" ".join(str(error).split())) from error
+            raise self._link.error(" ".join(str(error).split()), self._gateway.command) from error
         except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
             # What its readers raise at text that is no answer.
             raise self._link.error(f"the answer is not understood ({error})") from error
@@ -143,6 +149,8 @@ class _Gateway:
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        #: What was sent last, the question for its error left aside.
+        self.command = ""
 
     @property
     def timeout(self) -> int:
@@ -152,10 +160,13 @@ class _Gateway:
         self._link.timeout_s = value / 1e3
 
     def send(self, message: str) -> None:
+        if message != _ERROR:
+            self.command = message
         self._link.send(message)
 
     def read(self) -> str:
-        return self._link.chunk()
+        """A whole answer: its last line's end has no blank before it."""
+        return self._link.take(lambda data: len(data) if data.endswith(b"\n") and not data.endswith(b" \n") else 0)
 
     def flush(self) -> None:
         """Nothing to do: a new connection begins empty."""

@@ -40,10 +40,13 @@ class SmarActStage:
         self._axes = axes
         self._speeds = speeds
         self._wire = np.where(revolute, _NDEG, _PM)
+        # Channels whose targets stay are left alone.
+        self._targets = np.full(len(axes), np.nan)
 
     def prepare(self) -> None:
         """Connect; channels calibrated and referenced, speed set, absolute moves chosen."""
         self._link.open()
+        self._targets[:] = np.nan
         self._link.ask(f":DEV:SNUM?{_END}")
         for _ in range(self._number(":SYST:ERR:COUN?")):
             self._link.ask(f":SYST:ERR?{_END}")  # An error from before this session is none of ours.
@@ -58,9 +61,11 @@ class SmarActStage:
 
     def move(self, positions: Floats) -> None:
         """Start to move, channel by channel."""
-        for axis, q, wire in zip(self._axes, positions, self._wire, strict=True):
-            self._tell(f":MOVE{axis.channel} {round(self._count(axis, q, wire))}")
+        for axis, q, before, wire in zip(self._axes, positions, self._targets, self._wire, strict=True):
+            if q != before:
+                self._tell(f":MOVE{axis.channel} {round(self._count(axis, q, wire))}")
         self._require_no_error(":MOVE")
+        self._targets = positions.copy()
 
     def position(self) -> Floats:
         """Joint values in um and rad."""
@@ -85,6 +90,7 @@ class SmarActStage:
 
     def stop(self) -> None:
         """Stop every channel."""
+        self._targets[:] = np.nan
         self._link.shout("".join(f":STOP{axis.channel}{_END}" for axis in self._axes))
 
     def stopped(self) -> bool:

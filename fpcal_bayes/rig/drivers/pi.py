@@ -79,8 +79,14 @@ class PIStage:
 
     def move(self, positions: Floats) -> None:
         """Start to move; all axes of one command start together, but do not move in step."""
-        targets = {axis.channel: float(axis.to_controller(q)) for axis, q in zip(self._axes, positions, strict=True)}
-        self._asked(lambda: self._gcs.MOV(targets))
+        targets = {
+            axis.channel: float(axis.to_controller(q))
+            for axis, q, before in zip(self._axes, positions, self._targets, strict=True)
+            if q != before
+        }
+        if targets:
+            self._asked(lambda: self._gcs.MOV(targets))
+        self._targets = positions.copy()
 
     def position(self) -> Floats:
         """Joint values in um and rad."""

@@ -246,8 +246,11 @@ def test_no_move_is_made_before_all_are_allowed(cell_live, femto, tmp_path):
 
 def test_the_guard(femto, cell_live, tmp_path):
     class Keeper:
-        def refusal(self, q):
-            return "q1 and q2 together" if ((q[:, 0] > 50.0) & (q[:, 1] > 50.0)).any() else None
+        together = ((0, 2), (3, 4, 5))
+
+        def refusal(self, start, end, seconds):
+            most = np.maximum(start, end)
+            return "q1 and q2 together" if most[0] > 50.0 and most[1] > 50.0 else None
 
     guard = Guard(femto, cell_live.rig, envelope=Keeper())
     zero, corner = np.zeros(6), np.array([100.0, 100.0, 0.0, 0.0, 0.0, 0.0])
@@ -259,6 +262,8 @@ def test_the_guard(femto, cell_live, tmp_path):
     with pytest.raises(ForbiddenMoveError, match="q1 and q2 together"):
         guard.check_move(corner * [1, 0, 0, 0, 0, 0], corner * [0, 1, 0, 0, 0, 0], "a move")
     guard.check_move(zero, corner * [1, 0, 0, 0, 0, 0], "a move")
+    turns = guard.turns(zero, np.arange(1.0, 7.0))
+    assert [np.flatnonzero(pose).tolist() for pose in turns] == [[0, 2], [0, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5]]
     orders = orders_of(read_ticket(write_ticket(tmp_path / "t.csv", femto), femto))
     legs = dry_run(Guard(femto, cell_live.rig), orders, np.zeros(6))
     assert [len(moves) for moves in legs] == [3] * 69

@@ -122,6 +122,17 @@ class Bench:
         """
         here = self.position()
         self._guard.check_move(here, target, what)
+        # Where the joints were sent they stand; the encoders' last digits are no motion.
+        near = np.abs(here - self._commanded) <= self._guard.tolerance
+        lost = ""
+        for pose in self._guard.turns(np.where(near, self._commanded, here), target):
+            lost = self._turn(here, pose, what, watch and not lost) or lost
+        if lost:
+            raise Disturbed(lost)
+        return self.position()
+
+    def _turn(self, here: Floats, target: Floats, what: str, watch: bool) -> str:
+        """Move joints that may move at once; why the fringes were lost on the way, or nothing."""
         moving = self._commanded != target
         seconds = self._guard.seconds(here, target)
         allowed = seconds + max(
@@ -135,9 +146,7 @@ class Bench:
             stage.move(target[list(stage.joints)])
         lost = self._wait(target, stages, seconds, allowed, what, watch)
         self._commanded = target.copy()
-        if lost:
-            raise Disturbed(lost)
-        return self.position()
+        return lost
 
     def _wait(self, target: Floats, stages: list[Stage], seconds: float, allowed: float, what: str, watch: bool) -> str:
         """Wait until the joints stand at `target`; why the fringes were lost on the way, or nothing."""

@@ -25,8 +25,12 @@ _BOX = 3
 class Envelope(Protocol):
     """Where a cell may be, beyond the limits of its joints."""
 
-    def refusal(self, q: Floats) -> str | None:
-        """Why one of the poses, shape (n, n_joints) in um and rad, is forbidden; None if all are allowed."""
+    @property
+    def together(self) -> Sequence[Sequence[int]]:
+        """Groups of joints, by position, that may move at the same time; all others move one after the other."""
+
+    def refusal(self, start: Floats, end: Floats, seconds: float) -> str | None:
+        """Why a move, of joint vectors in um and rad, may leave the envelope, in whatever order its joints move."""
 
 
 class ForbiddenMoveError(InputError):
@@ -67,7 +71,7 @@ class Guard:
     estimate
         Geometry by which gap and length are told; by default the cell's nominal one.
     envelope
-        Where the cell may be, beyond the limits of its joints; by default the cell's own, if it has one.
+        Where the cell may be, beyond the limits of its joints.
     """
 
     def __init__(
@@ -75,7 +79,9 @@ class Guard:
     ) -> None:
         self._cell = cell
         self._rig = rig
-        self._envelope = getattr(cell, "envelope", None) if envelope is None else envelope
+        self._envelope = envelope
+        if envelope is None and getattr(cell, "envelope", None) is not None:
+            raise InputError(f"cell {cell.name!r} has an envelope, expected a rig that holds its moves to it")
         parameters = cell.free if estimate is None else estimate.parameters
         self._values = parameters.nominal if estimate is None else estimate.values
         self._model = CavityModel.of(cell, parameters)
@@ -106,16 +112,15 @@ class Guard:
         self.check_pose(end, what)
         if self._envelope is None and self._rig.least_gap <= 0.0:
             return
-        poses = _box(start, end)
         if self._rig.least_gap > 0.0:
-            gap = float(self.gaps(poses).min())
+            gap = float(self.gaps(_box(start, end)).min())
             if gap < self._rig.least_gap:
                 raise ForbiddenMoveError(
                     f"{what}: the mirror comes as near to the fibre as {gap:.1f} um, "
                     f"expected {self._rig.least_gap:g} um or more"
                 )
         if self._envelope is not None:
-            refusal = self._envelope.refusal(poses)
+            refusal = self._envelope.refusal(start, end, self.seconds(start, end))
             if refusal:
                 raise ForbiddenMoveError(f"{what}: {refusal}")
 
@@ -126,8 +131,29 @@ class Guard:
         distance: Floats = np.abs(np.sum(normals * (origins - fibre), axis=1))
         return distance
 
+    def turns(self, start: Floats, end: Floats) -> list[Floats]:
+        """The poses at which a move stops on its way: joints that must not move at once go one after the other."""
+        moving = np.flatnonzero(start != end).tolist()
+        groups = [] if self._envelope is None else [list(group) for group in self._envelope.together]
+        parts = [[joint for joint in moving if joint in group] for group in groups]
+        single = [[joint] for joint in moving if not any(joint in group for group in groups)]
+        poses, pose = [], start.copy()
+        for part in [*parts, *single] if self._envelope is not None else [moving]:
+            pose = pose.copy()
+            pose[part] = end[part]
+            if part:
+                poses.append(pose)
+        return poses or [end]
+
     def seconds(self, start: Floats, end: Floats) -> float:
         """Time of a move, with settling."""
+        times, before = 0.0, start
+        for pose in self.turns(start, end):
+            times += self._turn_seconds(before, pose)
+            before = pose
+        return times
+
+    def _turn_seconds(self, start: Floats, end: Floats) -> float:
         moving = start != end
         if not moving.any():
             return 0.0

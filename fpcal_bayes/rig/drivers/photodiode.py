@@ -75,7 +75,10 @@ class PhotodiodeProgram:
         if process.returncode != 0:
             raise self._error(f"ended with status {process.returncode}")
         self._forget()
-        trace = read_trace(self._trace, scale)
+        try:
+            trace = read_trace(self._trace, scale)
+        except InputError as error:
+            raise self._error(str(error).removeprefix(f"{self._trace}: ")) from error
         self._log.write(self.name, "<", f"{self._trace.name}: {len(trace)} samples")
         return trace
 

@@ -42,7 +42,7 @@ class Account:
     doubtful: int = 0
     stopped: Counter = field(default_factory=Counter)
     worst_sd: float = 0.0
-    worst_stop_s: float = 0.0
+    chi_square: float = 0.0
     wrong: list[str] = field(default_factory=list)
 
 
@@ -117,6 +117,7 @@ def _check_rows(found, output: Path, account: Account) -> None:
     sweeps = read_sweeps(output, found.cell)
     account.rows += len(sweeps)
     off = np.abs(sweeps.dl - noise_free(found.cell, found.lab.truth, sweeps)) / sweeps.sigma
+    account.chi_square += float(np.sum(off**2))
     account.worst_sd = max(account.worst_sd, float(off.max()))
     account.wrong += [f"{output.name}: {sweeps.label[i]}: {off[i]:.1f} sd off" for i in np.flatnonzero(off > 6.0)]
     if len(set(sweeps.label.tolist())) != len(sweeps):
@@ -131,7 +132,8 @@ if __name__ == "__main__":
         account = run(Path(folder), wanted, seed)
     print(f"{account.faults} faults in {account.sessions} sessions, {time.time() - began:.0f} s")
     print(f"stopped by: {dict(account.stopped)}")
-    print(f"{account.rows} rows stored, {account.doubtful} sweeps marked doubtful, worst row {account.worst_sd:.2f} sd")
+    print(f"{account.rows} rows stored, {account.doubtful} sweeps marked doubtful")
+    print(f"chi-square {account.chi_square:.1f} of {account.rows} rows, worst row {account.worst_sd:.2f} sd")
     for line in account.wrong:
         print("WRONG", line)
     sys.exit(bool(account.wrong))

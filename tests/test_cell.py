@@ -149,6 +149,15 @@ def test_hash_changes_with_what_matters(femto: Cell, tmp_path: Path, old: str, n
     assert cell_of(changed(old, new), tmp_path).sha256 != femto.sha256
 
 
+def test_hash_leaves_out_what_changes_no_cavity_length(femto: Cell, tmp_path: Path) -> None:
+    assert femto.sha256.startswith("9ef957ab3e19")
+    finer = cell_of(changed("resolution_um = 0.0005", "resolution_um = 0.0001"), tmp_path)
+    assert finer.resolution.tolist() == [1e-4, *femto.resolution[1:]]
+    silent = cell_of("\n".join(line for line in TEXT.splitlines() if "resolution_" not in line), tmp_path)
+    assert silent.resolution.tolist() == [0.0] * 6
+    assert finer.sha256 == silent.sha256 == femto.sha256
+
+
 def test_with_opd(femto: Cell) -> None:
     other = femto.with_opd("perpendicular")
     assert (other.opd, femto.opd) == ("perpendicular", "axis")

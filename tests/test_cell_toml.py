@@ -144,6 +144,8 @@ BAD = [
     ("prior_sd_deg = 1.0", "prior_sd_deg = -1.0", "key joint 2.alpha.prior_sd_deg: expected a number from 0 to inf"),
     ("prior_sd_um = 20.0", "prior_sd_um = nan", "key joint 4.d.prior_sd_um: expected a finite number, found nan"),
     ("repeatability_um = 0.0", "repeatability_um = -1", "key joint 1.repeatability_um: expected a number from 0"),
+    ("resolution_um = 0.0005", "resolution_um = -1", "key joint 1.resolution_um: expected a number from 0"),
+    ("resolution_um = 0.0005", "resolution_deg = 1.0", "key joint 1.resolution_deg: unknown key"),
     # limits
     ("limits_um = [-150.0, 150.0]", "limits_um = [150.0, -150.0]", "key joint 1.limits_um: expected low < high"),
     ("limits_um = [-150.0, 150.0]", "limits_um = [1, 1]", "key joint 1.limits_um: expected low < high, found [1, 1]"),

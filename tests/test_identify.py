@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit import minimise as least_squares
-from fpcal_bayes.infer.fit.goodness import chi2_tail
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.io.cell import load_cell

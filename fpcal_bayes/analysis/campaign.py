@@ -9,11 +9,11 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecast, Goal
 from fpcal_bayes.decision.policy import decide_track
-from fpcal_bayes.infer.fit.goodness import chi2_tail
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
@@ -348,12 +348,8 @@ def _estimate_now(cell: Cell, observability: Observability, followed: Track | No
         assert found is not None
         return found.estimate
     state, drift = followed.last.state, followed.drift
-    step = drift.transition(now_h - state.time_h)
-    grown = replace(
-        state,
-        time_h=now_h,
-        covariance=step.matrix @ state.covariance @ step.matrix.T + step.noise,
-    )
+    _, covariance = drift.propagate(state.mean, state.covariance, now_h - state.time_h)
+    grown = replace(state, time_h=now_h, covariance=covariance)
     return estimate_of(cell, drift, grown, followed.status, followed.data)
 
 

@@ -185,7 +185,7 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
 
 def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """The noise that sweeps measured more than once show, against the stated one."""
-    from fpcal_bayes.infer.fit.goodness import chi2_tail
+    from fpcal_bayes.core.linalg import chi2_tail
 
     for name in sweeps.sessions:
         part = sweeps.of_session(name)

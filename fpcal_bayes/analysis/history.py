@@ -100,9 +100,8 @@ def history(facts: CampaignFacts) -> History | None:
     states = []
     for time_h, number in zip(hours, after, strict=True):
         state = followed.outcomes[number].state
-        step = drift.transition(time_h - state.time_h)
-        covariance = step.matrix @ state.covariance @ step.matrix.T + step.noise
-        states.append((step.matrix @ state.mean + step.shift, np.diag(covariance)))
+        mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h)
+        states.append((mean, np.diag(covariance)))
     scale = drift.scale / parameters.scales
     n = drift.n_parameters
     smoothed = smooth_track(followed, facts.sweeps).states

@@ -3,57 +3,33 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.options import Commands, add_command, cell_of, check_output, console, warn
+from rich.table import Table
+
+from fpcal_bayes.cli.common import cell_of, check_output, console, warn
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
-
-if TYPE_CHECKING:
-    from fpcal_bayes.rig.agenda import Agenda
-    from fpcal_bayes.rig.route import Guard, Leg
-    from fpcal_bayes.rig.session import Progress, Summary
-    from fpcal_bayes.rig.settings import Rig
-    from fpcal_bayes.rig.ticket import Ticket
-
-_EPILOG = """\
-Before the first move every move of the ticket is held to the joints' limits, the cell's envelope and the least gap of
-RIG.toml; --dry-run stops there and shows moves, times, gap and fringe rate. Positions read back are what is stored.
-Each sweep ends with a return to its start; one whose length does not close is driven again, then kept apart as
-doubtful. Ctrl-C, a lost device or a forbidden move stop all axes at once; what was measured is kept in SESSION, and the
-same command goes on from there (SESSION.journal). Every message to a device stands in the log beside SESSION.
-
-A ticket without rows does nothing. Out of date, used up or measured already: refused.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "measure", "drive a ticket on the live cell", run, _EPILOG)
-    parser.add_argument("ticket", metavar="TICKET", help="ticket or plan: CSV without measured values")
-    parser.add_argument("--rig", metavar="RIG", required=True, help="devices: RIG.toml")
-    parser.add_argument(
-        "-o", dest="output", metavar="SESSION", type=Path, required=True, help="session to write: .h5 or .csv"
-    )
-    parser.add_argument("--campaign", metavar="C", help="campaign that the session will belong to: its clock, its past")
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="geometry that tells the gap (default: the nominal one)")
-    parser.add_argument("--dry-run", action="store_true", help="look at every move and make none")
+from fpcal_bayes.rig.agenda import Agenda, origin_of
+from fpcal_bayes.rig.bench import Bench, is_recording
+from fpcal_bayes.rig.clock import Halt, Halted
+from fpcal_bayes.rig.drivers.interface import CommandLog
+from fpcal_bayes.rig.reader import read_rig
+from fpcal_bayes.rig.route import Guard, Leg, dry_run, total_seconds
+from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
+from fpcal_bayes.rig.settings import Rig
+from fpcal_bayes.rig.ticket import Ticket, orders_of, read_ticket
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.rig.agenda import Agenda, origin_of
-    from fpcal_bayes.rig.reader import read_rig
-    from fpcal_bayes.rig.route import Guard
-    from fpcal_bayes.rig.ticket import read_ticket
-
     cell = cell_of(options)
     ticket = read_ticket(options.ticket, cell)
     if ticket.plan is None:
-        console(options).print(f"{options.ticket}: no rows, nothing to measure", markup=False, soft_wrap=True)
+        console(options).say(f"{options.ticket}: no rows, nothing to measure")
         return 0
     rig = read_rig(options.rig, cell)
     check_output(options.output, options.ticket, options.rig, options.campaign, options.estimate)
@@ -69,13 +45,8 @@ def run(options: argparse.Namespace) -> int:
     return _measure(options, cell, rig, guard, agenda)
 
 
-def _show(options: argparse.Namespace, cell: Cell, guard: "Guard", ticket: "Ticket") -> int:
+def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
     """The dry run, as a table."""
-    from rich.table import Table
-
-    from fpcal_bayes.rig.route import dry_run, total_seconds
-    from fpcal_bayes.rig.ticket import orders_of
-
     orders = orders_of(ticket)
     legs = dry_run(guard, orders, guard.inside(orders[0].start))
     table = Table("sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most", box=None)
@@ -85,26 +56,18 @@ def _show(options: argparse.Namespace, cell: Cell, guard: "Guard", ticket: "Tick
     out = console(options)
     out.print(table)
     gap, rate = _extremes(every)
-    out.print(
+    out.say(
         f"{len(orders)} sweeps, {len(every)} moves, {total_seconds(legs) / 60.0:.1f} min from the first sweep's start; "
-        f"least gap {gap} um, at most {rate} fringes a second; no move was made",
-        markup=False,
-        soft_wrap=True,
+        f"least gap {gap} um, at most {rate} fringes a second; no move was made"
     )
     return 0
 
 
-def _extremes(legs: "list[Leg]") -> tuple[str, str]:
+def _extremes(legs: list[Leg]) -> tuple[str, str]:
     return f"{min(leg.gap for leg in legs):.1f}", f"{max(leg.fringe_rate for leg in legs):.3g}"
 
 
-def _measure(options: argparse.Namespace, cell: Cell, rig: "Rig", guard: "Guard", agenda: "Agenda") -> int:
-    from fpcal_bayes.core.files import make_folder
-    from fpcal_bayes.rig.bench import Bench, is_recording
-    from fpcal_bayes.rig.clock import Halt, Halted
-    from fpcal_bayes.rig.drivers.interface import CommandLog
-    from fpcal_bayes.rig.session import Failed, measure
-
+def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, agenda: Agenda) -> int:
     if is_recording(rig):
         make_folder(agenda.folder)
     if agenda.resumed:
@@ -135,7 +98,7 @@ class _Teller:
         self._out = console(options)
         self._often = sys.stdout.isatty()
 
-    def __call__(self, progress: "Progress") -> None:
+    def __call__(self, progress: Progress) -> None:
         tenth = max(1, progress.total // 10)
         if progress.doubt:
             warn([f"{progress.label}: {progress.doubt}"])
@@ -145,11 +108,9 @@ class _Teller:
             )
 
 
-def _report(options: argparse.Namespace, summary: "Summary") -> None:
+def _report(options: argparse.Namespace, summary: Summary) -> None:
     where = f" -> {options.output}" if summary.rows else ""
     doubtful = f", {len(summary.doubtful)} doubtful" if summary.doubtful else ""
-    console(options).print(
-        f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}",
-        markup=False,
-        soft_wrap=True,
+    console(options).say(
+        f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
     )

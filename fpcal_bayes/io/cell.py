@@ -166,7 +166,8 @@ class _Reader:
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
-        self.keys(table, place, {"kind", f"limits_{unit}", f"repeatability_{unit}", "controller", "drift", *LINK_SLOTS})
+        own = {f"{key}_{unit}" for key in ("limits", "repeatability", "resolution")}
+        self.keys(table, place, {"kind", "controller", "drift", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
@@ -175,9 +176,12 @@ class _Reader:
             low, high = (float(x) * SCALES[unit] for x in limits)
             if not low < high:
                 raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {_shown(limits)}")
-        repeatability = self.number(table, place, f"repeatability_{unit}", low=0.0, default=0.0) * SCALES[unit]
+        repeatability, resolution = (
+            self.number(table, place, f"{key}_{unit}", low=0.0, default=0.0) * SCALES[unit]
+            for key in ("repeatability", "resolution")
+        )
         controller = self.controller(table, place, kind) if "controller" in table else None
-        return Joint(kind, low, high, repeatability, controller)
+        return Joint(kind, low, high, repeatability, controller, resolution)
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.model.cell.cell import Cell
@@ -204,7 +204,7 @@ def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> 
         good: NDArray[np.bool_] = found.ok & ((found.q >= cell.low) & (found.q <= cell.high)).all(axis=1)
         if angles[0] == 0.0 and not good[0]:
             if not found.ok[0]:
-                raise InputError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
+                raise UnreachableError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
             good[0] = True
         return good
 

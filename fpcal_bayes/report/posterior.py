@@ -15,9 +15,9 @@ from rich.table import Table
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut
 from fpcal_bayes.infer.posterior.netcdf import summarise
-from fpcal_bayes.infer.posterior.sample import Posterior
 from fpcal_bayes.report.fit import number, plain_table
 from fpcal_bayes.report.week import save_figure
 

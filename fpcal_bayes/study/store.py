@@ -70,11 +70,6 @@ class StudyStore:
         """Make the file, or room for `replicates` in it, and put replicates into it; nobody else does meanwhile.
 
         What the file holds stays, unless `anew`.
-
-        Raises
-        ------
-        InputError
-            If the file is another one or holds another study, cannot be written, or another process writes it.
         """
         if replicates * self._type.itemsize > MAX_BYTES:
             raise InputError(

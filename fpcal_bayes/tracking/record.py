@@ -34,12 +34,8 @@ def settings_sha256(drift: DriftModel, limits: Limits) -> str:
 def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
     """A track as a campaign file holds it.
 
-    Parameters
-    ----------
-    sweeps
-        Of all its sessions; hashes of them tell later which sessions the states hold.
-    decisions
-        What was decided meanwhile, one JSON object each, in order of time.
+    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
+    decided meanwhile, one JSON object each, in order of time.
     """
     onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
     n, states = track.drift.n_parameters, track.drift.n_states
@@ -76,26 +72,10 @@ def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
 def resume(
     record: TrackRecord, cell: Cell, drift: DriftModel, limits: Limits, parts: list[Sweeps], file: str
 ) -> tuple[Track | None, str]:
-    """The part of a saved track that still holds.
+    """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    The track is taken up before the first session that is new, was changed, or came in between late.
-
-    Parameters
-    ----------
-    parts
-        Sweeps of each session, in order of time.
-    file
-        For messages.
-
-    Returns
-    -------
-    tuple
-        The track of the first sessions, or None if all are to be taken in anew; and why, or an empty text.
-
-    Raises
-    ------
-    InputError
-        If the track is of another cell, or cannot be understood.
+    The track is taken up before the first session that is new, was changed, or came in between late. `parts` are the
+    sweeps of each session in order of time. `InputError` if the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(

@@ -12,7 +12,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
-from fpcal_bayes.infer.tasks.source import independent_draws
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -35,31 +35,16 @@ _CALIBRATED = 0.6
 
 @dataclass(frozen=True)
 class Track:
-    """What following a campaign gave.
+    """What following a campaign gave."""
 
-    Attributes
-    ----------
-    cell, drift
-        What was followed, and how it drifts.
-    outcomes
-        One a session, in order of time; the first is the calibration.
-    status
-        Of each parameter after the calibration.
-    resumed
-        How many of the outcomes were taken over from an earlier run.
-    solutions
-        How many the calibration has; see `track.solutions`.
-    data
-        Of the file that was followed.
-    """
-
+    # cell, drift: what was followed, and how it drifts
     cell: Cell
     drift: DriftModel
-    outcomes: tuple[SessionOutcome, ...]
-    status: tuple[str, ...]
-    resumed: int = 0
-    solutions: int = 1
-    data: dict[str, str] = field(default_factory=dict)
+    outcomes: tuple[SessionOutcome, ...]  # one a session, in order of time; the first is the calibration
+    status: tuple[str, ...]  # of each parameter after the calibration
+    resumed: int = 0  # how many of the outcomes were taken over from an earlier run
+    solutions: int = 1  # how many the calibration has; see `tracking.solutions`
+    data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
 
     def __repr__(self) -> str:
         return (
@@ -118,10 +103,8 @@ def estimate_of(
 ) -> Estimate:
     """A state as an estimate, in um and rad.
 
-    Parameters
-    ----------
-    status
-        Of each parameter after the calibration; what the data no longer halve the prior variance of becomes weak.
+    `status` is that of each parameter after the calibration; what the data no longer halve the prior variance of
+    becomes weak.
     """
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
@@ -196,44 +179,20 @@ def track(
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
 
-def smooth_track(track: Track, sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
-    """States after each session of a track given all sessions; see `smooth`.
-
-    Parameters
-    ----------
-    track
-        Also one that was taken up again.
-    sweeps
-        Of all its sessions.
-    limits
-        Of its tests, by default `Limits()`.
-    """
-    limits = Limits() if limits is None else limits
+def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
+    """States after each session of a track, also of one that was taken up again, given all sessions; see `smooth`."""
     model = CavityModel.of(track.cell, track.drift.parameters)
     parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
-    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+    return smooth(track.drift, with_measurements(track.drift, model, Limits(), track.outcomes, parts))
 
 
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session.
+    """Identify all parameters from the first session; `draws` as in `track`, `InputError` if it determines too little.
 
-    Parameters
-    ----------
-    draws
-        As in `track`.
-
-    Returns
-    -------
-    tuple
-        The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
-        from each of them alone and its share of the posterior.
-
-    Raises
-    ------
-    InputError
-        If the sweeps determine too little to be a calibration.
+    Gives the outcome of the session; the status of each parameter; and where the posterior has several minima, the
+    outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
     free = len(drift.parameters)

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, chi2_tail, goodness_of_fit
+from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, goodness_of_fit
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,
@@ -42,43 +43,21 @@ _RELINEARISATIONS = 100
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of `identify`.
+    """Result of `identify`."""
 
-    Attributes
-    ----------
-    estimate
-        Maximum of the posterior with its Laplace covariance.
-    problem, solution
-        The least-squares problem as it was solved last, and its minimum.
-    free
-        The parameters that were identified.
-    spectrum
-        What the data tell about them.
-    fit
-        How well the data are met.
-    other_minima
-        Further minima of the sum of squares that count for the posterior, lowest first.
-    signs
-        How the unsigned rows were decided, or None.
-    starts
-        Number of starting points that were tried.
-    seconds
-        Time of the identification itself.
-    warnings
-        Sentences about what is not to be trusted.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # maximum of the posterior with its Laplace covariance
+    # problem, solution: the least-squares problem as it was solved last, and its minimum
     problem: Problem
     solution: Solution
-    free: ParameterSet
-    spectrum: Spectrum
-    fit: GoodnessOfFit
+    free: ParameterSet  # the parameters that were identified
+    spectrum: Spectrum  # what the data tell about them
+    fit: GoodnessOfFit  # how well the data are met
+    # further minima of the sum of squares that count for the posterior, lowest first
     other_minima: tuple[Solution, ...]
-    signs: SignDecision | None
-    starts: int
-    seconds: float
-    warnings: tuple[str, ...]
+    signs: SignDecision | None  # how the unsigned rows were decided, or None
+    starts: int  # number of starting points that were tried
+    seconds: float  # time of the identification itself
+    warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"

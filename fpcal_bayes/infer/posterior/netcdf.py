@@ -1,17 +1,20 @@
-"""A posterior as an ArviZ DataTree in a netCDF file, and its summary."""
+"""A posterior as an ArviZ DataTree in a netCDF file, read again, and its summary."""
 
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+from scipy.sparse.linalg import spsolve_triangular
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, replacing, require_readable
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
-from fpcal_bayes.infer.posterior.sample import Posterior
+from fpcal_bayes.infer.posterior.diagnostics import diagnose
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
@@ -19,21 +22,11 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class PosteriorDraws:
-    """Draws from the posterior of a cell's parameters.
+    """Draws from the posterior of a cell's parameters."""
 
-    Attributes
-    ----------
-    cell
-        The cell they belong to.
-    parameters
-        In the cell's order.
-    values
-        In um and rad, shape (n_draws, n).
-    """
-
-    cell: Cell
-    parameters: ParameterSet
-    values: Floats
+    cell: Cell  # the cell they belong to
+    parameters: ParameterSet  # in the cell's order
+    values: Floats  # in um and rad, shape (n_draws, n)
 
     def thinned(self, most: int) -> "PosteriorDraws":
         """At most `most` of the draws, evenly spaced."""
@@ -42,16 +35,7 @@ class PosteriorDraws:
 
 
 def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
-    """Read the draws of a posterior file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no netCDF file of ``fpcal sample``, of another cell, its sampling did not converge, or
-        a draw is not a number.
-    """
-    import h5py
-
+    """Read the draws of a posterior file."""
     path = Path(path)
     require_readable(path)
     try:
@@ -85,8 +69,6 @@ def _check(path: Path, attributes: dict[str, object], cell: Cell) -> None:
 
 
 def _column(path: Path, data: object, name: str, unit: str) -> Floats:
-    import h5py
-
     place = f"{path}: posterior/{name}"
     if not isinstance(data, h5py.Dataset) or data.dtype.kind != "f":
         raise InputError(f"{place}: expected an array of numbers")
@@ -101,39 +83,21 @@ def _column(path: Path, data: object, name: str, unit: str) -> Floats:
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """Draws of a posterior and what they are worth.
+    """Draws of a posterior and what they are worth."""
 
-    Attributes
-    ----------
-    file, sha256
-        Name without folder, and hash of the bytes.
-    parameters
-        Sampled parameters, n of them.
-    draws
-        In the units a person reads, shape (n_chains, n_draws, n).
-    prior
-        Draws of the prior in the same units, shape (n_prior_draws, n).
-    n_ensembles
-        Independent ensembles; chains of one ensemble interact.
-    rhat, ess_bulk, ess_tail
-        Nested R-hat and effective sizes, shape (n,).
-    residuals
-        Measured less predicted, in standard deviations of the prediction, shape (n_rows,).
-    command
-        That made the file.
-    """
-
+    # file, sha256: name without folder, and hash of the bytes
     file: str
     sha256: str
-    parameters: ParameterSet
-    draws: Floats
-    prior: Floats
-    n_ensembles: int
+    parameters: ParameterSet  # sampled parameters, n of them
+    draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
+    prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
+    n_ensembles: int  # independent ensembles; chains of one ensemble interact
+    # rhat, ess_bulk, ess_tail: nested R-hat and effective sizes, shape (n,)
     rhat: Floats
     ess_bulk: Floats
     ess_tail: Floats
-    residuals: Floats
-    command: str
+    residuals: Floats  # measured less predicted, in standard deviations of the prediction, shape (n_rows,)
+    command: str  # that made the file
 
     @property
     def n_draws(self) -> int:
@@ -142,18 +106,7 @@ class PosteriorSummary:
 
 
 def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
-    """Read a posterior file and work out its convergence.
-
-    Raises
-    ------
-    InputError
-        As `read_posterior` does, and if the file lacks prior draws or predictions.
-    """
-    import h5py
-
-    from fpcal_bayes.core.errors import InputError
-    from fpcal_bayes.infer.posterior.diagnostics import diagnose
-
+    """Read a posterior file and work out its convergence."""
     path = Path(path)
     parameters = read_posterior(path, cell).parameters
     with h5py.File(path, "r") as file:
@@ -273,6 +226,7 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     observed_data. Rows that share a reading have the likelihood of a row given those before it in its group. Of long
     runs on many rows, likelihoods and predictions of evenly spaced draws are kept.
     """
+    # Importing arviz takes long: only where it is used.
     import arviz as az
 
     identification = posterior.identification
@@ -363,7 +317,5 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
         if mix is None:
             predicted[part] = mean + noise / scale
         else:
-            from scipy.sparse.linalg import spsolve_triangular
-
             predicted[part] = mean + spsolve_triangular(mix, noise.T, lower=True).T
     return likelihood, predicted

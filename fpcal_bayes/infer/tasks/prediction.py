@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import (
     AngularErrors,
@@ -33,27 +34,13 @@ _ANGLE_DRAWS = 2000
 
 @dataclass(frozen=True)
 class TaskPrediction:
-    """What an estimate leaves unknown of a task, as draws.
+    """What an estimate leaves unknown of a task, as draws."""
 
-    Attributes
-    ----------
-    task
-        As the controller drives it.
-    errors
-        Task error along the path, shape (n_draws, n_points), in um.
-    sd
-        Root mean square of the error along the path, shape (n_points,), in um.
-    angles
-        Angular errors along the path, of 2,000 of the draws at most.
-    linear
-        Whether the errors are propagated to first order from a covariance, or are those of posterior draws.
-    """
-
-    task: Task
-    errors: Floats
-    sd: Floats
-    angles: AngularErrors
-    linear: bool
+    task: Task  # as the controller drives it
+    errors: Floats  # task error along the path, shape (n_draws, n_points), in um
+    sd: Floats  # root mean square of the error along the path, shape (n_points,), in um
+    angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
+    linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
 
     def __repr__(self) -> str:
         low, high = 1e3 * self.peak_to_peak_band()
@@ -64,13 +51,13 @@ class TaskPrediction:
         """Peak to peak of each draw along the path, shape (n_draws,), in um."""
         return peak_to_peak(self.errors)
 
-    def band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the errors at each point, shape (2, n_points), um."""
-        return np.quantile(self.errors, _edges(share), axis=0)
+    def band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the errors at each point, shape (2, n_points), um."""
+        return quantile_band(self.errors, BAND, axis=0)
 
-    def peak_to_peak_band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the peak-to-peak values, shape (2,), in um."""
-        return np.quantile(self.peak_to_peak, _edges(share))
+    def peak_to_peak_band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the peak-to-peak values, shape (2,), in um."""
+        return quantile_band(self.peak_to_peak, BAND)
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that the peak to peak exceeds `tolerance`, in um."""
@@ -97,33 +84,18 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     _require_cell(estimate, task)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     jacobian = task_jacobian(model, estimate.values, task)
-    scale = estimate.parameters.prior_sd
-    eigenvalues, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
-    factor = scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-    change = np.random.default_rng(seed).standard_normal((draws, len(scale))) @ factor.T
+    factor = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
+    change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
     return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True)
 
 
 def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: Task) -> TaskPrediction:
-    """Predict the error of a task from posterior draws of the truth.
+    """Predict the error of a task from posterior draws of the truth, (n_draws, n_free) in um and rad.
 
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    values
-        What the controller holds, shape (n_free,).
-    task
-        The joint path that was found with it.
-
-    Raises
-    ------
-    InputError
-        If a point of the task is out of reach.
+    The controller holds `values` (n_free,), with which the joint path of the task was found. `InputError` if a point of
+    the task is out of reach.
     """
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
@@ -132,18 +104,9 @@ def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: 
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:
-    """The draw whose cavity lengths along a task are nearest to the mean over all draws, shape (n_free,).
+    """The draw (n_free,) whose cavity lengths along a task are nearest to the mean over all draws (n_draws, n_free).
 
     The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.
-
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    task_name, radius
-        As in `find_task`.
     """
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)
@@ -163,10 +126,6 @@ def estimate_of_draws(model: CavityModel, draws: Floats, values: Floats) -> Esti
         covariance=around.T @ around / len(draws),
         status=("identified",) * len(free),
     )
-
-
-def _edges(share: float) -> Floats:
-    return np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
 
 
 def _require_cell(estimate: Estimate, task: Task) -> None:

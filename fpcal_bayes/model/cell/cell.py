@@ -90,6 +90,11 @@ class Cell:
         return np.array([j.repeatability for j in self.joints])
 
     @cached_property
+    def resolution(self) -> NDArray[np.float64]:
+        """Smallest step of each joint, shape (n_joints,); `sha256` leaves it out, for it changes no cavity length."""
+        return np.array([j.resolution for j in self.joints])
+
+    @cached_property
     def free(self) -> ParameterSet:
         """The parameters identified by default: those with a prior that are not optional."""
         return ParameterSet(p for p in self.parameters if p.prior_sd > 0 and not p.optional)

@@ -37,9 +37,10 @@ class ControllerAxis:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller.
+    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution.
 
-    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position.
+    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position, `resolution` the
+    smallest step (zero where it is not stated).
     """
 
     kind: JointKind
@@ -47,6 +48,7 @@ class Joint:
     high: float
     repeatability: float
     controller: ControllerAxis | None
+    resolution: float = 0.0
 
     @property
     def unit(self) -> str:

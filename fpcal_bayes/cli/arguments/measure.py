@@ -1,0 +1,137 @@
+"""Options of the commands that measure, and look at what was measured."""
+
+from pathlib import Path
+
+from fpcal_bayes.cli.arguments.common import Commands, add_command, add_json, count, positive, seed, share
+
+#: Standard deviation of each simulated dL where none is given.
+DEFAULT_SIGMA_NM = 5.0
+
+_SIMULATE = """\
+The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
+another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several
+[[epoch]] tables with `time_h` and [epoch.parameters].
+
+--traces records the irradiance in place of dL: FILE is an index for `fpcal ingest`, a CSV with its traces in a folder
+beside it or HDF5 with everything inside; the truth goes to FILE_truth.toml. Sweeps have wavelength scans before and
+after (--signs paper: X and Z translations only). 200 samples a second for 10 s a sweep, so at least 35 a fringe with
+the paper's protocol. --disturbances hard: 20 % change of gain; 10 % drift of the offset, 1 % second harmonic and 1 %
+noise relative to the fringes' amplitude. The velocity has a ripple of 10 % always.
+
+--path records the joint path of `fpcal control -o JOINTS.csv` in place of sweeps, for `fpcal check`.
+"""
+
+
+def simulate(commands: Commands) -> None:
+    """Add ``fpcal simulate``."""
+    parser = add_command(commands, "simulate", "measure sweeps on a simulated cell", _SIMULATE)
+    parser.add_argument(
+        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
+    )
+    parser.add_argument("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
+    parser.add_argument(
+        "--protocol",
+        metavar="paper|paper-mid|SWEEPS.csv",
+        help="which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)",
+    )
+    parser.add_argument(
+        "--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only"
+    )
+    parser.add_argument(
+        "--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})"
+    )
+    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    parser.add_argument("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
+    parser.add_argument("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
+    parser.add_argument("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
+    parser.add_argument(
+        "--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest"
+    )
+    parser.add_argument("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
+
+
+_INGEST = """\
+INDEX is a CSV with a row for each sweep: session,time_h,label,q1_start_um,..,q6_end_deg,trace, where trace is a CSV
+with the columns t_s,joint,irradiance_v (joint: the one that moves, in um or deg). Optional columns: wavelength_nm (of
+the laser in vacuum), temperature_c, pressure_hpa, humidity_pct (without all three the index of the air is 1),
+scan_before, scan_after (CSV wavelength_nm,irradiance_v), group, kind, utc. Files are named relative to INDEX and lie in
+its folder. Or an HDF5 of the same (fpcal simulate --traces -o INDEX.h5), a campaign that fpcal ingest made, or a MATLAB
+file (-v7) with variables of these names: t_s, joint, irradiance_v as cell arrays of vectors.
+
+A photodiode does not tell the sign of dL. It is taken from scans before and after, from --estimate, or from the cell's
+priors where these leave no doubt; other rows have signed = 0. Doubtful sweeps are no rows of FILE: they are listed,
+drawn, and kept in an HDF5 FILE under /doubtful. All traces are kept in an HDF5 FILE, so it can be ingested again.
+
+--alignment writes the fibre's direction against the mirror, by the fringe amplitude along the first session's sweeps
+that tilt the mirror, as a prior: `fpcal identify FILE --prior OUT`. On the perpendicular path dL does not see it. The
+amplitude is made linear at --estimate, or at what the first session's sweeps identify; OUT holds nothing else of it.
+"""
+
+
+def ingest(commands: Commands) -> None:
+    """Add ``fpcal ingest``."""
+    parser = add_command(commands, "ingest", "read sweeps from recorded irradiance", _INGEST)
+    parser.add_argument("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
+    parser.add_argument(
+        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
+    )
+    parser.add_argument("--estimate", metavar="ESTIMATE", help="estimate JSON that tells signs and doubtful counts")
+    parser.add_argument("--points", type=count, metavar="N", help="rows for N interior points of each sweep too")
+    parser.add_argument("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
+    parser.add_argument(
+        "--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength"
+    )
+    parser.add_argument("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
+    parser.add_argument(
+        "--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior"
+    )
+    plots = parser.add_mutually_exclusive_group()
+    plots.add_argument(
+        "--plots", metavar="DIR", type=Path, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
+    )
+    plots.add_argument("--no-plots", action="store_true", help="draw nothing")
+    add_json(parser)
+
+
+_DOCTOR = """\
+problem: results are wrong or cannot be had; doubt: they may be; note: good to know. Each finding comes with what to do.
+Looks at times and order of the sessions, rows measured twice, signs, joints that never move, poses at limits, what the
+calibration cannot see, the fit of each session (slipped counts, outliers, path model, size of the noise), and what
+changed from session to session. The exit status is 0 whatever is found; 2 if the file cannot be read.
+"""
+
+
+def doctor(commands: Commands) -> None:
+    """Add ``fpcal doctor``."""
+    parser = add_command(commands, "doctor", "say what is wrong with a campaign, and what to do about it", _DOCTOR)
+    parser.add_argument("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
+    add_json(parser)
+
+
+_OBSERVE = """\
+FILE may be a plan, without dl_um and sigma_um: the analysis then averages over the prior. Measured sweeps are analysed
+at the maximum of their posterior.
+"""
+
+
+def observe(commands: Commands) -> None:
+    """Add ``fpcal observe``."""
+    parser = add_command(commands, "observe", "say what sweeps can tell about a cell, measured or not", _OBSERVE)
+    parser.add_argument("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
+    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
+    parser.add_argument(
+        "--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)"
+    )
+    parser.add_argument(
+        "--weak-share",
+        type=share,
+        default=0.5,
+        metavar="SHARE",
+        help="a parameter is weak if more than this share of its prior variance is left (default: 0.5)",
+    )
+    parser.add_argument("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
+    parser.add_argument(
+        "--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted"
+    )
+    parser.add_argument("--html", metavar="OUT", type=Path, help="write a page with figures")
+    add_json(parser)

@@ -248,8 +248,8 @@ def test_the_guard(femto, cell_live, tmp_path):
     class Keeper:
         together = ((0, 2), (3, 4, 5))
 
-        def refusal(self, start, end, seconds):
-            most = np.maximum(start, end)
+        def refusal(self, stops, speed):
+            most = np.max(stops, axis=0)
             return "q1 and q2 together" if most[0] > 50.0 and most[1] > 50.0 else None
 
     guard = Guard(femto, cell_live.rig, envelope=Keeper())

@@ -29,8 +29,17 @@ class Envelope(Protocol):
     def together(self) -> Sequence[Sequence[int]]:
         """Groups of joints, by position, that may move at the same time; all others move one after the other."""
 
-    def refusal(self, start: Floats, end: Floats, seconds: float) -> str | None:
-        """Why a move, of joint vectors in um and rad, may leave the envelope, in whatever order its joints move."""
+    def refusal(self, stops: Sequence[Floats], speed: Floats) -> str | None:
+        """Why a move may leave the envelope, or None.
+
+        Parameters
+        ----------
+        stops
+            Joint vectors in um and rad: where the move begins, where it stops on its way (see `Guard.turns`), its end.
+            Between two of them each joint may be anywhere between its values.
+        speed
+            Of the joints, in um/s and rad/s, shape (n_joints,).
+        """
 
 
 class ForbiddenMoveError(InputError):
@@ -120,7 +129,7 @@ class Guard:
                     f"expected {self._rig.least_gap:g} um or more"
                 )
         if self._envelope is not None:
-            refusal = self._envelope.refusal(start, end, self.seconds(start, end))
+            refusal = self._envelope.refusal([start, *self.turns(start, end)], self.speed)
             if refusal:
                 raise ForbiddenMoveError(f"{what}: {refusal}")
 

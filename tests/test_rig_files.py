@@ -25,7 +25,7 @@ def test_a_rig_is_read(femto, rig_file):
     rig = read_rig(rig_file, femto)
     assert [controller.driver for controller in rig.controllers] == ["pi-gcs2", "smaract-mcs2"]
     assert [joint.axis.channel for joint in rig.joints] == ["1", "2", "3", "1", "2", "3"]
-    assert rig.joints[3].speed == pytest.approx(math.radians(50.0))
+    assert rig.joints[3].speed == pytest.approx(math.radians(20.0))
     assert rig.joints[0].tolerance == 0.005
     assert (rig.close, rig.repeats, rig.least_gap, rig.clock.speedup) == (0.03, 1, 100.0, 100.0)
     assert isinstance(rig.instrument, IDSDevice)

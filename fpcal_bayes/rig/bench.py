@@ -121,11 +121,11 @@ class Bench:
             If `watch` is set and the fringes were lost on the way; the joints are at the target all the same.
         """
         here = self.position()
-        self._guard.check_move(here, target, what)
         # Where the joints were sent they stand; the encoders' last digits are no motion.
-        near = np.abs(here - self._commanded) <= self._guard.tolerance
+        here = np.where(np.abs(here - self._commanded) <= self._guard.tolerance, self._commanded, here)
+        self._guard.check_move(here, target, what)
         lost = ""
-        for pose in self._guard.turns(np.where(near, self._commanded, here), target):
+        for pose in self._guard.turns(here, target):
             lost = self._turn(here, pose, what, watch and not lost) or lost
         if lost:
             raise Disturbed(lost)

@@ -248,9 +248,9 @@ def test_the_guard(femto, cell_live, tmp_path):
     class Keeper:
         together = ((0, 2), (3, 4, 5))
 
-        def refusal(self, stops, speed):
-            most = np.max(stops, axis=0)
-            return "q1 and q2 together" if most[0] > 50.0 and most[1] > 50.0 else None
+        def refusals(self, moves, speed):
+            most = [np.max(stops, axis=0) for stops in moves]
+            return ["q1 and q2 together" if q[0] > 50.0 and q[1] > 50.0 else None for q in most]
 
     guard = Guard(femto, cell_live.rig, envelope=Keeper())
     zero, corner = np.zeros(6), np.array([100.0, 100.0, 0.0, 0.0, 0.0, 0.0])

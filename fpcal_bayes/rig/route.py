@@ -29,14 +29,14 @@ class Envelope(Protocol):
     def together(self) -> Sequence[Sequence[int]]:
         """Groups of joints, by position, that may move at the same time; all others move one after the other."""
 
-    def refusal(self, stops: Sequence[Floats], speed: Floats) -> str | None:
-        """Why a move may leave the envelope, or None.
+    def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> Sequence[str | None]:
+        """Why each of some moves may leave the envelope, or None.
 
         Parameters
         ----------
-        stops
-            Joint vectors in um and rad: where the move begins, where it stops on its way (see `Guard.turns`), its end.
-            Between two of them each joint may be anywhere between its values.
+        moves
+            Of each, joint vectors in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
+            end. Between two of them each joint may be anywhere between its values.
         speed
             Of the joints, in um/s and rad/s, shape (n_joints,).
         """
@@ -119,23 +119,31 @@ class Guard:
 
         Axes do not move in step: each may be anywhere between its start and its end while another is where it was.
         """
-        self.check_pose(start, what)
-        self.check_pose(end, what)
-        key = frozenset((start.tobytes(), end.tobytes()))
-        if key in self._allowed:
-            return
+        self.check_moves([(start, end, what)])
+
+    def check_moves(self, moves: Sequence[tuple[Floats, Floats, str]]) -> None:
+        """`check_move` for several, of which many are alike."""
+        new: dict[frozenset[bytes], tuple[Floats, Floats, str]] = {}
+        for start, end, what in moves:
+            self.check_pose(start, what)
+            self.check_pose(end, what)
+            key = frozenset((start.tobytes(), end.tobytes()))
+            if key not in self._allowed:
+                new.setdefault(key, (start, end, what))
         if self._rig.least_gap > 0.0:
-            gap = float(self.gaps(_box(start, end)).min())
-            if gap < self._rig.least_gap:
-                raise ForbiddenMoveError(
-                    f"{what}: the mirror comes as near to the fibre as {gap:.1f} um, "
-                    f"expected {self._rig.least_gap:g} um or more"
-                )
-        if self._envelope is not None:
-            refusal = self._envelope.refusal([start, *self.turns(start, end)], self.speed)
-            if refusal:
-                raise ForbiddenMoveError(f"{what}: {refusal}")
-        self._allowed.add(key)
+            for start, end, what in new.values():
+                gap = float(self.gaps(_box(start, end)).min())
+                if gap < self._rig.least_gap:
+                    raise ForbiddenMoveError(
+                        f"{what}: the mirror comes as near to the fibre as {gap:.1f} um, "
+                        f"expected {self._rig.least_gap:g} um or more"
+                    )
+        if self._envelope is not None and new:
+            stops = [[start, *self.turns(start, end)] for start, end, _ in new.values()]
+            for (_, _, what), refusal in zip(new.values(), self._envelope.refusals(stops, self.speed), strict=True):
+                if refusal:
+                    raise ForbiddenMoveError(f"{what}: {refusal}")
+        self._allowed |= set(new)
 
     def gaps(self, q: Floats) -> Floats:
         """Distance from the fibre's end to the mirror's plane at poses (n, n_joints), in um."""
@@ -183,13 +191,13 @@ class Guard:
         gap = float(self.gaps(np.concatenate([line, _box(start, end)])).min())
         return Leg(name, start, end, self.seconds(start, end), gap, rate)
 
-    def legs(self, order: Order, at: Floats) -> Iterator[Leg]:
-        """The moves of an order from where the joints stand; `ForbiddenMoveError` names the ticket's row."""
-        stops = list(self.stops(order))
+    def moves(self, order: Order, at: Floats) -> list[tuple[Floats, Floats, str]]:
+        """The moves of an order from where the joints stand: start, end, what for."""
         names = ["to the start", *order.labels, "back to the start"]
-        for name, (start, end) in zip(names, pairwise([at, *stops]), strict=True):
-            self.check_move(start, end, f"row {order.row}: {order.label!r}, {name}")
-            yield self.leg(name, start, end)
+        return [
+            (start, end, f"row {order.row}: {order.label!r}, {name}")
+            for name, (start, end) in zip(names, pairwise([at, *self.stops(order)]), strict=True)
+        ]
 
     def stops(self, order: Order) -> Iterator[Floats]:
         """The poses at which an order stops: its start, its targets, its start."""
@@ -207,12 +215,12 @@ def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]
     ForbiddenMoveError
         At the first move that must not be made.
     """
-    found = []
+    moves = []
     for order in orders:
-        legs = list(guard.legs(order, at))
-        at = legs[-1].end
-        found.append(legs)
-    return found
+        moves.append(guard.moves(order, at))
+        at = moves[-1][-1][1]
+    guard.check_moves([move for each in moves for move in each])
+    return [[guard.leg(what, start, end) for start, end, what in each] for each in moves]
 
 
 def total_seconds(legs: Iterable[Iterable[Leg]]) -> float:

@@ -268,7 +268,7 @@ def test_the_guard(femto, cell_live, tmp_path):
     legs = dry_run(Guard(femto, cell_live.rig), orders, np.zeros(6))
     assert [len(moves) for moves in legs] == [3] * 69
     # Along the optical axis 40 um at 300 um/s: 385 fringes of 0.78 um a second.
-    along = next(leg for moves in legs for leg in moves if "-ty" in leg.name)
+    along = next(out for _, out, _ in legs if "-ty" in out.name)
     assert along.fringe_rate == pytest.approx(300.0 / 0.78, rel=0.01)
     assert along.seconds == pytest.approx(40.0 / 300.0 + 0.05, rel=1e-3)
 

@@ -78,8 +78,8 @@ class Live:
     def lab(self):
         return self.emulated.lab
 
-    def bench(self, halt: Halt, log: Path | None = None) -> Bench:
-        guard = Guard(self.cell, self.rig)
+    def bench(self, halt: Halt, log: Path | None = None, guard: Guard | None = None) -> Bench:
+        guard = Guard(self.cell, self.rig) if guard is None else guard
         return Bench(self.cell, self.rig, guard, halt, CommandLog(log, self.rig.clock), self.folder)
 
     def measure(self, ticket: Path, output: Path, *, halt: Halt | None = None, campaign=None, tell=lambda _: None):
@@ -89,7 +89,8 @@ class Live:
             read = read_ticket(ticket, self.cell)
             origin = origin_of(read, campaign, self.rig.clock.now())
             agenda = Agenda(read, self.cell, self.rig, output, origin)
-            return agenda, measure(agenda, self.bench(own), Guard(self.cell, self.rig), tell)
+            guard = Guard(self.cell, self.rig)
+            return agenda, measure(agenda, self.bench(own, guard=guard), guard, tell)
         finally:
             if halt is None:
                 own.close()

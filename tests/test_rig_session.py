@@ -4,13 +4,14 @@ import json
 import os
 import shlex
 import signal
+import socket
 import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_fixtures import constant, live, write_ticket
+from rig_fixtures import constant, live, write_rig, write_ticket
 from test_rig_files import with_columns
 
 from fpcal_bayes.cli.main import main
@@ -21,6 +22,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers.interface import DeviceError
+from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import ForbiddenMoveError, Guard, dry_run
 from fpcal_bayes.rig.session import Failed
 from fpcal_bayes.rig.ticket import orders_of, read_ticket
@@ -317,3 +319,28 @@ def test_the_command(cell_live, femto, tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert error.startswith("fpcal: error: MCS-3D at 127.0.0.1:")
     assert error.count("\n") == 1
+
+
+def test_the_command_that_emulates(femto, tmp_path, monkeypatch, capsys):
+    """Serves until a signal comes; faults of the file come at their times, and LIVE finds the devices."""
+    fault = '\n[[emulate.fault]]\ndevice = "MCS-3D"\nkind = "reset"\nat_s = 1.0\nduration_s = 1e6\n'
+    write_rig(tmp_path / "rig.toml", speedup=100.0, extra=fault)
+    seen = []
+
+    def look():
+        while not (tmp_path / "rig_live.toml").exists():
+            time.sleep(0.01)
+        rig = read_rig(tmp_path / "rig_live.toml", femto)
+        for controller in rig.controllers:
+            with socket.create_connection((controller.address.host, controller.address.port), 5.0) as wire:
+                time.sleep(0.2)
+                seen.append(wire.recv(1) == b"" if controller.name == "MCS-3D" else True)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.chdir(tmp_path)
+    thread = threading.Thread(target=look)
+    thread.start()
+    assert main(["rig", "--emulate", "rig.toml"]) == 0
+    thread.join()
+    assert seen == [True, True]
+    assert "E-712 at 127.0.0.1:" in capsys.readouterr().out

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.resources import data_file
-from fpcal_bayes.io.cell import _CONTROLLER_UNITS, load_cell
+from fpcal_bayes.io.cell import CONTROLLER_UNITS, load_cell
 from fpcal_bayes.model.cell.cell import Cell, check_joints, describe
 from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.model.parameters import EXTRINSICS
@@ -79,12 +79,10 @@ def test_select_without_prior(femto: Cell, name: str) -> None:
         femto.select(name)
 
 
-@pytest.mark.parametrize(
-    ("kind", "unit"), [(kind, unit) for kind, units in _CONTROLLER_UNITS.items() for unit in units]
-)
+@pytest.mark.parametrize(("kind", "unit"), [(kind, unit) for kind, units in CONTROLLER_UNITS.items() for unit in units])
 @given(q=st.floats(-1e3, 1e3), zero=st.floats(-1e3, 1e3), sign=st.sampled_from([1, -1]))
 def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float, sign: int) -> None:
-    axis = ControllerAxis("m", "1", sign, zero, unit, _CONTROLLER_UNITS[kind][unit])
+    axis = ControllerAxis("m", "1", sign, zero, unit, CONTROLLER_UNITS[kind][unit])
     values = np.array([q, 0.0])
     reading = axis.to_controller(values)
     # The zero takes up digits of the reading.
@@ -110,7 +108,7 @@ def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float,
     ],
 )
 def test_controller_units(kind: str, unit: str, one: float) -> None:
-    axis = ControllerAxis("m", "1", -1, 10.0, unit, _CONTROLLER_UNITS[kind][unit])
+    axis = ControllerAxis("m", "1", -1, 10.0, unit, CONTROLLER_UNITS[kind][unit])
     assert axis.to_controller(np.array([2 * one])) == pytest.approx(8.0, rel=1e-12)
 
 

@@ -13,7 +13,7 @@ from fpcal_bayes.infer.fit import minimise as least_squares
 from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth

@@ -71,7 +71,7 @@ def test_small_draws_give_the_linear_prediction(femto: Cell) -> None:
 def test_true_peak_to_peak_lies_in_its_band(femto: Cell) -> None:
     """40 calibrations of cells drawn from the prior: 200 bands of 95 %, of which 8 in 10 must hold at the very least.
 
-    studies/task_coverage.py does it a thousand times.
+    `fpcal study coverage --replicates 1000` does it a thousand times.
     """
     model, plan, random = CavityModel.of(femto), paper_protocol(femto), np.random.default_rng(0)
     inside = []

@@ -3,10 +3,10 @@
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_check import PathError, check_path, check_rows, measure_path
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.tasks.source import read_estimate_draws
@@ -73,7 +73,7 @@ def _index(options: argparse.Namespace, cell: Cell) -> float:
     return float(ciddor(cell.wavelength, *air))
 
 
-def _drift(options: argparse.Namespace, cell: Cell, estimate: Estimate) -> "NDArray[np.float64] | None":
+def _drift(options: argparse.Namespace, cell: Cell, estimate: Estimate) -> Floats | None:
     """Covariance of the drift from the time of the estimate to that of the check."""
     if options.time_h is None or not cell.drift:
         return None

@@ -19,8 +19,7 @@ def run(options: argparse.Namespace) -> int:
     specs = parse_models(options.models, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)
-    status = Console(stderr=True, quiet=options.quiet or not sys.stderr.isatty()).status("")
-    with status:
+    with Console(stderr=True, quiet=options.quiet or not sys.stderr.isatty()).status("") as status:
         comparison = compare(cell, sweeps, specs, draws=options.draws, seed=options.seed, progress=status.update)
 
     out = console(options)

@@ -10,7 +10,7 @@ from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.policy import decide_track, valid_until
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.json}: expected two names for -o and --json")
     goal = goal_of(options)
     warm_up_inverse(cell)
-    followed = follow(options, cell)
+    followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps
     sigma = float(np.median(sweeps.sigma)) if options.sigma_nm is None else 1e-3 * options.sigma_nm
     costs = Costs(

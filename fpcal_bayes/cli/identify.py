@@ -11,8 +11,6 @@ from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.draws import draws_content
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 
 
@@ -22,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, options.file, options.start, options.prior)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
-    prior = prior_of(options, cell)
+    prior = None if options.prior is None else read_estimate(options.prior, cell)
     cell.select(options.free)
     warm_up(cell)
     found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
@@ -37,11 +35,6 @@ def run(options: argparse.Namespace) -> int:
     if options.json is not None:
         write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     return 0 if result.converged else 1
-
-
-def prior_of(options: argparse.Namespace, cell: Cell) -> Estimate | None:
-    """The estimate that ``--prior`` names."""
-    return None if options.prior is None else read_estimate(options.prior, cell)
 
 
 def with_source(result: Identification, file: str, session: str) -> Identification:

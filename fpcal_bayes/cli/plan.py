@@ -20,8 +20,8 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
-from fpcal_bayes.report.week import save_figure
 from fpcal_bayes.tracking.drift import aged
 
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
-from fpcal_bayes.cli.identify import prior_of, with_source
+from fpcal_bayes.cli.identify import with_source
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.identify import identify
@@ -18,6 +18,7 @@ from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
+from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures
@@ -32,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
-    prior = prior_of(options, cell)
+    prior = None if options.prior is None else read_estimate(options.prior, cell)
     warm_up(cell)
     result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps.sessions[0])
     warn(result.warnings)

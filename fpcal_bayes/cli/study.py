@@ -20,7 +20,7 @@ from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.study.base import Study, Summary
 from fpcal_bayes.study.coverage import Coverage
 from fpcal_bayes.study.drifting_week import Setting
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, output)
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers: expected without --scheduler, whose workers are there already")
-    workers = options.workers or len(os.sched_getaffinity(0))
+    workers = options.workers or _cores()
     study = _MAKERS[options.study](options, cell)
     warm_up_inverse(cell)
 
@@ -75,6 +75,11 @@ def run(options: argparse.Namespace) -> int:
     }
     write_result(options.json, "study", content)
     return 0
+
+
+def _cores() -> int:
+    """How many cores this process may use; where the system does not tell, all."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _print(summary: Summary, out: Output) -> None:

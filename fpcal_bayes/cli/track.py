@@ -70,7 +70,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         # Two that save their states in one campaign would each lose what the other found.
         campaign_file = is_campaign_file(options.campaign)
         require_same = alone.enter_context(exclusive(Path(options.campaign))) if campaign_file else None
-        followed = follow(options, cell, anew=options.anew, posterior=options.posterior)
+        followed = follow(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
         found, sweeps, notes = followed.track, followed.sweeps, followed.notes
         if followed.campaign is not None and require_same is not None and found.resumed < len(found.outcomes):
             try:
@@ -105,7 +105,8 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         drift_fit = {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     warn(warnings)
-    content = found.estimate(valid_until_h).content() | {"fit": _fit(found)}
+    fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
+    content = found.estimate(valid_until_h).content() | {"fit": fit}
     if options.estimate is not None:
         write_result(options.estimate, "track", content)
     write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
@@ -124,25 +125,11 @@ def _valid_until(found: Track, goal: Goal, *, asked: bool) -> tuple[float | None
         return None, [f"how long the estimate holds cannot be said: {error}"]
 
 
-def _fit(found: Any) -> dict[str, Any]:
-    last = found.last
-    return {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": last.nis, "converged": found.converged}
-
-
-def _content(found: Any) -> dict[str, Any]:
+def _content(found: Track) -> dict[str, Any]:
     """What ``track --json`` writes beside the estimate."""
-    return {
-        "sessions": [
-            {
-                "session": outcome.session,
-                "time_h": outcome.time_h,
-                "n_sweeps": outcome.n_sweeps,
-                "nis": outcome.nis,
-                "dof": outcome.dof,
-                "verdict": outcome.verdict,
-                "evidence": list(outcome.evidence),
-            }
-            for outcome in found.outcomes
-        ],
-        "calibration_due": found.calibration_due is not None,
-    }
+    told = ("session", "time_h", "n_sweeps", "nis", "dof", "verdict")
+    sessions = [
+        {name: getattr(outcome, name) for name in told} | {"evidence": list(outcome.evidence)}
+        for outcome in found.outcomes
+    ]
+    return {"sessions": sessions, "calibration_due": found.calibration_due is not None}

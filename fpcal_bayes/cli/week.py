@@ -22,10 +22,19 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
 from fpcal_bayes.report.campaign.page import write_campaign_report
-from fpcal_bayes.report.fit import fit_lines, reflection_lines, truth_table
+from fpcal_bayes.report.fit import fit_lines
+from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.track import verdict_lines
-from fpcal_bayes.report.week import circle_table, course_table, draw_circles, draw_courses, draw_week, save_figure
+from fpcal_bayes.report.week import (
+    circle_table,
+    course_table,
+    draw_circles,
+    draw_courses,
+    draw_week,
+    reflection_lines,
+    truth_table,
+)
 from fpcal_bayes.study.paper_scenarios import Followed, decision_log, follow_week
 from fpcal_bayes.study.paper_week import (
     SESSIONS,

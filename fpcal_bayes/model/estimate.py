@@ -1,4 +1,4 @@
-"""An estimate: values, covariance and provenance of a cell's parameters, and its JSON file."""
+"""An estimate: values, covariance and provenance of a cell's parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,10 +13,6 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 SCHEMA = "fpcal/1"
 STATUSES = ("identified", "weak", "gauge", "fixed")
-
-#: Numbers of this size are no lengths or angles, and their squares still fit a double.
-_LARGEST = 1e100
-_SMALLEST = 1e-100
 
 
 @dataclass(frozen=True)

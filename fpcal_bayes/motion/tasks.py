@@ -25,40 +25,22 @@ _SPIN_STEP, _SPIN_GOAL = float(np.radians(1.0)), 1e-9
 
 @dataclass(frozen=True)
 class Task:
-    """A commanded path, and the joint path that a model vector makes of it.
+    """A commanded path, and the joint path that a model vector makes of it."""
 
-    Attributes
-    ----------
-    name
-        One of `TASKS`, or the name of a path file.
-    cell
-        Whose joints follow the path.
-    offsets
-        Commanded moves away from the aligned pose, shape (n_points, 6), in um and rad (see `Placement.moved`).
-    poses
-        Commanded poses fX of the mirror frame at the reflection point, in the fibre frame, shape (n_points, 4, 4).
-    q
-        Joint path, shape (n_points, n_joints), in um and rad; NaN where a pose is out of reach, beyond a limit where
-        it is saturated: drive to points whose status is ``ok`` only.
-    status
-        Of each point: ``ok`` or the reason why it cannot be driven to, shape (n_points,).
-    start
-        Joint vector of the aligned pose, from which the changes of cavity length are counted, shape (n_joints,).
-    along
-        Where each point stands on the path, shape (n_points,), in `unit`.
-    unit
-        ``um`` or ``deg``, or ``point`` for a user's path.
-    """
-
-    name: str
-    cell: Cell
+    name: str  # one of `TASKS`, or the name of a path file
+    cell: Cell  # whose joints follow the path
+    #: Commanded moves away from the aligned pose, shape (n_points, 6), in um and rad (see `Placement.moved`).
     offsets: Floats
+    #: Commanded poses fX of the mirror frame at the reflection point, in the fibre frame, shape (n_points, 4, 4).
     poses: Floats
+    #: Joint path, shape (n_points, n_joints), in um and rad; NaN where a pose is out of reach, beyond a limit where it
+    #: is saturated: drive to points whose status is ``ok`` only.
     q: Floats
-    status: NDArray[np.str_]
+    status: NDArray[np.str_]  # of each point: ``ok`` or the reason why it cannot be driven to, shape (n_points,)
+    #: Joint vector of the aligned pose, from which the changes of cavity length are counted, shape (n_joints,).
     start: Floats
-    along: Floats
-    unit: str
+    along: Floats  # where each point stands on the path, shape (n_points,), in `unit`
+    unit: str  # ``um`` or ``deg``, or ``point`` for a user's path
 
     def __len__(self) -> int:
         return len(self.q)
@@ -66,8 +48,7 @@ class Task:
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each point can be driven to, shape (n_points,)."""
-        good: NDArray[np.bool_] = self.status == "ok"
-        return good
+        return np.asarray(self.status == "ok")
 
     @property
     def finite(self) -> NDArray[np.bool_]:
@@ -75,13 +56,7 @@ class Task:
         return np.isfinite(self.q).all(axis=1)
 
     def driven(self) -> "Task":
-        """The same task at the points that can be driven to.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """The same task at the points that can be driven to."""
         if not self.ok.any():
             raise InputError(f"task {self.name!r}: no point can be driven to; point 1: {self.status[0]}")
         return self.take(self.ok)
@@ -106,24 +81,11 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
     about Xf and Zf through wPr; ``spin`` turns about Yf through wPr, to either side until a joint limit or 90 deg.
 
-    Parameters
-    ----------
-    cell
-        A cell with six joints.
-    vector
-        Model vector that the joint path is found with, shape (model size,), in um and rad.
-    name
-        One of `TASKS`.
-    radius
-        Of the circle, in um.
-    n_points
-        Points of the path, both ends included; the circle ends where it starts.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown, the radius is not above zero, there are fewer than two points, or the aligned pose
-        that a spin starts from cannot be reached.
+    cell: a cell with six joints.
+    vector: model vector that the joint path is found with, shape (model size,), in um and rad.
+    name: one of `TASKS`.
+    radius: of the circle, in um.
+    n_points: points of the path, both ends included; the circle ends where it starts.
     """
     if name not in TASKS:
         raise InputError(f"unknown task {name!r}: expected one of {', '.join(TASKS)}, or the name of a path CSV")
@@ -152,16 +114,8 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
     """A user's path as a task.
 
-    Parameters
-    ----------
-    path
-        CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
-        turns in the order x, y, z about axes through wPr.
-
-    Raises
-    ------
-    InputError
-        If the file is not as documented or has fewer than two rows.
+    path: CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
+    turns in the order x, y, z about axes through wPr.
     """
     offsets = read_path(path)
     placement = Placement.of(cell, vector)

@@ -1,21 +1,22 @@
-"""A decision as a sentence, as tables and as JSON."""
+"""A track and a decision as sentences, as tables and as JSON."""
 
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
-
+from fpcal_bayes.analysis.history import session_bounds
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.forecast import Goal, Outlook
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import Cell as Entry
+from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.tracking.session import SessionOutcome
-from fpcal_bayes.tracking.tracker import Track, innovation_bounds
+from fpcal_bayes.tracking.tracker import Track
 
-VERDICT_STYLES = {"as-modelled": "green", "extrinsics-moved": "yellow", "intrinsics-moved": "red"}
+#: How good the verdict of a session is.
+VERDICT_STYLES = {"as-modelled": "good", "extrinsics-moved": "caution", "intrinsics-moved": "bad"}
 
 
 def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:
@@ -27,28 +28,23 @@ def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:
 
 
 def session_table(track: Track, title: str) -> Table:
-    """One line a session: when, how many sweeps, innovation with its 95 % bounds, verdict."""
+    """One line per session: when, how many sweeps, innovation with its 95 % bounds, verdict."""
     table = plain_table(title, ["session", "verdict", "time", "sweeps", "innovation", "95 % bounds"])
     for i, outcome in enumerate(track.outcomes):
-        style = VERDICT_STYLES[outcome.verdict]
-        if i == 0:
-            verdict, bounds = "calibration", ""
-        else:
-            verdict = f"[{style}]{outcome.verdict}[/{style}]"
-            bounds = "{:.1f} .. {:.1f}".format(*innovation_bounds(outcome.dof)) if outcome.dof else ""
+        bounds = session_bounds(outcome) if i else None
         table.add_row(
-            escape(outcome.session),
-            verdict,
+            outcome.session,
+            Entry(outcome.verdict, style=VERDICT_STYLES[outcome.verdict]) if i else "calibration",
             time_text(outcome.time_h, track.outcomes),
             str(outcome.n_sweeps),
             f"{outcome.nis:.1f}" if outcome.dof else "",
-            bounds,
+            "" if bounds is None else f"{bounds[0]:.1f} .. {bounds[1]:.1f}",
         )
     return table
 
 
 def verdict_lines(track: Track) -> list[str]:
-    """What was found, a sentence a session that was not as modelled, and what follows."""
+    """One sentence per session that was not as modelled, and what follows."""
     lines = [
         f"{outcome.session}: {outcome.verdict}: {outcome.evidence[0]}"
         for outcome in track.outcomes
@@ -75,10 +71,8 @@ def decision_sentence(decision: Decision, track: Track) -> str:
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
-    table = plain_table(
-        f"peak to peak of the worst of: {', '.join(goal.tasks)}",
-        ["when", "time", "median nm", "95 % band nm", f"P(> {1e3 * goal.tolerance:g} nm)"],
-    )
+    heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance:g} nm)"]
+    table = plain_table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", heads)
     after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),
@@ -97,15 +91,19 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
 
 
 def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
-    """A line a sweep: its start, and where the joints that move end; um and deg."""
+    """One line per sweep, the most useful first."""
     table = plain_table("sweeps, the most useful first", ["sweep", "moves", *cell.joint_columns])
-    scales = cell.joint_scales
-    for i in range(len(sweeps)):
-        start, end = sweeps.q_start[i] / scales, sweeps.q_end[i] / scales
-        moving = [column for column, a, b in zip(cell.joint_columns, start, end, strict=True) if a != b]
-        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
-        table.add_row(str(i + 1), " ".join(name.split("_")[0] for name in moving), *shown)
+    add_sweeps(table, sweeps, cell, [str(i) for i in range(1, len(sweeps) + 1)])
     return table
+
+
+def add_sweeps(table: Table, sweeps: Sweeps, cell: Cell, names: Sequence[str]) -> None:
+    """Add a row per sweep: which joints move, and where each stands or where it begins and ends; um and deg."""
+    starts, ends = sweeps.q_start / cell.joint_scales, sweeps.q_end / cell.joint_scales
+    for name, start, end in zip(names, starts.tolist(), ends.tolist(), strict=True):
+        moving = [f"q{i}" for i, (a, b) in enumerate(zip(start, end, strict=True), 1) if a != b]
+        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
+        table.add_row(name, " ".join(moving), *shown)
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:

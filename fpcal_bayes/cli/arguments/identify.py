@@ -26,12 +26,13 @@ see it only together with others: its value is the prior's); fixed (held).
 def identify(commands: Commands) -> None:
     """Add ``fpcal identify``."""
     parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
-    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
-    parser.add_argument("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
-    parser.add_argument("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
+    add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
     add_prior(parser)
-    parser.add_argument("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
+    add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
     add_json(parser)
 
 
@@ -44,27 +45,24 @@ same draws as one that was not.
 def sample(commands: Commands) -> None:
     """Add ``fpcal sample``."""
     parser = add_command(commands, "sample", "draw from the posterior of a cell", _SAMPLE)
-    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    parser.add_argument("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
-    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
-    parser.add_argument(
-        "--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    add(
         "--likelihood",
         choices=("gaussian", "student", "slip"),
         default="gaussian",
         help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
         "(default: gaussian)",
     )
-    parser.add_argument("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
+    add("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
     add_prior(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
-    parser.add_argument("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
-    parser.add_argument(
-        "--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)"
-    )
+    add("--resume", action="store_true", help="go on with a run that was killed")
+    add("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
+    add("--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)")
     add_json(parser)
 
 
@@ -81,13 +79,12 @@ densities, per um. Rows whose Pareto k is too large for importance sampling ("ba
 def compare(commands: Commands) -> None:
     """Add ``fpcal compare``."""
     parser = add_command(commands, "compare", "say which of several models the data favour", _COMPARE)
-    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    parser.add_argument(
-        "--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip"
-    )
-    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
-    parser.add_argument("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
-    parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add_json(parser)
 
 
@@ -108,17 +105,16 @@ first order from the covariance 91 % do for spin, 93 to 95 % for the others (stu
 def task_error(commands: Commands) -> None:
     """Add ``fpcal task-error``."""
     parser = add_command(commands, "task-error", "predict by how much tasks will be off", _TASK_ERROR)
-    parser.add_argument("file", metavar="ESTIMATE|POSTERIOR", help="estimate JSON, or posterior draws (.nc)")
+    add = parser.add_argument
+    add("file", metavar="ESTIMATE|POSTERIOR", help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=False)
-    parser.add_argument(
-        "--tolerance-nm", type=positive, metavar="T", help="probability that the peak to peak exceeds T"
-    )
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="with draws: what the controller holds")
-    parser.add_argument("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
-    parser.add_argument("--seed", type=seed, default=0, help="of these draws (default: 0)")
-    parser.add_argument("--budget", action="store_true", help="print the uncertainty budget of each task")
-    parser.add_argument("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
-    parser.add_argument("--session", metavar="NAME", help="session of these sweeps (default: the first)")
+    add("--tolerance-nm", type=positive, metavar="T", help="probability that the peak to peak exceeds T")
+    add("--estimate", metavar="ESTIMATE", help="with draws: what the controller holds")
+    add("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
+    add("--seed", type=seed, default=0, help="of these draws (default: 0)")
+    add("--budget", action="store_true", help="print the uncertainty budget of each task")
+    add("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
+    add("--session", metavar="NAME", help="session of these sweeps (default: the first)")
     add_json(parser)
 
 
@@ -135,15 +131,14 @@ prediction, and do not count for the peak to peak.
 def control(commands: Commands) -> None:
     """Add ``fpcal control``."""
     parser = add_command(commands, "control", "find the joint path of a task", _CONTROL)
-    parser.add_argument(
-        "--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)"
-    )
+    add = parser.add_argument
+    add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=True)
-    parser.add_argument(
+    add(
         "--now", metavar="TIME_H|UTC", help="when the task is driven: says if the estimate is past its horizon "
         "(default: this clock, where the estimate carries a clock time)"
     )  # fmt: skip
-    parser.add_argument("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
+    add("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
     add_json(parser)
 
 
@@ -170,26 +165,23 @@ adds N sweeps from the path's start to points along it, in one group, which `fpc
 def check(commands: Commands) -> None:
     """Add ``fpcal check``."""
     parser = add_command(commands, "check", "check a calibration by a path recorded on the cell", _CHECK)
-    parser.add_argument("trace", metavar="TRACE", help="recorded path: .csv")
-    parser.add_argument(
-        "--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with"
-    )
-    parser.add_argument("--tolerance-nm", type=positive, metavar="T", help="say whether the path is within T")
-    parser.add_argument("--level", type=share, default=0.01, metavar="P", help="refuted below this (default: 0.01)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("trace", metavar="TRACE", help="recorded path: .csv")
+    add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")
+    add("--tolerance-nm", type=positive, metavar="T", help="say whether the path is within T")
+    add("--level", type=share, default=0.01, metavar="P", help="refuted below this (default: 0.01)")
+    add(
         "--stability-percent",
         type=positive,
         default=0.5,
         metavar="P",
         help="how gain and offset may wander during the path, one standard deviation (default: 0.5)",
     )
-    parser.add_argument("-o", dest="output", metavar="CHECK", type=Path, help="the check as sweeps: .csv or .h5")
-    parser.add_argument("--points", type=count, metavar="N", help="with -o: sweeps to N points of the path too")
-    parser.add_argument("--session", metavar="NAME", default="check", help="with -o: its session (default: check)")
-    parser.add_argument(
-        "--time-h", type=float, default=None, metavar="T", help="when it was recorded, in hours since day 0"
-    )
+    add("-o", dest="output", metavar="CHECK", type=Path, help="the check as sweeps: .csv or .h5")
+    add("--points", type=count, metavar="N", help="with -o: sweeps to N points of the path too")
+    add("--session", metavar="NAME", default="check", help="with -o: its session (default: check)")
+    add("--time-h", type=float, default=None, metavar="T", help="when it was recorded, in hours since day 0")
     for name, unit in (("temperature-c", "C"), ("pressure-hpa", "hPa"), ("humidity-pct", "%%")):
-        parser.add_argument(f"--{name}", type=float, metavar="X", help=f"of the air in {unit}; all three or none")
-    parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
+        add(f"--{name}", type=float, metavar="X", help=f"of the air in {unit}; all three or none")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add_json(parser)

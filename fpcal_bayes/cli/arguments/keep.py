@@ -23,42 +23,33 @@ Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (ob
 def plan(commands: Commands) -> None:
     """Add ``fpcal plan``."""
     parser = add_command(commands, "plan", "choose which sweeps to measure", _PLAN)
-    parser.add_argument(
-        "-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5"
-    )
-    parser.add_argument("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
-    parser.add_argument("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
-    parser.add_argument("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
-    parser.add_argument(
-        "--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification"
-    )
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
-    parser.add_argument("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
-    parser.add_argument("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
-    parser.add_argument("--session", metavar="NAME", help="session of these (default: the first)")
-    parser.add_argument(
-        "--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too"
-    )
-    parser.add_argument(
-        "--readings", type=count, metavar="K", help="readings of a sweep after its start, evenly spaced"
-    )
-    parser.add_argument("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument(
-        "--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)"
-    )
-    parser.add_argument("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
-    parser.add_argument("--draws", type=count, default=64, metavar="N", help="of the prior (default: 64)")
-    parser.add_argument("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
-    parser.add_argument("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
-    parser.add_argument("--single-joints", action="store_true", help="move one joint at a time only")
-    parser.add_argument(
+    add = parser.add_argument
+    add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
+    add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
+    add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
+    add("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
+    add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
+    add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
+    add("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
+    add("--session", metavar="NAME", help="session of these (default: the first)")
+    add("--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too")
+    add("--readings", type=count, metavar="K", help="readings of a sweep after its start, evenly spaced")
+    add("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add("--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)")
+    add("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
+    add("--draws", type=count, default=64, metavar="N", help="of the prior (default: 64)")
+    add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
+    add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
+    add("--single-joints", action="store_true", help="move one joint at a time only")
+    add(
         "--variations", type=count, default=30, metavar="N", help="of each sweep in a round of refinement (default: 30)"
     )
-    parser.add_argument("--seed", type=seed, default=0, help="of the search (default: 0)")
-    parser.add_argument("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
-    parser.add_argument("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
+    add("--seed", type=seed, default=0, help="of the search (default: 0)")
+    add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
+    add("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
     add_json(parser)
 
 
@@ -79,21 +70,18 @@ fpcal decide says what to do then.
 def track(commands: Commands) -> None:
     """Add ``fpcal track``."""
     parser = add_command(commands, "track", "follow the parameters from session to session", _TRACK)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
-    parser.add_argument("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
-    parser.add_argument("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
+    add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
+    add(
         "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
         "sample) in place of a few that are made here; takes in all sessions again"
     )  # fmt: skip
     add_goal(parser)
-    parser.add_argument("--anew", action="store_true", help="take in all sessions again, whatever was saved")
-    parser.add_argument(
-        "--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted"
-    )
-    parser.add_argument(
-        "--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell"
-    )
+    add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
+    add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
+    add("--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell")
     add_json(parser)
 
 
@@ -110,29 +98,28 @@ about a third of it. With --cost-out the level is the one at which measuring and
 def decide(commands: Commands) -> None:
     """Add ``fpcal decide``."""
     parser = add_command(commands, "decide", "decide whether to measure now, and what", _DECIDE)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add_goal(parser)
-    parser.add_argument(
+    add(
         "--now", metavar="TIME_H|UTC", help="time of the decision (default: this clock where rows carry utc, else the "
         "last session)"
     )  # fmt: skip
-    parser.add_argument("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
-    parser.add_argument("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
-    parser.add_argument("--minutes-per-session", type=positive, help="spent once a session (default: none)")
-    parser.add_argument(
-        "--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth"
-    )
-    parser.add_argument("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
-    parser.add_argument(
+    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
+    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
+    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
+    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
+    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
+    add(
         "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
         "be trusted (default: 1)"
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
         "can show a change of the robot itself (default: 24)"
     )  # fmt: skip
-    parser.add_argument("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
-    parser.add_argument("-o", dest="output", metavar="SWEEPS.csv", type=Path, help="write the sweeps as a plan")
+    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
+    add("-o", dest="output", metavar="SWEEPS.csv", type=Path, help="write the sweeps as a plan")
     add_json(parser)
 
 
@@ -149,11 +136,12 @@ the page are those of fpcal track, decide, task-error and observe with the same 
 def report(commands: Commands) -> None:
     """Add ``fpcal report``."""
     parser = add_command(commands, "report", "write a campaign's report as one HTML page", _REPORT)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
-    parser.add_argument("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
-    parser.add_argument("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
+    add("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
     add_goal(parser)
-    parser.add_argument(
+    add(
         "--now", metavar="TIME_H|UTC", help="time of the report (default: this clock where rows carry utc, else the "
         "last session)"
     )  # fmt: skip
@@ -176,16 +164,15 @@ irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, cou
 def week(commands: Commands) -> None:
     """Add ``fpcal week``."""
     parser = add_command(commands, "week", "run the paper's week on a simulated cell", _WEEK)
-    parser.add_argument(
-        "-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)"
-    )
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    add(
         "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
         "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
     )  # fmt: skip
-    parser.add_argument("--no-page", dest="page", action="store_false", help="leave out report.html")
+    add("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 
 _STUDY = """\
@@ -207,27 +194,26 @@ a scheduler that you trust only.
 def study(commands: Commands) -> None:
     """Add ``fpcal study``."""
     parser = add_command(commands, "study", "run many independent replicates of a question", _STUDY)
-    parser.add_argument(
-        "study", metavar="NAME", choices=("coverage", "sbc", "policy", "plan"), help="coverage, sbc, policy or plan"
-    )
-    parser.add_argument("--replicates", type=count, required=True, metavar="N", help="how many in all")
-    parser.add_argument("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.h5)")
-    parser.add_argument("--anew", action="store_true", help="forget what the store holds")
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster that runs already")
-    parser.add_argument("--workers", type=count, metavar="N", help="processes on this machine (default: its cores)")
-    parser.add_argument("--seed", type=seed, default=0, help="of the study (default: 0)")
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("study", metavar="NAME", choices=("coverage", "sbc", "policy", "plan"), help="coverage, sbc, policy or plan")
+    add("--replicates", type=count, required=True, metavar="N", help="how many in all")
+    add("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.h5)")
+    add("--anew", action="store_true", help="forget what the store holds")
+    add("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster that runs already")
+    add("--workers", type=count, metavar="N", help="processes on this machine (default: its cores)")
+    add("--seed", type=seed, default=0, help="of the study (default: 0)")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add(
         "--protocol",
         default="paper",
         metavar="paper|paper-mid|SWEEPS",
         help="coverage, sbc: sweeps of each calibration (default: paper); sbc also: random",
     )
-    parser.add_argument("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
-    parser.add_argument("--plan", metavar="SWEEPS", help="plan: whole sweeps, as fpcal plan writes them")
-    parser.add_argument("--readings", type=count, default=2, metavar="K", help="plan: of each sweep (default: 2)")
-    parser.add_argument("--policies", metavar="NAME;..", help="policy: which (a wrong name lists all)")
-    parser.add_argument("--hours", type=positive, default=192.0, help="policy: length of a week (default: 192)")
-    parser.add_argument("--harder", action="store_true", help="policy: weeks that drift otherwise than modelled too")
+    add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
+    add("--plan", metavar="SWEEPS", help="plan: whole sweeps, as fpcal plan writes them")
+    add("--readings", type=count, default=2, metavar="K", help="plan: of each sweep (default: 2)")
+    add("--policies", metavar="NAME;..", help="policy: which (a wrong name lists all)")
+    add("--hours", type=positive, default=192.0, help="policy: length of a week (default: 192)")
+    add("--harder", action="store_true", help="policy: weeks that drift otherwise than modelled too")
     add_goal(parser)
     add_json(parser)

@@ -25,29 +25,22 @@ noise relative to the fringes' amplitude. The velocity has a ripple of 10 % alwa
 def simulate(commands: Commands) -> None:
     """Add ``fpcal simulate``."""
     parser = add_command(commands, "simulate", "measure sweeps on a simulated cell", _SIMULATE)
-    parser.add_argument(
-        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
-    )
-    parser.add_argument("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    add("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
+    add(
         "--protocol",
         metavar="paper|paper-mid|SWEEPS.csv",
         help="which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)",
     )
-    parser.add_argument(
-        "--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only"
-    )
-    parser.add_argument(
-        "--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    parser.add_argument("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
-    parser.add_argument("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
-    parser.add_argument("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
-    parser.add_argument(
-        "--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest"
-    )
-    parser.add_argument("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
+    add("--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only")
+    add("--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})")
+    add("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    add("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
+    add("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
+    add("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
+    add("--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest")
+    add("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
 
 
 _INGEST = """\
@@ -71,20 +64,15 @@ amplitude is made linear at --estimate, or at what the first session's sweeps id
 def ingest(commands: Commands) -> None:
     """Add ``fpcal ingest``."""
     parser = add_command(commands, "ingest", "read sweeps from recorded irradiance", _INGEST)
-    parser.add_argument("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
-    parser.add_argument(
-        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
-    )
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="estimate JSON that tells signs and doubtful counts")
-    parser.add_argument("--points", type=count, metavar="N", help="rows for N interior points of each sweep too")
-    parser.add_argument("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
-    parser.add_argument(
-        "--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength"
-    )
-    parser.add_argument("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
-    parser.add_argument(
-        "--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior"
-    )
+    add = parser.add_argument
+    add("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
+    add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    add("--estimate", metavar="ESTIMATE", help="estimate JSON that tells signs and doubtful counts")
+    add("--points", type=count, metavar="N", help="rows for N interior points of each sweep too")
+    add("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
+    add("--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength")
+    add("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
+    add("--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior")
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(
         "--plots", metavar="DIR", type=Path, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
@@ -117,21 +105,18 @@ at the maximum of their posterior.
 def observe(commands: Commands) -> None:
     """Add ``fpcal observe``."""
     parser = add_command(commands, "observe", "say what sweeps can tell about a cell, measured or not", _OBSERVE)
-    parser.add_argument("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
-    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
-    parser.add_argument(
-        "--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)")
+    add(
         "--weak-share",
         type=share,
         default=0.5,
         metavar="SHARE",
         help="a parameter is weak if more than this share of its prior variance is left (default: 0.5)",
     )
-    parser.add_argument("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
-    parser.add_argument(
-        "--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted"
-    )
-    parser.add_argument("--html", metavar="OUT", type=Path, help="write a page with figures")
+    add("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
+    add("--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted")
+    add("--html", metavar="OUT", type=Path, help="write a page with figures")
     add_json(parser)

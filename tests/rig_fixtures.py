@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of

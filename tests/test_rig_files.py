@@ -8,7 +8,7 @@ import pytest
 from rig_fixtures import write_rig, write_ticket
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.rig.drivers.interface import Address
 from fpcal_bayes.rig.reader import read_rig

@@ -3,7 +3,6 @@
 import json
 import re
 import socket
-import sys
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from rig_fixtures import constant, live
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.rig.clock import Halt, Halted
+from fpcal_bayes.rig.drivers import pi
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS, IDSSettings
 from fpcal_bayes.rig.drivers.interface import Address, CommandLog, DeviceError, Disturbed
 from fpcal_bayes.rig.drivers.link import Link
@@ -187,9 +187,9 @@ def test_lost_fringes_are_a_disturbance_and_no_failure(bench, cell_live):
 
 
 def test_what_the_stages_say_of_themselves(bench, cell_live):
-    pi, mcs = bench.stages
+    e712, mcs = bench.stages
     for device, kind, stage, message in [
-        ("E-712", "following-error", pi, "Motion error: position error too large, servo is switched off"),
+        ("E-712", "following-error", e712, "Motion error: position error too large, servo is switched off"),
         ("MCS-3D", "end-stop", mcs, "channel 1: end stop"),
         ("MCS-3D", "following-error", mcs, "channel 1: following error"),
     ]:
@@ -201,12 +201,12 @@ def test_what_the_stages_say_of_themselves(bench, cell_live):
 
 
 def test_what_makes_a_move_unsafe_is_refused(bench, cell_live):
-    pi, mcs = bench.stages
+    e712, mcs = bench.stages
     cell_live.emulated.stages["MCS-3D"]._referenced["2"] = False
     with pytest.raises(DeviceError, match="channel 2 is not referenced: do that by hand"):
         mcs.prepare()
     with pytest.raises(DeviceError, match=r"MOV .*: Position out of limits"):
-        _reopened(pi).move(np.array([200.0, 0.0, 0.0]))
+        _reopened(e712).move(np.array([200.0, 0.0, 0.0]))
     cell_live.emulated.stages["MCS-3D"]._referenced["2"] = True
     with pytest.raises(DeviceError, match=r"MOVE: .*out of range"):
         _reopened(mcs).move(np.radians([9.0, 0.0, 0.0]))
@@ -231,9 +231,7 @@ def test_a_servo_that_is_off_is_not_switched_on_unasked(cell_live, halt):
 
 
 def test_a_missing_library_names_the_extra(monkeypatch, halt, cell_live):
-    monkeypatch.setitem(sys.modules, "pipython", None)
-    for name in [name for name in sys.modules if name.startswith("pipython.")]:
-        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(pi, "GCS2Commands", None)
     link = Link("E-712", Address("127.0.0.1", 1), 0.5, halt, CommandLog(None, cell_live.rig.clock))
     with pytest.raises(InputError, match=r'needs PIPython: pip install "fpcal-bayes\[rig\]"'):
         PIStage(link, (), (), np.ones(0), servo_on=False)

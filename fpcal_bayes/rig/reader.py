@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
+from fpcal_bayes.io.validate import Tables, literal
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.joints import ControllerAxis, Joint
 from fpcal_bayes.rig.clock import Clock
@@ -61,17 +62,14 @@ def read_rig(source: str | Path, cell: Cell) -> Rig:
     return rig
 
 
-class _Reader:
+class _Reader(Tables):
     """Turns the tables of one file into a rig; every refusal names the file and the key."""
-
-    def __init__(self, file: str) -> None:
-        self.file = file
 
     def rig(self, table: dict[str, Any], cell: Cell) -> Rig:
         self.keys(table, "", {"schema", "name", "clock", "session", "controller", "joint", "interferometer", "emulate"})
         if table.get("schema") != SCHEMA:
-            raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
-        session = self.table(table, "", "session", optional=True)
+            raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
+        session = self.optional(table, "session")
         self.keys(session, "session", {"close_nm", "repeats", "least_gap_um"})
         named = self.table(table, "", "controller")
         controllers = tuple(self.controller(named, name) for name in named)
@@ -88,9 +86,9 @@ class _Reader:
             raise self.error(f"controller.{sorted(idle)[0]}", "no joint of the cell is on it, expected one or more")
         instrument = self.instrument(self.table(table, "", "interferometer"))
         return Rig(
-            file=self.file,
+            file=str(self.file),
             name=self.text(table, "", "name"),
-            clock=self.clock(self.table(table, "", "clock", optional=True)),
+            clock=self.clock(self.optional(table, "clock")),
             controllers=controllers,
             joints=driven,
             instrument=instrument,
@@ -98,7 +96,7 @@ class _Reader:
             repeats=self.whole(session, "session", "repeats", 0, 100, 1),
             least_gap=self.number(session, "session", "least_gap_um", low=0.0, default=0.0),
             emulation=self.emulation(
-                self.table(table, "", "emulate", optional=True),
+                self.optional(table, "emulate"),
                 {*named, *([instrument.name] if isinstance(instrument, IDSDevice) else [])},
             ),
         )
@@ -114,7 +112,7 @@ class _Reader:
         driver = self.choice(table, place, "driver", get_args(StageDriver), None)
         return ControllerSettings(
             name=name,
-            driver=driver,  # type: ignore[arg-type]
+            driver=driver,
             address=self.address(table, place, _PORTS[driver]),
             timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
             servo_on=self.flag(table, place, "servo_on"),
@@ -129,8 +127,8 @@ class _Reader:
         if stated is None:
             raise self.error(place, "the cell does not say how a controller counts this joint, expected it to")
         axis = ControllerAxis(
-            self.text(table, place, "controller", stated.name),
-            self.text(table, place, "channel", stated.channel),
+            self.line(table, place, "controller", stated.name),
+            self.line(table, place, "channel", stated.channel),
             stated.sign,
             stated.zero,
             stated.unit,
@@ -174,12 +172,12 @@ class _Reader:
         samples = self.whole(table, place, "samples", 1, 10_000, 8)
         least_spread = 10.0 * noise * math.sqrt(samples) * 1e3
         return IDSDevice(
-            name=self.text(table, place, "name", "IDS3010"),
+            name=self.line(table, place, "name", "IDS3010"),
             address=self.address(table, place, attocube.DEFAULT_PORT),
             timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
             settings=IDSSettings(
                 axis=self.whole(table, place, "axis", 0, 2, 0),
-                namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),  # type: ignore[arg-type]
+                namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),
                 sign=sign,
                 samples=samples,
                 steady=self.number(table, place, "steady_nm", low=1e-3, high=1e6, default=least_spread) * 1e-3,
@@ -209,7 +207,7 @@ class _Reader:
                 )
             )
         return EmulationSettings(
-            truth=self.text(table, "emulate", "truth", "") if "truth" in table else "",
+            truth=self.line(table, "emulate", "truth", ""),
             seed=self.whole(table, "emulate", "seed", 0, 2**32 - 1, 0),
             time_h=self.number(table, "emulate", "time_h", default=0.0),
             settle_s=self.number(table, "emulate", "settle_s", low=0.0, high=600.0, default=0.05),
@@ -222,70 +220,23 @@ class _Reader:
         if not colon:
             host, digits = text, str(port)
         if not host or not digits.isdecimal() or int(digits) > 65535:
-            raise self.error(f"{place}.address", f"expected HOST or HOST:PORT, found {_shown(text)}")
+            raise self.error(f"{place}.address", f"expected HOST or HOST:PORT, found {literal(text)}")
         return Address(host, int(digits))
 
-    def error(self, key: str, expected: str) -> InputError:
-        return InputError(f"{self.file}: key {key}: {expected}")
+    def optional(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
+        return self.table(parent, "", key) if key in parent else {}
 
-    def keys(self, table: dict[str, Any], place: str, known: set[str]) -> None:
-        for key in table:
-            if key not in known:
-                at = f"{place}.{key}" if place else key
-                raise self.error(at, f"unknown key, expected one of {', '.join(sorted(known))}")
-
-    def table(self, parent: dict[str, Any], place: str, key: str, *, optional: bool = False) -> dict[str, Any]:
-        value = parent.get(key, {} if optional else None)
-        if not isinstance(value, dict):
-            raise self.error(f"{place}.{key}" if place else key, "expected a table")
-        return value
-
-    def text(self, table: dict[str, Any], place: str, key: str, default: str | None = None) -> str:
-        value = table.get(key, default)
-        if not isinstance(value, str) or not 0 < len(value.strip()) <= 1000 or not value.isprintable():
-            raise self.error(f"{place}.{key}" if place else key, "expected a line of text in quotes")
-        return value
+    def line(self, table: dict[str, Any], place: str, key: str, default: str) -> str:
+        return self.text(table, place, key) if key in table else default
 
     def flag(self, table: dict[str, Any], place: str, key: str) -> bool:
         value = table.get(key, False)
         if not isinstance(value, bool):
-            raise self.error(f"{place}.{key}", f"expected true or false, found {_shown(value)}")
+            raise self.error(f"{place}.{key}", f"expected true or false, found {literal(value)}")
         return value
-
-    def choice(self, table: dict[str, Any], place: str, key: str, choices: tuple[str, ...], default: str | None) -> str:
-        value = table.get(key, default)
-        for choice in choices:
-            if value == choice:
-                return choice
-        raise self.error(f"{place}.{key}", f"expected one of {', '.join(choices)}, found {_shown(value)}")
 
     def whole(self, table: dict[str, Any], place: str, key: str, low: int, high: int, default: int) -> int:
         value = table.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.error(f"{place}.{key}", f"expected a whole number from {low} to {high}, found {_shown(value)}")
+            raise self.error(f"{place}.{key}", f"expected a whole number from {low} to {high}, found {literal(value)}")
         return value
-
-    def number(
-        self,
-        table: dict[str, Any],
-        place: str,
-        key: str,
-        *,
-        low: float = -math.inf,
-        high: float = math.inf,
-        default: float | None = None,
-    ) -> float:
-        value = table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
-            raise self.error(f"{place}.{key}", f"expected a finite number, found {_shown(value)}")
-        if not low <= value <= high:
-            raise self.error(f"{place}.{key}", f"expected a number from {low:g} to {high:g}, found {_shown(value)}")
-        return float(value)
-
-
-def _shown(value: Any) -> str:
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a number out of range"
-    return text if len(text) <= 60 else f"{text[:57]}..."

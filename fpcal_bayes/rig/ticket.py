@@ -9,8 +9,8 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.io.columns import TEXTS, Column, check_names, from_columns
-from fpcal_bayes.io.csv import column_numbers, read_records
+from fpcal_bayes.io.columns import check_names, from_columns, parsed
+from fpcal_bayes.io.csv import Records, read_records
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
@@ -86,33 +86,16 @@ def read_ticket(path: str | Path, cell: Cell) -> Ticket:
         If the file holds measured values, or anything in it is not as documented.
     """
     path = Path(path)
-    records, lines = read_records(path)
-    if not records:
-        raise InputError(f"{path}: the file holds no text, expected a header and sweeps")
-    header, rows = records[0], np.array(lines[1:], dtype=np.int64)
+    records = read_records(path, "a header and sweeps")
     for name in ("dl_um", "sigma_um"):
-        if name in header:
-            raise located(path, f"{name} holds what was measured, expected a ticket or a plan", row=lines[0])
-    check_names([name for name in header if name not in _OWN], cell, path, plan=True, row=lines[0])
-    for name in _OWN:
-        if header.count(name) > 1:
-            raise located(path, f"the column {name!r} stands twice", row=lines[0])
-    for record, row in zip(records[1:], lines[1:], strict=True):
-        if len(record) != len(header):
-            raise located(path, f"expected {len(header)} fields, found {len(record)}", row=row)
-    cells = {name: [record[i] for record in records[1:]] for i, name in enumerate(header)}
-    own = _own_columns(cells, rows, path)
-    if not len(rows):
-        return Ticket(str(path), None, own.readings, own.expires_h, own.expires_utc, own.name, file_sha256(path))
-    table: dict[str, Column] = {}
-    for name in header:
-        if name in TEXTS:
-            table[name] = np.array([text[:1001] for text in cells[name]], dtype=np.str_)
-        elif name == "temperature_c":
-            table[name] = np.full(len(rows), np.nan)
-        elif name not in _OWN:
-            table[name] = column_numbers(cells[name], rows, path, name)
-    plan = from_columns(table, cell, str(path), rows, plan=True)
+        if name in records.header:
+            raise located(path, f"{name} holds what was measured, expected a ticket or a plan", row=records.header_row)
+    check_names(records.header, cell, path, plan=True, row=records.header_row, also=_OWN)
+    own = _own_columns(records)
+    plan = None
+    if len(records.rows):
+        table = {name: values for name, values in parsed(records).items() if name not in _OWN}
+        plan = from_columns(table, cell, str(path), records.rows, plan=True)
     return Ticket(str(path), plan, own.readings, own.expires_h, own.expires_utc, own.name, file_sha256(path))
 
 
@@ -124,10 +107,12 @@ class _Own:
     name: str
 
 
-def _own_columns(cells: dict[str, list[str]], rows: Ints, path: Path) -> _Own:
+def _own_columns(records: Records) -> _Own:
+    """The columns that only tickets have."""
+    path, rows, texts = records.path, records.rows, records.columns()
     readings = np.ones(len(rows), dtype=np.int64)
-    if "readings" in cells and len(rows):
-        found = column_numbers(cells["readings"], rows, path, "readings")
+    if "readings" in texts and len(rows):
+        found = records.numbers("readings", [text or "1" for text in texts["readings"]])
         bad = (found != np.round(found)) | (found < 0) | (found > _MOST_READINGS)
         if bad.any():
             raise located(
@@ -137,20 +122,22 @@ def _own_columns(cells: dict[str, list[str]], rows: Ints, path: Path) -> _Own:
                 column="readings",
             )
         readings = found.astype(np.int64)
-    hours = [text for text in cells.get("expires_h", []) if text]
-    expires_h = float(np.min(column_numbers(hours, rows[: len(hours)], path, "expires_h"))) if hours else np.nan
+    hours = records.numbers("expires_h", [text or "1e300" for text in texts.get("expires_h", ())], finite=True)
     moments = []
-    for text, row in zip(cells.get("expires_utc", []), rows.tolist(), strict=False):
+    for text, row in zip(texts.get("expires_utc", ()), rows.tolist(), strict=False):
         try:
             moments += [clock(text).timestamp()] if text else []
         except ValueError as error:
             raise located(
                 path, "expected ISO 8601 as in 2024-05-01T08:30:00Z", row=row, column="expires_utc"
             ) from error
-    names = set(cells.get("ticket", []))
+    names = set(texts.get("ticket", ()))
     if len(names) > 1:
         raise located(path, "expected rows of one ticket", row=int(rows[0]), column="ticket")
-    return _Own(readings, expires_h, min(moments, default=np.nan), next(iter(names), ""))
+    expires_h = float(min(hours, default=np.inf))
+    return _Own(
+        readings, expires_h if expires_h < 1e300 else np.nan, min(moments, default=np.nan), next(iter(names), "")
+    )
 
 
 def orders_of(ticket: Ticket) -> list[Order]:

@@ -6,7 +6,6 @@ and never comes back from a connection that the controller closed.
 """
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,14 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.rig.drivers.interface import DeviceError
 from fpcal_bayes.rig.drivers.link import Link
+
+try:
+    from pipython.pidevice.gcs2.gcs2commands import GCS2Commands
+    from pipython.pidevice.gcserror import GCSError
+    from pipython.pidevice.gcsmessages import GCSMessages
+except ImportError:
+    # The extra `rig` is not installed: said when a rig asks for this driver.
+    GCS2Commands = None
 
 DEFAULT_PORT = 50000
 
@@ -51,8 +58,9 @@ class PIStage:
         self._targets = np.full(len(axes), np.nan)
         self._channels = [axis.channel for axis in axes]
         self._gateway = _Gateway(link)
-        self._gcs = _library("gcs2.gcs2commands").GCS2Commands(_library("gcsmessages").GCSMessages(self._gateway))
-        self._failure = _library("gcserror").GCSError
+        if GCS2Commands is None:
+            raise InputError('driver pi-gcs2 needs PIPython: pip install "fpcal-bayes[rig]"')
+        self._gcs: Any = GCS2Commands(GCSMessages(self._gateway))
 
     def prepare(self) -> None:
         """Connect; servos on, speeds set."""
@@ -140,7 +148,7 @@ class PIStage:
             return call()
         except DeviceError:
             raise
-        except self._failure as error:
+        except GCSError as error:
             raise self._link.error(" ".join(str(error).split()), self._gateway.command) from error
         except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
             # What its readers raise at text that is no answer.
@@ -181,10 +189,3 @@ class _Gateway:
         self._link.close()
 
     unload = close
-
-
-def _library(module: str) -> Any:
-    try:
-        return import_module(f"pipython.pidevice.{module}")
-    except ImportError as error:
-        raise InputError('driver pi-gcs2 needs PIPython: pip install "fpcal-bayes[rig]"') from error

@@ -9,6 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
+from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
 from fpcal_bayes.model.cell.optics import Beams, Interferometer
@@ -51,8 +52,13 @@ _CONTROLLER_UNITS = {
 }
 
 
-def read_cell(source: str | Path) -> Cell:
+def read_cell(source: str | Path, *, check: bool = True) -> Cell:
     """Read the cell `source`: the name of a built-in one or the path of a TOML file.
+
+    Parameters
+    ----------
+    check
+        Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
 
     Raises
     ------
@@ -71,7 +77,10 @@ def read_cell(source: str | Path) -> Cell:
         raise InputError(f"{source}: not a TOML file: {error}") from error
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
-    cell = _Reader(str(source)).cell(table)
+    reader = _Reader(str(source))
+    cell = reader.cell(table)
+    for key, what in impossible(cell) if check else ():
+        raise reader.error(key, what)
     if text[-1:].isdigit():
         require_line_end(path, text)
     return cell
@@ -112,7 +121,7 @@ class _Reader:
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
-        wavelength = self.number(optics, "optics", "wavelength_nm", low=1.0, high=100_000.0) * 1e-3
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=0.1, high=100_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 

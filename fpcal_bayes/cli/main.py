@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from fpcal_bayes.cli import (
+    cell,
     check,
     compare,
     control,
@@ -29,6 +30,7 @@ from fpcal_bayes.core.version import __version__
 
 #: In the order of the work.
 _COMMANDS = (
+    cell,
     simulate,
     ingest,
     doctor,

@@ -8,6 +8,7 @@ from typing import Any, get_args
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
+from fpcal_bayes.io.cell_envelope import read_envelope
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
@@ -115,7 +116,7 @@ class _Reader:
         self.file = file
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -156,6 +157,7 @@ class _Reader:
             optical_axis=optical_axis,
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
+            envelope=read_envelope(self, table.get("envelope"), len(joints)),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
@@ -175,7 +177,9 @@ class _Reader:
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
-        self.keys(table, place, {"kind", f"limits_{unit}", f"repeatability_{unit}", "controller", "drift", *LINK_SLOTS})
+        speed_key = f"speed_{unit}_per_s"
+        known = {"kind", f"limits_{unit}", f"repeatability_{unit}", speed_key, "controller", "drift", *LINK_SLOTS}
+        self.keys(table, place, known)
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
@@ -186,7 +190,8 @@ class _Reader:
                 raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {_shown(limits)}")
         repeatability = self.number(table, place, f"repeatability_{unit}", low=0.0, default=0.0) * SCALES[unit]
         controller = self.controller(table, place, kind) if "controller" in table else None
-        return Joint(kind, low, high, repeatability, controller)
+        speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
+        return Joint(kind, low, high, repeatability, controller, speed)
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
@@ -42,6 +43,8 @@ class Cell:
         How the parameters drift; those not named stay.
     optics
         Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
+    envelope
+        What keeps the mirror off the fibre, or None where the cell does not say.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Cell:
     optical_axis: OpticalAxis
     drift: tuple[DriftSize, ...] = ()
     optics: Interferometer | None = None
+    envelope: Envelope | None = None
 
     @cached_property
     def interferometer(self) -> Interferometer:

@@ -37,9 +37,10 @@ class ControllerAxis:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller.
+    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, speed.
 
-    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position.
+    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position, `speed` what the
+    joint travels or turns in a second at most, None where the cell does not say.
     """
 
     kind: JointKind
@@ -47,6 +48,7 @@ class Joint:
     high: float
     repeatability: float
     controller: ControllerAxis | None
+    speed: float | None = None
 
     @property
     def unit(self) -> str:

@@ -125,7 +125,7 @@ def _reach(cell: Cell, vector: Floats) -> Reach:
             found[name] = _largest(cell, vector, unit, far)
     except InputError as error:
         return Reach(why_not=str(error))
-    return Reach(**found)
+    return Reach(found["circle"], found["tilt_x"], found["tilt_z"])
 
 
 def _largest(cell: Cell, vector: Floats, unit: Floats, far: float) -> float:

@@ -80,8 +80,10 @@ def read_envelope(reader: Validator, table: Any, n_joints: int) -> Envelope | No
 def _groups(reader: Validator, stated: Any, n_joints: int) -> tuple[tuple[int, ...], ...]:
     """Groups of joints by position, from names such as ``[["q1", "q2"]]``."""
     names = {f"q{i + 1}": i for i in range(n_joints)}
-    groups = stated if isinstance(stated, list) and all(isinstance(group, list) for group in stated) else [[None]]
-    if any(not isinstance(name, str) or name not in names for group in groups for name in group):
+    groups: list[list[str]] = []
+    if isinstance(stated, list) and all(isinstance(group, list) for group in stated):
+        groups = stated
+    if (stated and not groups) or any(not isinstance(name, str) or name not in names for g in groups for name in g):
         shown = ", ".join(names)
         raise reader.error(
             "envelope.together", f'expected groups of joints such as [["q1", "q2"]], from {shown}; [] for none'

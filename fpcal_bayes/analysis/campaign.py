@@ -27,7 +27,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.motion.tasks import TASKS, Task, find_task
+from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import likely_drift
 from fpcal_bayes.tracking.filter import State
@@ -269,7 +269,7 @@ def gather(
     costs = Costs(sigma=float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
     forecast, decision, decision_reason = _decide(followed, sweeps, goal, costs, now_h)
     estimate = _estimate_now(cell, observability, followed, now_h)
-    tasks = tuple(_outlook(estimate, name, name in goal.tasks, goal) for name in _judged(goal))
+    tasks = tuple(_outlook(estimate, name, name in goal.tasks, goal) for name in _judged(goal, cell))
     budget, budget_reason = _budget(observability, goal)
     return CampaignFacts(
         file=path.name,
@@ -301,9 +301,9 @@ def state_at(followed: Track, forecast: Forecast, number: int, time_h: float) ->
     return forecast.ahead(state, time_h - state.time_h)
 
 
-def _judged(goal: Goal) -> list[str]:
+def _judged(goal: Goal, cell: Cell) -> list[str]:
     """Tasks of the report: those to be held, then the others."""
-    return [*goal.tasks, *(name for name in TASKS if name not in goal.tasks)]
+    return [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
 
 
 def _follow(

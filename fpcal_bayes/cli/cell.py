@@ -80,7 +80,7 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
     cell = read_cell(source, check=False)
     cell = cell if options.opd is None else cell.with_opd(options.opd)
     q = None if options.at is None else joints_at(cell, options.at)
-    if len(cell.joints) == 6 and next(impossible(cell), None) is None:
+    if len(cell.joints) <= 6 and next(impossible(cell), None) is None:
         warm_up_inverse(cell)
     view = view_cell(cell, q)
     out = console(options)

@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
         check_output(output, options.after, options.estimate, *outputs[:i])
     _check_suffixes(options)
     settings = _settings(options)
-    tasks = _tasks(options, targets)
+    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
@@ -233,11 +233,12 @@ def _targets(text: str | None) -> dict[str, float]:
     return targets
 
 
-def _tasks(options: argparse.Namespace, targets: dict[str, float]) -> list[str]:
+def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
     from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
+    from fpcal_bayes.motion.tasks import possible_tasks
 
     if options.tasks is None:
-        return list(targets) if targets else list(DEFAULT_TASKS)
+        return list(targets) if targets else list(possible_tasks(cell, DEFAULT_TASKS))
     tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
     if not tasks:
         raise InputError("--tasks: expected one task at least")

@@ -12,7 +12,7 @@ from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.joint_path import JointPath, in_turn, sweep_path, task_path
-from fpcal_bayes.model.margin import SIGMAS, facing_of, margin, require_envelope
+from fpcal_bayes.model.margin import SIGMAS, Known, margin, require_envelope
 
 #: Without a measured gap a joint may move along the beam by this share of the nominal gap, to hold a task's plane.
 _BLIND_SHARE = 0.01
@@ -171,7 +171,7 @@ def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, fil
     values
         Free parameters, shape (n_free,): a truth or an estimate.
     """
-    ahead, facing, _, _ = facing_of(model, np.atleast_2d(values), path.q)
+    ahead, facing, _, _ = Known.of(model, values).facing(path.q)
     bad = ((facing[0] <= 0) | (ahead[0] <= 0)) & ~path.between
     if bad.any():
         worst = int(np.flatnonzero(bad)[0])
@@ -193,7 +193,7 @@ def _blind(model: CavityModel, draws: Floats, path: JointPath) -> list[tuple[int
     directions, _ = joint_axes(cell, vector, home(cell))
     along = np.abs(directions @ chain.optical_axis(cell, vector)) > _ALONG_BEAM
     joints = np.flatnonzero(along & ~cell.revolute)
-    ahead, facing, _, _ = facing_of(model, draws[:1], home(cell)[None])
+    ahead, facing, _, _ = Known.of(model, draws[0]).facing(home(cell)[None])
     most = _BLIND_SHARE * abs(float(ahead[0, 0] / facing[0, 0]))
     found = []
     for row in np.unique(path.row):

@@ -77,6 +77,56 @@ def prior_draws(cell: Cell, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityMode
     )
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of a cell, as draws of its model's parameters.
+
+    Attributes
+    ----------
+    model
+        Cavity model of the parameters.
+    draws
+        Shape (n_draws, n_free), in um and rad.
+    fibre, light
+        End of the fibre and direction of its light at each draw, shape (n_draws, 1, 3).
+    """
+
+    model: CavityModel
+    draws: Floats
+    fibre: Floats
+    light: Floats
+
+    @classmethod
+    def of(cls, model: CavityModel, draws: Floats) -> "Known":
+        """The same with fibre and light worked out; one draw may come as a vector."""
+        draws = np.atleast_2d(draws)
+        vectors = [model.vector(values) for values in draws]
+        fibre = np.array([chain.fibre_in_world(vector)[:3, 3] for vector in vectors])
+        light = np.array([chain.optical_axis(model.cell, vector) for vector in vectors])
+        return cls(model, draws, fibre[:, None], light[:, None])
+
+    def first(self, n: int) -> "Known":
+        """The first `n` draws."""
+        return Known(self.model, self.draws[:n], self.fibre[:n], self.light[:n])
+
+    def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
+
+        Distance of the fibre before the mirror's plane, cosine of the tilt, distance of the reflection point from the
+        mirror's origin, distance of that origin along the light.
+        """
+        normals, origins = self.model.mirrors(self.draws, q)
+        apart = origins - self.fibre
+        light = np.broadcast_to(self.light, apart.shape)
+        ahead, facing = -np.einsum("dpi,dpi->dp", normals, apart), -np.einsum("dpi,dpi->dp", normals, light)
+        before = np.einsum("dpi,dpi->dp", apart, light)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = ahead / facing
+        # The reflection point lies at `length` along the light: by Pythagoras from the mirror's origin.
+        aside = np.sqrt(np.maximum(np.einsum("dpi,dpi->dp", apart, apart) - 2 * length * before + length**2, 0.0))
+        return ahead, facing, np.where(facing > 1e-3, aside, 1e9), before
+
+
 def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1) -> Margin:
     """What a path leaves between mirror and fibre.
 
@@ -95,31 +145,30 @@ def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = 
         If the cell has no envelope, or the gap that it states and the one that the draws have measured disagree.
     """
     envelope = require_envelope(model.cell)
-    draws = np.atleast_2d(draws)
-    known = (np.zeros(len(draws)), 0.0) if exact else _gap(model, draws, envelope)
-    shift, gap_sd = (np.zeros(len(draws)), 0.0) if known is None else known
+    told = Known.of(model, draws)
+    known = (np.zeros(len(told.draws)), 0.0) if exact else _gap(told, envelope)
+    shift, gap_sd = (np.zeros(len(told.draws)), 0.0) if known is None else known
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
-    screen = slice(0, _SCREEN)
-    sizes = _sizes(model, draws[screen], path.q, (envelope, shift[screen], gap_sd, sigmas))
+    sizes = _sizes(told.first(_SCREEN), path.q, (envelope, shift[:_SCREEN], gap_sd, sigmas))
     gap, _, least, tilt, most_tilt, most_aside = sizes
     # Poses that twice the spread keeps inside need no finer look.
     near = (2.0 * least - gap < envelope.least_gap) | (2.0 * most_tilt - tilt > envelope.max_tilt)
     near |= 1.5 * most_aside > envelope.mirror_radius
-    if len(draws) > _SCREEN and near.any():
-        sizes[:, near] = _sizes(model, draws, path.q[near], (envelope, shift, gap_sd, sigmas))
-    rates = _rates(model, draws[screen], path, sigmas)
+    if len(told.draws) > _SCREEN and near.any():
+        sizes[:, near] = _sizes(told, path.q[near], (envelope, shift, gap_sd, sigmas))
+    rates = _rates(model, told.draws[:_SCREEN], path, sigmas)
     gap, spread, least, tilt, most_tilt, most_aside = sizes
     return Margin(gap, spread, least, tilt, most_tilt, most_aside, rates, known is not None)
 
 
-def _sizes(model: CavityModel, draws: Floats, q: Floats, bounds: tuple[Envelope, Floats, float, float]) -> Floats:
+def _sizes(known: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float]) -> Floats:
     """The first six fields of a `Margin`, shape (6, n_poses)."""
     envelope, shift, gap_sd, sigmas = bounds
     sizes = np.empty((6, len(q)))
-    step = max(1, _BLOCK // len(draws))
+    step = max(1, _BLOCK // len(known.draws))
     for first in range(0, len(q), step):
         block = slice(first, first + step)
-        ahead, facing, aside, before = facing_of(model, draws, q[block])
+        ahead, facing, aside, before = known.facing(q[block])
         tilt = np.arccos(np.clip(facing, -1.0, 1.0))
         lean = np.sin(np.minimum(tilt, np.pi / 2))
         from_plane = ahead + shift[:, None] * facing - envelope.fibre_radius * lean
@@ -152,30 +201,12 @@ def require_envelope(cell: Cell) -> Envelope:
     return cell.envelope
 
 
-def facing_of(model: CavityModel, draws: Floats, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
-
-    Distance of the fibre before the mirror's plane, cosine of the tilt, distance of the reflection point from the
-    mirror's origin, distance of that origin along the light.
-    """
-    normals, origins = model.mirrors(draws, q)
-    fibre, light = np.empty((len(draws), 1, 3)), np.empty((len(draws), 1, 3))
-    for i, values in enumerate(draws):
-        vector = model.vector(values)
-        fibre[i, 0] = chain.fibre_in_world(vector)[:3, 3]
-        light[i, 0] = chain.optical_axis(model.cell, vector)
-    apart = origins - fibre
-    ahead, facing = -(normals * apart).sum(axis=-1), -(normals * light).sum(axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        aside = np.linalg.norm(light * (ahead / facing)[..., None] - apart, axis=-1)
-    return ahead, facing, np.where(facing > 1e-3, aside, 1e9), (light * apart).sum(axis=-1)
-
-
-def _gap(model: CavityModel, draws: Floats, envelope: Envelope) -> tuple[Floats, float] | None:
+def _gap(told: Known, envelope: Envelope) -> tuple[Floats, float] | None:
     """What to add to each draw's length along the light, shape (n_draws,), and the sd of the gap; None if not known."""
-    ahead, facing, _, _ = facing_of(model, draws, home(model.cell)[None])
+    cell, draws = told.model.cell, told.draws
+    ahead, facing, _, _ = told.facing(home(cell)[None])
     length = (ahead / facing)[:, 0]
-    sd, prior_sd = float(length.std()), _prior_sd(model)
+    sd, prior_sd = float(length.std()), _prior_sd(told.model)
     measured = len(draws) > 1 and sd < _MEASURED * prior_sd
     if envelope.gap is None or envelope.gap_sd is None:
         return (np.zeros(len(draws)), 0.0) if measured else None
@@ -183,7 +214,7 @@ def _gap(model: CavityModel, draws: Floats, envelope: Envelope) -> tuple[Floats,
         off, both = abs(float(length.mean()) - envelope.gap), float(np.hypot(sd, envelope.gap_sd))
         if off > SIGMAS * both:
             raise InputError(
-                f"cell {model.cell.name!r}: gap_um = {envelope.gap:g} (sd {envelope.gap_sd:g}) and the measured length "
+                f"cell {cell.name!r}: gap_um = {envelope.gap:g} (sd {envelope.gap_sd:g}) and the measured length "
                 f"{length.mean():.5g} um (sd {sd:.2g}) at joint zero disagree: mend the one that is wrong"
             )
         if sd < envelope.gap_sd:

@@ -239,8 +239,8 @@ def test_what_leaves_of_many_draws(femto):
         ),
         ("least_gap_um = 100.0", "least_gap_um = 0", "key envelope.least_gap_um: expected a number"),
         ("mirror_radius_um = 2500.0", "", "key envelope.mirror_radius_um: expected a finite number, found None"),
-        ("max_tilt_deg = 20.0", "max_tilt_deg = 85", "key envelope.max_tilt_deg: expected a number"),
-        ("max_tilt_deg = 20.0", "max_tilt_rad = 0.3", "key envelope.max_tilt_rad: unknown key"),
+        ("max_tilt_deg = 30.0", "max_tilt_deg = 85", "key envelope.max_tilt_deg: expected a number"),
+        ("max_tilt_deg = 30.0", "max_tilt_rad = 0.3", "key envelope.max_tilt_rad: unknown key"),
         ('["q4", "q5", "q6"]', '["q4", "q7"]', "key envelope.together: expected groups of joints"),
         ('[["q1", "q2", "q3"], ["q4", "q5", "q6"]]', '["q1"]', "key envelope.together: expected groups of joints"),
         ("[envelope] ", "[[envelope]] ", "key envelope: expected a table"),
@@ -261,6 +261,6 @@ def test_the_built_in_envelope_is_read(femto):
     envelope = femto.envelope
     assert isinstance(envelope, Envelope)
     assert (envelope.least_gap, envelope.gap, envelope.gap_sd) == (100.0, 920.0, 5.0)
-    assert envelope.max_tilt == pytest.approx(np.radians(20.0))
+    assert envelope.max_tilt == pytest.approx(np.radians(30.0))
     assert envelope.together == ((0, 1, 2), (3, 4, 5))
     assert [joint.speed for joint in femto.joints] == pytest.approx([100.0] * 3 + [np.radians(2.0)] * 3)

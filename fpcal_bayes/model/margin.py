@@ -23,7 +23,7 @@ from fpcal_bayes.model.joint_path import JointPath
 #: Standard deviations of the estimate that stay inside the envelope over a whole path.
 SIGMAS = 4.0
 #: Draws of an estimate that its uncertainty is judged by, and how many tell which poses need all of them.
-N_DRAWS, _SCREEN = 4000, 400
+N_DRAWS, _SCREEN = 2000, 400
 #: An estimate whose length at joint zero is known this much better than the prior says has measured it.
 _MEASURED = 0.5
 #: Stands for a clearance where the mirror faces away.
@@ -116,14 +116,17 @@ class Known:
         mirror's origin, distance of that origin along the light.
         """
         normals, origins = self.model.mirrors(self.draws, q)
-        apart = origins - self.fibre
-        light = np.broadcast_to(self.light, apart.shape)
-        ahead, facing = -np.einsum("dpi,dpi->dp", normals, apart), -np.einsum("dpi,dpi->dp", normals, light)
-        before = np.einsum("dpi,dpi->dp", apart, light)
+        light = np.swapaxes(self.light, 1, 2)
+        # Products with one vector a draw are products of matrices, which need no copies of the poses.
+        facing = -(normals @ light)[..., 0]
+        before = (origins @ light)[..., 0] - (self.fibre @ light)[..., 0]
+        origins -= self.fibre
+        ahead = -np.einsum("dpi,dpi->dp", normals, origins)
         with np.errstate(divide="ignore", invalid="ignore"):
             length = ahead / facing
         # The reflection point lies at `length` along the light: by Pythagoras from the mirror's origin.
-        aside = np.sqrt(np.maximum(np.einsum("dpi,dpi->dp", apart, apart) - 2 * length * before + length**2, 0.0))
+        square = np.einsum("dpi,dpi->dp", origins, origins) - (2.0 * before - length) * length
+        aside = np.sqrt(np.maximum(square, 0.0))
         return ahead, facing, np.where(facing > 1e-3, aside, 1e9), before
 
 
@@ -151,8 +154,8 @@ def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = 
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
     sizes = _sizes(told.first(_SCREEN), path.q, (envelope, shift[:_SCREEN], gap_sd, sigmas))
     gap, _, least, tilt, most_tilt, most_aside = sizes
-    # Poses that twice the spread keeps inside need no finer look.
-    near = (2.0 * least - gap < envelope.least_gap) | (2.0 * most_tilt - tilt > envelope.max_tilt)
+    # Poses that half as much spread again keeps inside need no finer look.
+    near = (1.5 * least - 0.5 * gap < envelope.least_gap) | (1.5 * most_tilt - 0.5 * tilt > envelope.max_tilt)
     near |= 1.5 * most_aside > envelope.mirror_radius
     if len(told.draws) > _SCREEN and near.any():
         sizes[:, near] = _sizes(told, path.q[near], (envelope, shift, gap_sd, sigmas))
@@ -187,8 +190,8 @@ def _far(samples: Floats, z: float, extra_sd: float = 0.0) -> Floats:
     mean, sd = samples.mean(axis=0), samples.std(axis=0)
     both = np.maximum(np.hypot(sd, extra_sd), 1e-12)
     away = (samples - mean) / both
-    skew = (away**3).mean(axis=0)
-    kurtosis = (away**4).mean(axis=0) - 3.0 * (sd / both) ** 4
+    square = away * away
+    skew, kurtosis = (square * away).mean(axis=0), (square * square).mean(axis=0) - 3.0 * (sd / both) ** 4
     reach = z + (z**2 - 1) * skew / 6 + (z**3 - 3 * z) * kurtosis / 24 - (2 * z**3 - 5 * z) * skew**2 / 36
     end: Floats = mean + both * np.maximum(reach, z)
     return end

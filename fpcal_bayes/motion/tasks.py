@@ -188,13 +188,14 @@ def default_radius(cell: Cell) -> float:
 
 
 def possible_tasks(cell: Cell, names: Sequence[str] = TASKS, *, radius: float = 100.0) -> tuple[str, ...]:
-    """Those of some built-in tasks of which the nominal cell can drive at least one point."""
+    """Those of some built-in tasks that the nominal cell has the axes for; other names stay."""
     if len(cell.joints) == 6:
         return tuple(names)
     vector = cell.parameters.nominal
-    few = {name: task_path(cell, vector, name, radius=radius, n_points=8) for name in names if name in TASKS}
-    # The middle of a line or a tilt asks for no direction: it does not count.
-    return tuple(name for name in names if name not in few or np.count_nonzero(few[name].ok) > 1)
+    few = {name: task_path(cell, vector, name, radius=radius, n_points=8).status for name in names if name in TASKS}
+    return tuple(
+        name for name in names if name not in few or not any(text.startswith("out of reach") for text in few[name])
+    )
 
 
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:

@@ -9,6 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_envelope import read_envelope
+from fpcal_bayes.io.cell_tasks import read_tasks
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
@@ -116,7 +117,7 @@ class _Reader:
         self.file = file
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "task"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -158,6 +159,7 @@ class _Reader:
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
             envelope=read_envelope(self, table.get("envelope"), len(joints)),
+            tasks=read_tasks(self, table.get("task", [])),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")

@@ -13,6 +13,7 @@ from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.inverse_few import LEVER
 from fpcal_bayes.motion.placement import Placement
@@ -123,9 +124,9 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     vector
         Model vector that the joint path is found with, shape (model size,), in um and rad.
     name
-        One of `TASKS`.
+        One of `TASKS`, or of the cell's own.
     radius
-        Of the circle, in um.
+        Of the circle, in um; a circle of the cell's own has its own radius.
     n_points
         Points of the path, both ends included; the circle ends where it starts.
 
@@ -135,12 +136,16 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
         If the name is unknown, the radius is not above zero, there are fewer than two points, or the aligned pose
         that a spin starts from cannot be reached.
     """
-    if name not in TASKS:
-        raise InputError(f"unknown task {name!r}: expected one of {', '.join(TASKS)}, or the name of a path CSV")
+    own = {task.name: task for task in cell.tasks}
+    if name not in TASKS and name not in own:
+        known = ", ".join([*TASKS, *own])
+        raise InputError(f"unknown task {name!r}: expected one of {known}, or the name of a path CSV")
     if not (np.isfinite(radius) and radius > 0):
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
         raise InputError(f"task {name!r} with {n_points} points: expected at least two")
+    if name in own:
+        return _own_path(cell, vector, own[name], n_points)
     placement, offsets = Placement.of(cell, vector), np.zeros((n_points, 6))
     if name == "circle":
         phase = np.linspace(0.0, 2.0 * np.pi, n_points)
@@ -162,6 +167,22 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
         angle = np.linspace(*ends, n_points)
     offsets[:, {"tilt-x": 3, "spin": 4, "tilt-z": 5}[name]] = angle
     return _follow(cell, vector, placement, name, offsets, np.degrees(angle), "deg")
+
+
+def _own_path(cell: Cell, vector: Floats, task: OwnTask, n_points: int) -> Task:
+    """A task that the cell states, as a joint path."""
+    offsets = np.zeros((n_points, 6))
+    offsets[:, :3] = task.centre
+    if task.kind == "circle":
+        phase = np.linspace(0.0, 2.0 * np.pi, n_points)
+        offsets[:, [0, 2]] += task.radius * np.column_stack([np.cos(phase), np.sin(phase)])
+        along = np.degrees(phase)
+    else:
+        along = np.linspace(task.low, task.high, n_points)
+        offsets[:, OWN_KINDS[task.kind]] += along
+        along = np.degrees(along) if task.turns else along
+    unit = "deg" if task.turns or task.kind == "circle" else "um"
+    return _follow(cell, vector, Placement.of(cell, vector), task.name, offsets, along, unit)
 
 
 def half_line(cell: Cell) -> float:

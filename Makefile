@@ -1,6 +1,6 @@
 # Every target makes its own environment in .venv when it is missing or older than what it is made from.
 .DELETE_ON_ERROR:
-.PHONY: help week test lint bench docs studies audit clean
+.PHONY: help week test robustness lint bench docs studies audit clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -15,6 +15,7 @@ export MKL_NUM_THREADS := 1
 help:
 	@echo "make week     the whole protocol on the simulated cell, with report, into week/"
 	@echo "make test     ruff, mypy and every test"
+	@echo "make robustness  faults, kills, long runs and run-to-run equality of every command: at most 20 minutes"
 	@echo "make lint     ruff and mypy only"
 	@echo "make bench    time and memory beside other programs and against size, into docs/benchmarks.md: a quarter of an hour"
 	@echo "make docs     the documentation, into docs/_build/html/"
@@ -27,6 +28,10 @@ week: $(VENV)/.test
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Programs that pytest does not collect; they say how many faults they injected.
+robustness: $(VENV)/.test
+	$(BIN)/python tests/robustness/run_all.py --minutes 20
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check

@@ -33,7 +33,7 @@ from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 
 SWEEPS = Path(__file__).parent.parent / "tests" / "data" / "case_a.csv"
 #: Effective draws a second, and how many times those of NUTS.

@@ -27,7 +27,7 @@ from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.study.base import drawn_truth
 from fpcal_bayes.study.sbc import PROTOCOLS, sbc_plan

@@ -15,9 +15,9 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.observability.observe import observe
+from fpcal_bayes.infer.posterior.draws import make_target
 from fpcal_bayes.infer.posterior.proposal import Atlas
-from fpcal_bayes.infer.posterior.sample import make_target
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel

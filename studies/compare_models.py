@@ -25,7 +25,7 @@ from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult, compare
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005

@@ -24,7 +24,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 
 SIGMA = 0.005
 TRACE_POINTS = 40

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fpcal_bayes.core.files import write_json
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
@@ -30,8 +31,8 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.plan import draw_accuracy, draw_plan
-from fpcal_bayes.report.week import save_figure
+from fpcal_bayes.report.pages import save_figure
+from fpcal_bayes.report.plan import draw_plan
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.study.planning import compare, largest_errors
 from fpcal_bayes.tracking.drift import aged
@@ -180,6 +181,36 @@ def figure(options: argparse.Namespace) -> None:
         for way, of_way in content["found"].items():
             found.setdefault(way, {}).update({int(n): sd for n, sd in of_way.items()})
     save_figure(draw_accuracy(found, levels), options.figure)
+
+
+#: Colours of Okabe and Ito, and a marker each.
+LINES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "v"), ("#E69F00", "D"))
+
+
+def draw_accuracy(found: Found, levels: Levels) -> Figure:
+    """Accuracy of each task against the number of sweeps, a panel per task and a line per way of choosing them.
+
+    `levels` are drawn across for comparison.
+    """
+    tasks = list(next(iter(levels.values())))
+    figure = Figure(figsize=(2.9 * len(tasks), 3.4), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(tasks)))
+    for axis, task in zip(axes, tasks, strict=True):
+        for style, (name, sd) in zip(("--", ":"), levels.items(), strict=False):
+            axis.axhline(1e3 * sd[task], color="0.35", linestyle=style, linewidth=1.2, label=name)
+        for (colour, marker), (name, of_way) in zip(LINES, found.items(), strict=False):
+            numbers = sorted(of_way)
+            sizes = [1e3 * of_way[n][task] for n in numbers]
+            axis.plot(numbers, sizes, color=colour, marker=marker, markersize=4, linewidth=1.3, label=name)
+        axis.set_xticks(sorted({n for of_way in found.values() for n in of_way}))
+        axis.set_yscale("log")
+        axis.set_title(task)
+        axis.set_xlabel("sweeps")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("expected standard deviation [nm]")
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return figure
 
 
 def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> tuple[ByTask, ByTask]:

@@ -1,9 +1,6 @@
 """Is the posterior right? Simulation-based calibration (Talts et al. 2018) of all parameters and of a task.
 
-A truth is drawn from the prior, sweeps are simulated from it, identified and sampled, and the truth is ranked among
-the draws: if the sampler is right, every rank is equally likely. Ranked are the parameters, the change of cavity
-length along a path that no sweep contains, and the log density itself, which shows a mode that is missed
-(Modrak et al. 2023).
+Truths, ranks and tests are those of `fpcal study sbc`. Here all protocols are judged together, and the ranks are drawn.
 """
 
 import os
@@ -16,7 +13,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import json
 import time
-from functools import partial
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,43 +22,19 @@ from rich.console import Console
 from scipy import stats
 
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.report.fit import plain_table
-from fpcal_bayes.study.sbc import (
-    COVERAGES,
-    FAMILY_WISE,
-    PROTOCOLS,
-    RANKED,
-    Replicate,
-    Verdict,
-    judge,
-    least_p,
-    quantities,
-    ranks_of,
-)
-from fpcal_bayes.study.sbc import sbc_plan as plan
-
-SIGMA = 0.005
+from fpcal_bayes.report.table import plain_table
+from fpcal_bayes.study.sbc import FAMILY_WISE, PROTOCOLS, RANKED, PosteriorRanks, quantities, sbc_plan
 
 
-def run_replicate(number: int, *, protocol: str, seed: int, draws: int, steps: int | None = None) -> Replicate:
-    """One truth; its random numbers depend on `seed`, the protocol and `number` alone.
+@dataclass(frozen=True, kw_only=True)
+class Ranks(PosteriorRanks):
+    """The study of the package; the truths of each protocol are others."""
 
-    With `steps`, the walkers go so far and no further: the ranks are those of an exact sampler if the start is.
-    """
-    cell = load_cell()
-    random = np.random.default_rng(np.random.SeedSequence([seed, PROTOCOLS.index(protocol), number]))
-    return ranks_of(cell, plan(protocol, cell), random, sigma=SIGMA, draws=draws, steps=steps)
+    protocol: str
 
-
-def run_protocol(
-    protocol: str, numbers: range, seed: int, draws: int, processes: int, steps: int | None = None
-) -> list[Replicate]:
-    """Replicates in the order of their numbers."""
-    one = partial(run_replicate, protocol=protocol, seed=seed, draws=draws, steps=steps)
-    if processes == 1:
-        return list(map(one, numbers))
-    with get_context("spawn").Pool(processes) as pool:
-        return list(pool.imap(one, numbers))
+    def random(self, number: int) -> np.random.Generator:
+        """Random numbers of replicate `number`."""
+        return np.random.default_rng([self.seed, PROTOCOLS.index(self.protocol), number])
 
 
 def main() -> int:
@@ -77,42 +50,37 @@ def main() -> int:
     options = parser.parse_args()
 
     cell, out = load_cell(), Console(width=120, highlight=False)
-    names, ranks = quantities(cell), {}
+    names, ranks, worst = quantities(cell), {}, {}
     numbers = range(options.first, options.first + options.replicates)
-    verdicts: dict[str, list[Verdict]] = {}
+    settings = {"cell": cell, "seed": options.seed, "draws": options.draws, "steps": options.steps}
     for protocol in options.protocols:
         began = time.perf_counter()
-        found = run_protocol(protocol, numbers, options.seed, options.draws, options.processes, options.steps)
-        kept = np.array([r.ranks for r in found if r.ranks is not None])
-        ranks[protocol] = kept
-        unconverged = sum(bool(r.failures) for r in found)
-        several = sum(r.charts > 1 for r in found)
-        random = np.random.default_rng(options.seed)
-        verdicts[protocol] = [judge(name, kept[:, i], random) for i, name in enumerate(names)]
-        table = plain_table(
-            f"{protocol}: {len(kept)} of {len(found)} replicates, {unconverged} not converged, {several} with several "
-            f"charts, {time.perf_counter() - began:.0f} s",
-            ["quantity", "p chi-square", "p Kolmogorov", *(f"in {100 * c:.0f} %" for c in COVERAGES), "corrected p"],
-        )
-        for verdict in verdicts[protocol]:
-            shares = [f"{100 * share:.1f}" for share in verdict.covered]
-            tests = [f"{verdict.chi_square:.4f}", f"{verdict.kolmogorov:.4f}"]
-            table.add_row(verdict.name, *tests, *shares, f"{least_p(verdict):.4f}")
+        study = Ranks(plan=sbc_plan(protocol, cell), protocol=protocol, **settings)
+        with get_context("spawn").Pool(options.processes) as pool:
+            found = list(pool.imap(study.replicate, numbers))
+        results = {name: np.array([each[name] for each in found]) for name in study.shapes()}
+        summary = study.summary(results)
+        ranks[protocol] = results["ranks"][results["identified"] > 0].astype(int)
+        worst[protocol] = min((row["p_corrected"], row["quantity"]) for row in summary.rows)
+        table = plain_table(f"{protocol}: {summary.title}", [column.replace("_", " ") for column in summary.rows[0]])
+        for row in summary.rows:
+            table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
         out.print(table)
-    n_tests = len(names) * len(verdicts)
-    for protocol, each in verdicts.items():
-        worst = min(each, key=least_p)
-        corrected = min(1.0, n_tests * least_p(worst))
-        good = corrected > FAMILY_WISE
+        for sentence in (summary.sentences[0], *summary.warnings):
+            out.print(f"{protocol}: {sentence}")
+        out.print(f"{protocol}: {time.perf_counter() - began:.0f} s")
+    n_tests = len(names) * len(worst)
+    for protocol, (p, name) in worst.items():
+        corrected = min(1.0, n_tests * p)
         out.print(
-            f"{protocol}: {'calibrated' if good else 'NOT calibrated'}, worst {worst.name}, p = {corrected:.3g} "
-            f"over all {n_tests} quantities (family-wise level {FAMILY_WISE})"
+            f"{protocol}: {'calibrated' if corrected > FAMILY_WISE else 'NOT calibrated'}, worst {name}, "
+            f"p = {corrected:.3g} over all {n_tests} quantities (family-wise level {FAMILY_WISE})"
         )
     if options.output is not None:
         content = {name: kept.tolist() for name, kept in ranks.items()}
         options.output.write_text(json.dumps({"quantities": names, "ranked": RANKED, "ranks": content}))
         draw_figures(names, ranks, options.output)
-    return 0 if all(n_tests * least_p(v) > FAMILY_WISE for each in verdicts.values() for v in each) else 1
+    return 0 if all(n_tests * p > FAMILY_WISE for p, _ in worst.values()) else 1
 
 
 def draw_figures(names: list[str], ranks: dict[str, np.ndarray], beside: Path) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 OUTPUT = HERE / "output"
-#: Each study with the options that keep it short.
+#: Each study with the options that keep it short: a script, or a command of the program.
 STUDIES = (
     ("figure_09_10.py",),
     ("figure_11.py",),
@@ -28,7 +28,7 @@ STUDIES = (
     ("figure_16.py",),
     ("tables_2_to_7.py",),
     ("identifiability.py", "--replicates", "200"),
-    ("task_coverage.py", "--replicates", "100"),
+    ("fpcal", "study", "coverage", "--replicates", "100", "--anew", "-o", str(OUTPUT / "coverage.h5")),
     ("compare_models.py", "--truths", "1", "--paths", "axis"),
     ("posterior_sbc.py", "--replicates", "4", "-o", str(OUTPUT / "posterior_sbc.json")),
     ("planning.py", "accuracy", "--numbers", "12", "--draws", "16", "--truths", "20", "--variations", "5"),
@@ -41,28 +41,30 @@ _LONGEST_S = 600
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="studies whose name holds this text")
-    chosen = [study for study in STUDIES if parser.parse_args().only in study[0]]
+    only = parser.parse_args().only
+    chosen = [study for study in STUDIES if only in _name(study)]
     OUTPUT.mkdir(exist_ok=True)
     environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     failed, began = [], time.perf_counter()
     for number, study in enumerate(chosen, 1):
         start = time.perf_counter()
-        command = [sys.executable, str(HERE / study[0]), *study[1:]]
+        program = ["-m", "fpcal_bayes"] if study[0] == "fpcal" else [str(HERE / study[0])]
+        command = [sys.executable, *program, *study[1:]]
         before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
         try:
             done = subprocess.run(
                 command, env=environment, capture_output=True, text=True, timeout=_LONGEST_S, check=False
             )
         except subprocess.TimeoutExpired:
-            failed.append(study[0])
+            failed.append(_name(study))
             print(f"[{number} of {len(chosen)}] {' '.join(study)}: ended after {_LONGEST_S} s", flush=True)
             continue
-        (OUTPUT / study[0]).with_suffix(".txt").write_text(done.stdout + done.stderr)
+        (OUTPUT / f"{_name(study)}.txt").write_text(done.stdout + done.stderr)
         spent, cpu = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
         print(f"[{number} of {len(chosen)}, {spent:.0f} s, CPU {cpu:.0f} s] {' '.join(study)}", flush=True)
         print("  " + _last(done.stdout), flush=True)
         if done.returncode:
-            failed.append(study[0])
+            failed.append(_name(study))
             print(f"  FAILED with status {done.returncode}: {_last(done.stderr)}", flush=True)
     write_page()
     print(f"{len(chosen)} studies in {time.perf_counter() - began:.0f} s -> {OUTPUT}/index.html")
@@ -88,6 +90,10 @@ def write_page() -> None:
         f"{''.join(parts)}</body></html>\n",
         encoding="utf-8",
     )
+
+
+def _name(study: tuple[str, ...]) -> str:
+    return f"{study[1]}_{study[2]}" if study[0] == "fpcal" else Path(study[0]).stem
 
 
 def _last(text: str) -> str:

@@ -17,7 +17,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.simulator.sweeps import simulate
 
 SIGMA = 0.005

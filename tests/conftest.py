@@ -9,6 +9,8 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import csv
 import json
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -62,6 +64,42 @@ def case_a(femto: Cell) -> ReferenceCase:
         names = [f"{name}_{end}_{unit}" for name, unit in (c.split("_") for c in femto.joint_columns)]
         ends.append(np.array([[float(row[name]) for name in names] for row in rows]) * femto.joint_scales)
     return ReferenceCase(json.loads((DATA / "case_a.json").read_text()), *ends)
+
+
+#: No shared folder takes so long to make, in s, also where many programs share the cores.
+_PATIENCE_S = 1800.0
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """A function `(name, make)` that gives a folder which `make` filled once, however many workers run the tests.
+
+    Tests read such a folder and write nothing into it.
+    """
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+
+    def shared(name: str, make: Callable[[Path], None]) -> Path:
+        folder, made, failed = root / f"shared-{name}", root / f"{name}.made", root / f"{name}.failed"
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            end = time.monotonic() + _PATIENCE_S
+            while not made.exists():
+                assert not failed.exists(), f"{name}: could not be made by the worker that began"
+                assert time.monotonic() < end, f"{name}: not made in {_PATIENCE_S:.0f} s"
+                time.sleep(0.05)
+            return folder
+        try:
+            make(folder)
+        except BaseException:
+            failed.touch()
+            raise
+        made.touch()
+        return folder
+
+    return shared
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
@@ -58,6 +58,7 @@ def _damaged_sweeps(folder: Path, text: str) -> None:
     (folder / "header.csv").write_text(lines[0])
     (folder / "semicolons.csv").write_text(text.replace(",", ";"))
     (folder / "misnamed.csv").write_text(text.replace("dl_um", "dL", 1))
+    (folder / "reserved.csv").write_text(text.replace(",signed", ",signed,beam", 1))
     (folder / "binary.csv").write_bytes(b"session,\xff\xfe\n")
     (folder / "short.csv").write_text("".join([*lines[:4], "full-T0,0\n", *lines[4:]]))
     put("word.csv", 5, "dl_um", "x")

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from task_fixtures import paper_values
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.resources import paper_tables
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.budget import Budget, Conditions, budget_of
@@ -21,7 +22,13 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task, task_path
 from fpcal_bayes.simulator.sweeps import noise_free, simulate
 
-EXACT = Conditions(wavelength_ppm=0.0, temperature_k=0.0, pressure_hpa=0.0, resolution=np.zeros(6))
+EXACT = Conditions(wavelength_ppm=0.0, temperature_k=0.0, pressure_hpa=0.0)
+
+
+@pytest.fixture
+def stepless(femto: Cell) -> Cell:
+    """The built-in cell with joints of no smallest step."""
+    return replace(femto, joints=tuple(replace(joint, resolution=0.0) for joint in femto.joints))
 
 
 def calibrated(cell: Cell, midpoints: bool = False) -> tuple[Estimate, Sweeps]:
@@ -41,9 +48,9 @@ def contribution(budget: Budget, start: str) -> float:
 
 @pytest.mark.parametrize("midpoints", [False, True])
 @pytest.mark.parametrize("name", ["circle", "tilt-x"])
-def test_inputs_add_up_to_the_tasks_sd(femto: Cell, name: str, midpoints: bool) -> None:
-    estimate, sweeps = calibrated(femto, midpoints)
-    task = task_path(femto, estimate.vector(), name)
+def test_inputs_add_up_to_the_tasks_sd(stepless: Cell, name: str, midpoints: bool) -> None:
+    estimate, sweeps = calibrated(stepless, midpoints)
+    task = task_path(stepless, estimate.vector(), name)
     for known in (None, sweeps):
         budget = budget_of(estimate, task, sweeps=known, conditions=EXACT)
         assert budget.combined == pytest.approx(own_sd(estimate, task), rel=1e-6)
@@ -92,9 +99,9 @@ def test_wavelength_scales_readings(femto: Cell) -> None:
     assert change[worst] == pytest.approx(ppm * sensitivity, rel=0.05)
 
 
-def test_repeatability_counts_in_calibration_and_task(femto: Cell) -> None:
-    joints = tuple(replace(j, repeatability=1e-3 if j.kind == "prismatic" else 1e-8) for j in femto.joints)
-    cell = replace(femto, joints=joints)
+def test_repeatability_counts_in_calibration_and_task(stepless: Cell) -> None:
+    joints = tuple(replace(j, repeatability=1e-3 if j.kind == "prismatic" else 1e-8) for j in stepless.joints)
+    cell = replace(stepless, joints=joints)
     estimate, sweeps = calibrated(cell)
     task = task_path(cell, estimate.vector(), "circle")
     budget = budget_of(estimate, task, sweeps=sweeps)
@@ -111,7 +118,20 @@ def test_resolution_of_the_built_in_cell(femto: Cell) -> None:
     estimate, _ = calibrated(femto)
     budget = budget_of(estimate, task_path(femto, estimate.vector(), "circle"))
     assert contribution(budget, "resolution of q2") == pytest.approx(np.sqrt(2) * 0.5e-3 / np.sqrt(12), rel=1e-3)
-    assert Conditions().resolution_of(replace(femto, name="mine")).tolist() == [0.0] * 6
+    setup = paper_tables()["setup"]
+    goniometer, rotary = (1e-6 * setup[f"{name}_resolution_udeg"] for name in ("goniometer", "rotary"))
+    stage = 1e-3 * setup["stage_resolution_nm"]
+    assert femto.resolution.tolist() == [stage, stage, stage, *np.radians([goniometer, goniometer, rotary])]
+
+
+def test_joints_of_no_smallest_step_have_no_line(stepless: Cell) -> None:
+    estimate, _ = calibrated(stepless)
+    budget = budget_of(estimate, task_path(stepless, estimate.vector(), "circle"))
+    assert not [line for line in budget.lines if line.name.startswith("resolution")]
+    assert budget.combined > 0
+
+
+def test_index_of_the_air() -> None:
     assert Conditions().index_ppm == pytest.approx(np.hypot(0.93, 2.7))
 
 

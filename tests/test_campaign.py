@@ -14,8 +14,7 @@ import fpcal_bayes
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
-from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import is_campaign_file, read_csv, read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
@@ -223,6 +222,7 @@ def _attribute(name, value):
         (_external_data, "/sweeps/dl_um: the data lie in another file"),
         (_virtual_data, "/sweeps/dl_um: the data lie in another file"),
         (lambda root: root["sweeps"].create_dataset("note", data=[1.0]), "/sweeps: unknown column 'note'"),
+        (lambda root: root["sweeps"].create_dataset("beam", data=[1.0]), "/sweeps: the column beam is reserved"),
         (_first("sweeps/dl_um", np.nan), "row 1, column dl_um: expected a finite number"),
         (_first("sweeps/time_h", np.inf), "row 1, column time_h: expected a finite number"),
         (_first("sweeps/sigma_um", 0.0), "row 1, column sigma_um: expected a standard deviation above zero"),

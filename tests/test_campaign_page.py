@@ -16,7 +16,7 @@ from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.infer.tasks.prediction import predict_from_covariance
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join

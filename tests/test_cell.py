@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.resources import data_file
-from fpcal_bayes.io.cell import _CONTROLLER_UNITS, load_cell
+from fpcal_bayes.io.cell import CONTROLLER_UNITS, load_cell
 from fpcal_bayes.model.cell.cell import Cell, check_joints, describe
 from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.model.parameters import EXTRINSICS
@@ -79,12 +79,10 @@ def test_select_without_prior(femto: Cell, name: str) -> None:
         femto.select(name)
 
 
-@pytest.mark.parametrize(
-    ("kind", "unit"), [(kind, unit) for kind, units in _CONTROLLER_UNITS.items() for unit in units]
-)
+@pytest.mark.parametrize(("kind", "unit"), [(kind, unit) for kind, units in CONTROLLER_UNITS.items() for unit in units])
 @given(q=st.floats(-1e3, 1e3), zero=st.floats(-1e3, 1e3), sign=st.sampled_from([1, -1]))
 def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float, sign: int) -> None:
-    axis = ControllerAxis("m", "1", sign, zero, unit, _CONTROLLER_UNITS[kind][unit])
+    axis = ControllerAxis("m", "1", sign, zero, unit, CONTROLLER_UNITS[kind][unit])
     values = np.array([q, 0.0])
     reading = axis.to_controller(values)
     # The zero takes up digits of the reading.
@@ -110,7 +108,7 @@ def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float,
     ],
 )
 def test_controller_units(kind: str, unit: str, one: float) -> None:
-    axis = ControllerAxis("m", "1", -1, 10.0, unit, _CONTROLLER_UNITS[kind][unit])
+    axis = ControllerAxis("m", "1", -1, 10.0, unit, CONTROLLER_UNITS[kind][unit])
     assert axis.to_controller(np.array([2 * one])) == pytest.approx(8.0, rel=1e-12)
 
 
@@ -147,6 +145,15 @@ def test_hash_ignores_layout_and_comments(femto: Cell, tmp_path: Path) -> None:
 )
 def test_hash_changes_with_what_matters(femto: Cell, tmp_path: Path, old: str, new: str) -> None:
     assert cell_of(changed(old, new), tmp_path).sha256 != femto.sha256
+
+
+def test_hash_leaves_out_what_changes_no_cavity_length(femto: Cell, tmp_path: Path) -> None:
+    assert femto.sha256.startswith("9ef957ab3e19")
+    finer = cell_of(changed("resolution_um = 0.0005", "resolution_um = 0.0001"), tmp_path)
+    assert finer.resolution.tolist() == [1e-4, *femto.resolution[1:]]
+    silent = cell_of("\n".join(line for line in TEXT.splitlines() if "resolution_" not in line), tmp_path)
+    assert silent.resolution.tolist() == [0.0] * 6
+    assert finer.sha256 == silent.sha256 == femto.sha256
 
 
 def test_with_opd(femto: Cell) -> None:

@@ -145,6 +145,8 @@ BAD = [
     ("prior_sd_deg = 1.0", "prior_sd_deg = -1.0", "key joint 2.alpha.prior_sd_deg: expected a number from 0 to inf"),
     ("prior_sd_um = 20.0", "prior_sd_um = nan", "key joint 4.d.prior_sd_um: expected a finite number, found nan"),
     ("repeatability_um = 0.0", "repeatability_um = -1", "key joint 1.repeatability_um: expected a number from 0"),
+    ("resolution_um = 0.0005", "resolution_um = -1", "key joint 1.resolution_um: expected a number from 0"),
+    ("resolution_um = 0.0005", "resolution_deg = 1.0", "key joint 1.resolution_deg: unknown key"),
     # limits
     ("limits_um = [-150.0, 150.0]", "limits_um = [150.0, -150.0]", "key joint 1.limits_um: expected low < high"),
     ("limits_um = [-150.0, 150.0]", "limits_um = [1, 1]", "key joint 1.limits_um: expected low < high, found [1, 1]"),
@@ -179,7 +181,10 @@ def test_refusal_names_the_key(tmp_path: Path, old: str, new: str, expected: str
     [
         ("[optics]\nwavelength_nm = 1550\n", "key optics: expected a table"),
         ('[[joint]]\nkind = "revolute"\n', "key joint: expected one [[joint]] table for each joint"),
-        ("[extrinsic]\nbeta_et = { nominal_deg = -90 }\ny_wf = { nominal_um = 900, prior_sd_um = 10 }\n", "key extrinsic: expected a table"),
+        (
+            "[extrinsic]\nbeta_et = { nominal_deg = -90 }\ny_wf = { nominal_um = 900, prior_sd_um = 10 }\n",
+            "key extrinsic: expected a table",
+        ),
         (", prior_sd_um = 10", "key joint: no parameter has a prior_sd: there is nothing to identify"),
     ],
 )

@@ -14,7 +14,7 @@ from fpcal_bayes.cli.cell import joints_at
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.resources import data_file
-from fpcal_bayes.io.cell import load_cell, read_cell
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import direction_words
@@ -338,7 +338,7 @@ def test_wrong_axes_are_seen(tmp_path):
     text = "[[joint]]".join(joints)
     path = tmp_path / "wrong.toml"
     path.write_text(text)
-    view = view_cell(read_cell(path, check=False))
+    view = view_cell(load_cell(path, check=False))
     assert "q1 and q3 both move along x" in view.odd
     assert "turns its back to the light" in view.refused
 
@@ -358,7 +358,7 @@ def test_the_command_writes_picture_and_json(suffix, tmp_path, capsys):
     assert content["length_um"] == pytest.approx(60.0)
     assert figure.stat().st_size > 5_000
     if suffix == "svg":
-        assert figure.read_text().startswith("<svg")
+        assert "<svg" in figure.read_text()[:1000]
     assert "[envelope]: nothing keeps the mirror off the fibre" in capsys.readouterr().out
 
 

@@ -9,8 +9,8 @@ import pytest
 from test_cli_control import refusal, run
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.io.csv import read_csv, write_csv
 from fpcal_bayes.io.recordings import read_index
+from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.model.cell.cell import Cell
 

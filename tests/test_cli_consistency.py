@@ -52,7 +52,21 @@ def test_completion(shell, capsys):
     assert "tolerance-nm" in out
 
 
+#: What is slow to import, in the order of what it costs.
+SLOW = {"numba", "scipy", "scipy.stats", "emcee", "arviz", "matplotlib", "numpy", "h5py", "rich", "shtab", "jinja2"}
+
+
+def modules_after(script: str) -> set[str]:
+    """What a program has imported at its end."""
+    script = f"import sys; {script}; print(*sys.modules)"
+    return set(
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+    )
+
+
 def test_help_starts_fast():
-    script = "import sys; from fpcal_bayes.cli.main import make_parser; make_parser(); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert not {"numba", "matplotlib", "arviz", "emcee", "shtab", "jinja2"} & set(done.stdout.split())
+    assert not SLOW & modules_after("from fpcal_bayes.cli.main import make_parser; make_parser()")
+
+
+def test_identify_imports_no_more_than_it_needs():
+    assert SLOW & modules_after("import fpcal_bayes.cli.identify") == {"numba", "numpy", "scipy", "h5py", "rich"}

@@ -12,8 +12,8 @@ from trace_fixtures import record_all
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.files import write_json
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
-from fpcal_bayes.io.csv import read_csv
 from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.truth import paper_truth

@@ -7,7 +7,7 @@ import pytest
 
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 
 CELL = load_cell()

@@ -1,18 +1,14 @@
-import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
 
 import arviz as az
-import numpy as np
 import pytest
 from test_cli import error_lines, refused
 
+from fpcal_bayes.cli import sample as sample_module
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.infer.fit import minimise as least_squares
-from fpcal_bayes.infer.posterior import sample as sample_module
 
-ROOT = Path(__file__).parents[1]
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 
 
@@ -24,15 +20,14 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def study(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "studies" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def run(*arguments: object, code: int = 0) -> None:
     assert main(["sample", str(CASE_A), *map(str, arguments)]) == code
+
+
+def draws_of(name: str) -> dict[str, bytes]:
+    with az.from_netcdf(name) as tree:
+        groups = ((group, tree[group].data_vars) for group in ("posterior", "sample_stats"))
+        return {f"{group}/{key}": value.values.tobytes() for group, every in groups for key, value in every.items()}
 
 
 class TestOutput:
@@ -53,16 +48,12 @@ class TestOutput:
             assert tree["posterior"]["z_et"].values.mean() == pytest.approx(written["parameters"]["z_et"]["mean"])
             assert tree.attrs["data_sha256"] == written["data"]["sha256"]
 
-    def test_quiet(self, capsys):
-        run("-o", "p.nc", "--draws", 50, "--quiet")
-        assert capsys.readouterr().out == ""
-
-    def test_seed(self):
+    def test_seed_and_quiet(self, capsys):
         for name, seed in (("a", 3), ("b", 3), ("c", 4)):
             run("-o", f"{name}.nc", "--draws", 50, "--seed", seed, "--quiet")
-        draws_of = study("posterior_kills").draws_of
-        assert draws_of(Path("a.nc")) == draws_of(Path("b.nc"))
-        assert draws_of(Path("a.nc")) != draws_of(Path("c.nc"))
+        assert capsys.readouterr().out == ""
+        assert draws_of("a.nc") == draws_of("b.nc")
+        assert draws_of("a.nc") != draws_of("c.nc")
 
 
 class TestNotConverged:
@@ -120,7 +111,7 @@ class TestRefused:
 
     def test_blocks_of_another_run(self, capsys, monkeypatch):
         """Resuming with another seed is refused; the blocks of the first run stay for it."""
-        monkeypatch.setattr("fpcal_bayes.infer.posterior.netcdf.write_netcdf", _interrupt)
+        monkeypatch.setattr("fpcal_bayes.cli.sample.write_netcdf", _interrupt)
         run("-o", "p.nc", "--draws", 50, "--quiet", code=130)
         capsys.readouterr()
         blocks = list(Path("p.nc.blocks").iterdir())
@@ -134,11 +125,3 @@ class TestRefused:
 
 def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
-
-
-@pytest.mark.slow
-def test_three_kills_change_nothing(here, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    random = np.random.default_rng(1)
-    met = study("posterior_kills").kill_and_resume(CASE_A, here, kills=3, draws=1000, seed=0, random=random)
-    assert met == 3

@@ -7,7 +7,7 @@ import pytest
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, campaign
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.decision.closed_loop import run_policy, task_peaks
+from fpcal_bayes.decision.closed_loop import STEP_H, run_policy, task_peaks
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import Policy
@@ -29,16 +29,16 @@ def measure(plan, time_h):
     return simulate(CELL, TRUTH, timed, sigma=SIGMA, seed=round(100 * time_h))
 
 
-def run(costs, **changes):
-    return run_policy(Policy.of(DRIFT, MODEL, Goal(0.05), costs, PROTOCOL), START, measure, 6.0, **changes)
+def run(costs):
+    return run_policy(Policy.of(DRIFT, MODEL, Goal(0.05), costs, PROTOCOL), START, measure, 6.0)
 
 
 def test_sessions_come_when_they_were_planned():
-    loop = run(Costs(most_sweeps=2, sigma=SIGMA), step_h=0.1)
+    loop = run(Costs(most_sweeps=2, sigma=SIGMA))
     times = np.array([outcome.time_h for outcome in loop.outcomes])
     assert len(loop.decisions) == len(loop.sweeps) == len(times) - 1
     assert (np.diff(times) > 0.0).all()
-    np.testing.assert_allclose(times, np.round(times, 1), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(times, STEP_H * np.round(times / STEP_H), rtol=0, atol=1e-9)
     assert 3 <= len(loop.sweeps) <= 12
     assert times[-1] <= 6.0
     for decision, sweeps, outcome in zip(loop.decisions, loop.sweeps, loop.outcomes[1:], strict=True):
@@ -60,7 +60,7 @@ def test_the_filter_is_that_of_a_track_of_the_same_sessions():
 
 
 def held(loop):
-    return [(time_h, DRIFT.values(mean)) for time_h, mean in loop.held]
+    return [(outcome.time_h, DRIFT.values(outcome.state.mean)) for outcome in loop.outcomes]
 
 
 def test_the_robot_is_looked_at_when_due():

@@ -9,7 +9,7 @@ import pytest
 from fpcal_bayes.analysis.doctor import examine
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth

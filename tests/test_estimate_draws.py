@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.posterior.draws import draws_content, independent_draws
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.tasks.source import draws_content, independent_draws, read_estimate_draws, read_knowledge
+from fpcal_bayes.infer.tasks.source import read_estimate_draws, read_knowledge
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
 from fpcal_bayes.io.hdf5 import SIGNATURE
-from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.sweeps import read_csv, read_sweeps, write_csv
 from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol

@@ -1,6 +1,9 @@
 """The house: which room may import which, and how large a file may grow. docs/reference/house.md draws it."""
 
 import ast
+import importlib
+import inspect
+import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -81,16 +84,63 @@ def test_no_circle():
         pytest.fail(f"circle: {' -> '.join(error.args[1])}")
 
 
+#: Libraries that are an extra, or that take long to import and are not always needed.
+SLOW = {"arviz", "arviz_plots", "arviz_stats", "corner", "dask", "distributed", "matplotlib", "threadpoolctl", "xarray"}
+
+
 def test_imports_stand_at_the_top():
-    """In `cli` a command may defer what it runs, so that the others start without it."""
+    """A function imports a slow library at most; `cli.main` alone loads what a command runs when it is known which."""
     inside = []
     for name, tree in TREES.items():
         for function in ast.walk(tree):
             if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
-                found = [node for node in ast.walk(function) if isinstance(node, ast.Import | ast.ImportFrom)]
-                if found:
-                    inside.append((name, function.name, len(found)))
-    assert [entry for entry in inside if not entry[0].startswith("fpcal_bayes.cli.")] == []
+                for node in ast.walk(function):
+                    if isinstance(node, ast.Import | ast.ImportFrom):
+                        source = node.names[0].name if isinstance(node, ast.Import) else str(node.module)
+                        if source.split(".")[0] not in SLOW:
+                            inside.append(f"{name}.{function.name}: {source}")
+    assert inside == []
+
+
+def test_one_import_waits_in_the_program():
+    """What a command runs is loaded by its name, in one place; options need nothing that is slow to import."""
+    waiting = [name for name, tree in TREES.items() for node in ast.walk(tree) if is_deferred_import(node)]
+    # The other one is the face of the package, which loads a name when it is first used.
+    assert waiting == ["fpcal_bayes.__init__", "fpcal_bayes.cli.main"]
+    options = {name for name in MODULES if name.startswith("fpcal_bayes.cli.arguments.")} | {"fpcal_bayes.cli.main"}
+    light = {"fpcal_bayes.cli.arguments", "fpcal_bayes.core.errors", "fpcal_bayes.core.version"} | options
+    assert {other for name in options for other, _ in imported(TREES[name])} <= light
+    standard = {
+        alias.name if isinstance(node, ast.Import) else node.module
+        for name in options
+        for node in ast.walk(TREES[name])
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
+    assert {name.split(".")[0] for name in standard} - {"fpcal_bayes"} <= sys.stdlib_module_names
+
+
+def is_deferred_import(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("import_module", "__import__")
+
+
+def test_report_computes_nothing():
+    """It may name types and constants of the rooms that compute; their functions are called in `analysis`."""
+    computing = tuple(f"fpcal_bayes.{room}." for room in ("fringes", "infer", "tracking", "decision"))
+    called = []
+    for name, tree in TREES.items():
+        if not name.startswith("fpcal_bayes.report."):
+            continue
+        for other, statement in imported(tree):
+            if not other.startswith(computing):
+                continue
+            source = importlib.import_module(other)
+            for alias in statement.names:
+                # A whole module would bring its functions.
+                found = getattr(source, alias.name, source)
+                if inspect.ismodule(found) or inspect.isroutine(inspect.unwrap(found)):
+                    called.append(f"{name} imports {other}.{alias.name}")
+    assert called == []
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

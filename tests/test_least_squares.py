@@ -9,7 +9,7 @@ from fpcal_bayes.infer.fit import minimise as least_squares
 from fpcal_bayes.infer.fit.minimise import DECREMENT_TOLERANCE, gauss_newton, minimise, newton_step, polished
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.model.cavity import CavityModel
 

@@ -5,8 +5,8 @@ import pytest
 from track_fixtures import CELL, DRIFT, campaign
 
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.infer.tasks.error import task_rows
-from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.tracking.start import linear_start

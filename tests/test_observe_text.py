@@ -74,10 +74,10 @@ def test_redundant_sweeps_are_named_up_to_ten(plan):
 
 
 def test_every_table_has_every_row(plan):
-    assert [row[0] for row in words.parameter_table(plan).rows] == list(CELL.free.names)
-    assert [row[0] for row in words.block_table(plan).rows] == [block.name for block in plan.blocks]
+    assert [row[0].text for row in words.parameter_table(plan).rows] == list(CELL.free.names)
+    assert [row[0].text for row in words.block_table(plan).rows] == [block.name for block in plan.blocks]
     assert all(len(row) == len(words.bounds_table(plan).columns) for row in words.bounds_table(plan).rows)
-    bits = [float(row[1]) for row in words.sweep_table(plan).rows]
+    bits = [float(row[1].text) for row in words.sweep_table(plan).rows]
     assert bits == sorted(bits, reverse=True)
     assert bits[0] == pytest.approx(plan.information.bits.max(), abs=0.005)
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cell.cell import Cell, make_parameters
-from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, Parameter, ParameterSet, model_size
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, Parameter, ParameterSet
 
 
 def test_find_by_position_name_and_slice(femto: Cell) -> None:
@@ -65,7 +65,7 @@ def test_slots_follow_the_model_vector(femto: Cell) -> None:
     """Eight numbers a link in LINK_SLOTS order, then EXTRINSICS."""
     names = [f"{stem}_{link}" for link in range(1, 7) for stem in LINK_SLOTS] + list(EXTRINSICS)
     assert list(femto.parameters.names) == names
-    assert femto.parameters.slots.tolist() == list(range(model_size(6)))
+    assert femto.parameters.slots.tolist() == list(range(6 * 8 + 8))
     assert [names[slot] for slot in femto.free.slots] == list(femto.free.names)
 
 

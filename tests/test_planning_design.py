@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.infer.design.criteria import CRITERIA, criterion_by_name
 from fpcal_bayes.infer.design.exchange import exchange, greedy, most_useful_first
-from fpcal_bayes.infer.design.information import Design, covariance_root
+from fpcal_bayes.infer.design.information import Design
 
 KEYS = sorted(CRITERIA)
 
@@ -112,7 +113,6 @@ def test_exchange_finds_no_worse_than_greedy_and_nearly_the_best(name: str) -> N
             assert values.min() >= criterion.value(found) - 1e-3 * abs(criterion.value(found))
         assert best <= criterion.value(found) + 1e-9
         assert sorted(most_useful_first(criterion, found)) == sorted(found)
-        assert exchange(criterion, first, fixed=3) == first
 
 
 @given(st.integers(0, 10**6), st.integers(0, 4))

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from test_cli import refused
 
+from fpcal_bayes.analysis.parameters import most_correlated, tree_draws
+from fpcal_bayes.cli import sample as sample_module
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.posterior import sample as sample_module
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import data_tree
 from fpcal_bayes.infer.posterior.sample import sample
@@ -111,14 +112,14 @@ class TestFigures:
 
 class TestMostCorrelated:
     def test_largest_first(self, drawn):
-        names = figures.most_correlated(drawn[0], 2)
+        names = most_correlated(drawn[0], 2)
         assert len(names) == 2
-        all_names, draws = figures._draws(drawn[0])
+        all_names, draws = tree_draws(drawn[0])
         size = np.abs(np.corrcoef(draws.reshape(len(all_names), -1)) - np.eye(len(all_names)))
         assert size[all_names.index(names[0]), all_names.index(names[1])] == pytest.approx(size.max())
 
     def test_no_more_than_there_are(self, drawn):
-        assert figures.most_correlated(drawn[0], 50) == figures._draws(drawn[0])[0]
+        assert most_correlated(drawn[0], 50) == tree_draws(drawn[0])[0]
 
 
 class TestCommand:
@@ -134,7 +135,8 @@ class TestCommand:
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(sample_module, "sample", lambda *_, **__: posterior)
         # What is drawn is tested above; here: that it is, from this command's draws.
-        monkeypatch.setattr(figures, "write_posterior_figures", lambda tree, loo, folder, pairs: [folder / str(pairs)])
+        drawn = lambda tree, loo, folder, pairs: [folder / str(pairs)]  # noqa: E731
+        monkeypatch.setattr(sample_module, "write_posterior_figures", drawn)
         arguments = ["sample", str(CASE_A), "-o", "p.nc", "--draws", "50", "--plots", "d", "--pairs", "z_et,x_wf"]
         assert main(arguments) == 0
         assert "figure: d/['z_et', 'x_wf']" in capsys.readouterr().out

@@ -8,8 +8,9 @@ from scipy import special, stats
 
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, StudentTangent, bend, log_peak, robust_minimum
+from fpcal_bayes.infer.posterior.draws import make_target
 from fpcal_bayes.infer.posterior.noise_scale import LOG_SD
-from fpcal_bayes.infer.posterior.sample import make_target, sample
+from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth

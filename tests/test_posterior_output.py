@@ -7,8 +7,9 @@ from conftest import DATA
 from numpy.testing import assert_allclose
 
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, summarise, write_netcdf
-from fpcal_bayes.infer.posterior.sample import Posterior, sample
+from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth

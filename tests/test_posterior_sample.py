@@ -9,7 +9,8 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior import sample as sample_module
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
-from fpcal_bayes.infer.posterior.sample import BLOCK_STEPS, Posterior, identity, sample
+from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.sample import BLOCK_STEPS, identity, sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import single_sweep

@@ -8,7 +8,7 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import add_midpoints, mark_signs, paper_protocol, protocol_by_name, single_sweep
 from fpcal_bayes.model.parameters import Parameter, ParameterSet
 

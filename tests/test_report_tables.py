@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from rich.table import Table
 
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv
+from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import mark_signs
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.report.fit import fit_lines, number, parameter_table, plain_table, reflection_lines, truth_table
+from fpcal_bayes.report.fit import fit_lines, parameter_table
+from fpcal_bayes.report.pages import ENVIRONMENT
+from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
+from fpcal_bayes.report.week import reflection_lines, truth_table
 
 CELL = load_cell()
 
@@ -116,8 +118,24 @@ def test_markup_in_a_title_is_text(title):
 
 
 def test_columns():
-    table = plain_table("t", ["a", "b", "c", "d"])
+    table = plain_table("t", ["a", "b", "c", "d"]).__rich__()
     assert [column.justify for column in table.columns] == ["left", "left", "right", "right"]
+
+
+def test_one_content_in_a_terminal_and_on_a_page():
+    table = plain_table("a [title]", ["name", "size [nm]", "error [nm]", "status"], words=[0])
+    table.add_row("<one>", figure_of(1234.5), "2", Cell("good", style="good"))
+    table.add_rule()
+    table.add_row("sum [nm]", "", "", "")
+    lines = [line.split() for line in str(table).splitlines() if line.strip()]
+    assert lines[:2] == [["a", "[title]"], ["name", "size", "nm", "error", "nm", "status"]]
+    assert lines[3] == ["<one>", "1.23e+03", "2", "good"]
+    assert lines[4] == ["sum", "[nm]"]
+    page = ENVIRONMENT.get_template("macros.html").module.table(table)
+    assert "<caption>a [title]</caption>" in page
+    assert '<th scope="col" class="text">name</th><th scope="col">size [nm]</th>' in page
+    assert '<td class="text">&lt;one&gt;</td><td class="" data-sort="1234.5">1.23e+03</td>' in page
+    assert '<td class=" good">good</td>' in page
 
 
 def test_fit_lines(result):

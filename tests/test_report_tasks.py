@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from rich.console import Console
-from rich.table import Table
 from task_fixtures import paper_estimate
 
 from fpcal_bayes.infer.tasks.budget import budget_of
@@ -22,13 +20,6 @@ from fpcal_bayes.report.tasks import (
 )
 
 
-def text_of(table: Table) -> str:
-    console = Console(width=140, record=True, quiet=False, file=None)
-    with console.capture() as capture:
-        console.print(table)
-    return capture.get()
-
-
 @pytest.fixture
 def prediction(femto: Cell) -> TaskPrediction:
     estimate = paper_estimate(femto)
@@ -42,7 +33,7 @@ def test_prediction(prediction: TaskPrediction) -> None:
     assert content["exceeds_probability"] == prediction.exceeds(0.002)
     assert content["peak_to_peak_nm"]["median"] == pytest.approx(1e3 * np.median(prediction.peak_to_peak))
     assert "tolerance_nm" not in prediction_content(prediction, None, prediction.task)
-    text = text_of(prediction_table([prediction], 0.002, "errors"))
+    text = str(prediction_table([prediction], 0.002, "errors"))
     assert "circle" in text
     assert "P(> 2 nm)" in text
     assert f"{content['worst_sd_nm']:.2f}" in text
@@ -70,7 +61,7 @@ def test_budget(femto: Cell) -> None:
     squares = np.array([entry["contribution_nm"] for entry in content["inputs"]])
     combined = np.sqrt(squares @ np.array(content["correlation"]) @ squares)
     assert content["combined_nm"] == pytest.approx(combined)
-    text = text_of(budget_table(budget))
+    text = str(budget_table(budget))
     assert "robot lengths" in text
     assert f"{content['combined_nm']:.3g}" in text
     lines = correlation_lines(budget)

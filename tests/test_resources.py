@@ -51,7 +51,7 @@ def test_installed_wheel_brings_the_built_in_cell(tmp_path: Path) -> None:
     program = (
         f"import sys; sys.path.insert(0, {str(site)!r})\n"
         "import fpcal_bayes\n"
-        "from fpcal_bayes.model.cell.cell import load_cell\n"
+        "from fpcal_bayes.io.cell import load_cell\n"
         "from fpcal_bayes.core.resources import data_file\n"
         "print(fpcal_bayes.__file__, data_file('femto-st.toml'), load_cell().sha256, sep='\\n')\n"
     )

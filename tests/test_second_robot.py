@@ -11,8 +11,8 @@ from fpcal_bayes.analysis.campaign import gather
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
 from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.model import chain

@@ -12,8 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import read_csv, write_csv
-from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import read_csv, read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 
 CELL = load_cell()
@@ -202,6 +201,21 @@ def test_accepts_forms_of_iso_8601(tmp_path, value):
 )
 def test_refuses_another_layout(tmp_path, text, expected):
     assert expected in refusal(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("column", ["t_start_h", "t_end_h", "approach", "beam", "shot"])
+@pytest.mark.parametrize("plan", [False, True])
+def test_refuses_columns_that_this_version_does_not_read(tmp_path, column, plan):
+    path = write(tmp_path, with_option(column, ""))
+    assert refusal(path, plan=plan) == f"row 1: the column {column} is reserved and not read by this version of fpcal"
+
+
+@pytest.mark.parametrize("column", ["readings", "expires_h", "expires_utc", "ticket"])
+def test_refuses_columns_of_plans(tmp_path, column):
+    beside = refusal(write(tmp_path, with_option(column, "1")))
+    assert beside == f"row 1: the column {column} belongs to a plan, expected no column dl_um beside it"
+    path = write(tmp_path, ",".join([*QS, column]) + "\n" + ",".join([*ROW.split(",")[3:15], "1"]) + "\n")
+    assert "reserved and not read by this version" in refusal(path, plan=True)
 
 
 def test_refuses_what_is_no_text_file(tmp_path):

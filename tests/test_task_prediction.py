@@ -11,10 +11,11 @@ from task_fixtures import paper_estimate
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.infer.posterior.netcdf import read_posterior
 from fpcal_bayes.infer.tasks.error import linear_task_sd, peak_to_peak, task_errors, task_jacobian
 from fpcal_bayes.infer.tasks.prediction import predict_from_covariance, predict_from_draws
-from fpcal_bayes.infer.tasks.source import Knowledge, independent_draws, read_knowledge
+from fpcal_bayes.infer.tasks.source import Knowledge, read_knowledge
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -70,7 +71,7 @@ def test_small_draws_give_the_linear_prediction(femto: Cell) -> None:
 def test_true_peak_to_peak_lies_in_its_band(femto: Cell) -> None:
     """40 calibrations of cells drawn from the prior: 200 bands of 95 %, of which 8 in 10 must hold at the very least.
 
-    studies/task_coverage.py does it a thousand times.
+    `fpcal study coverage --replicates 1000` does it a thousand times.
     """
     model, plan, random = CavityModel.of(femto), paper_protocol(femto), np.random.default_rng(0)
     inside = []

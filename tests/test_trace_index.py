@@ -111,6 +111,12 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex) -
     assert back.temperature_c[1] == 20.5
 
 
+def test_a_matlab_file_with_a_reserved_column_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
+    savemat(tmp_path / "index.mat", variables(femto, index) | {"readings": np.ones((3, 1))})
+    with pytest.raises(InputError, match="variables: the column readings is reserved and not read by this version"):
+        read_index(tmp_path / "index.mat", femto)
+
+
 @pytest.mark.parametrize("missing", ["t_s", "irradiance_v", "q4_end_deg"])
 def test_a_matlab_file_without_a_variable_is_refused(
     tmp_path: Path, femto: Cell, index: TraceIndex, missing: str
@@ -152,6 +158,7 @@ def edit(path: Path, old: str, new: str) -> None:
         ("index_traces/1.csv", "C:\\\\traces\\\\1.csv", "expected a path inside"),
         ("index_traces/1.csv", "", "expected the file of a trace, found none"),
         (",trace", ",tracks", "unknown column 'tracks'"),
+        (",trace", ",shot,trace", "row 1: the column shot is reserved and not read by this version"),
         ("trace,wavelength_nm", "trace,dl_um", "these are sweeps, not traces"),
         (",1550,", ",-1550,", "row 3, column wavelength_nm: expected a wavelength above zero"),
         (",1013,", ",lots,", "row 3, column pressure_hpa: expected a number, found 'lots'"),

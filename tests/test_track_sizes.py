@@ -1,10 +1,15 @@
 """Sizes of the drift from data."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from track_fixtures import CELL, campaign
 
+from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.sweeps import write_sweeps
 from fpcal_bayes.tracking.fit_sizes import fit_sizes, maximise, profile_interval
 
 
@@ -56,6 +61,28 @@ def test_the_filter_finds_the_size_of_a_simulated_walk():
     assert factor.low < 1.0 < factor.high
     assert 0.5 < factor.value < 2.0
     assert factor.high / factor.low > 1.5
+
+
+def test_the_command_says_which_sizes_the_sessions_support(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    _, sweeps = campaign(7, sessions=2, hours=8.0)
+    write_sweeps("week.csv", sweeps, CELL)
+    assert main(["track", "week.csv", "--fit-drift", "--json", "out.json"]) == 0
+    found = json.loads(Path("out.json").read_text())["drift_fit"]
+    assert [group["parameters"][0] for group in found["groups"]] == ["beta_4", "beta_et"]
+    assert found["level"] == 0.95
+    sizes = {size.name: size for size in CELL.drift}
+    assert set(found["walks"]) == set(sizes)
+    for group in found["groups"]:
+        assert group["low"] <= group["factor"] <= (np.inf if group["high"] is None else group["high"])
+        for name in group["parameters"]:
+            entry, parameter = found["walks"][name], CELL.free[name]
+            assert entry["cell"] == pytest.approx(parameter.shown(sizes[name].walk))
+            assert entry["fitted"] == pytest.approx(group["factor"] * entry["cell"])
+    out = capsys.readouterr().out
+    assert "random walks after one day that these sessions support, with 95% intervals:" in out
+    assert "beta_et" in out
+    assert "the cell states 0.034" in out
 
 
 def test_refuses_what_it_cannot_learn_from():

@@ -8,7 +8,7 @@ from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, plan
 
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.tasks.source import independent_draws
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel

@@ -5,19 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fpcal_bayes.track.stale import stale_measurement
 from track_fixtures import CELL, DRIFT, SIGMA, campaign, knock, plan, step_of_beta_4
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.filter import State, predict, update
-from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.session import take_in
 from fpcal_bayes.tracking.tracker import track
 
@@ -121,36 +116,6 @@ def test_one_sweep_is_enough_and_paths_are_left_out(week):
     assert found.last.warnings == ("1 rows of kind path are not used",)
     before, after = found.outcomes[-2].state, found.last.state
     assert (np.diag(after.covariance) >= np.diag(before.covariance)).all()
-
-
-def test_a_stale_identification_is_what_its_sweeps_say():
-    """An extrinsic fit with the intrinsics held: its measurement moves the state as its sweeps projected do."""
-    truth, sweeps = campaign(2, sessions=1, hours=120.0, count=24)
-    full = identify(CELL, sweeps.of_session("day0"))
-    state = predict(DRIFT, State(0.0, *DRIFT.initial(full.estimate.values, full.estimate.covariance)), 120.0)
-    later = sweeps.of_session("s1")
-    stale = identify(CELL, later, free="extrinsic", start=full.estimate, hold="exact").estimate
-    plan = later.with_measurement(np.full(len(later), np.nan), later.sigma)
-    taken = update(state, stale_measurement(DRIFT, plan, stale, ("extrinsic",)))
-    # As a truth it would be far off; as a biased, correlated observation it fits.
-    extrinsic = [p.name for p in CELL.select("extrinsic")]
-    values, covariance = stale.block(extrinsic)
-    error = values - truth.at(120.0)[CELL.free.positions(extrinsic)]
-    assert error @ np.linalg.solve(covariance, error) > 1000
-    assert taken.innovation.squared < 4 * taken.innovation.dof
-    # It holds no more than the sweeps themselves.
-    direct = update(state, SweepMeasurement.of(DRIFT, CavityModel.of(CELL), later, state.mean))
-    extra = np.linalg.eigvalsh(taken.state.covariance - direct.state.covariance)
-    assert extra.min() > -0.02 * extra.max()
-    assert np.trace(taken.state.covariance) < np.trace(state.covariance)
-
-
-def test_a_stale_identification_needs_its_sigmas():
-    _, sweeps = campaign(2, sessions=1)
-    estimate = identify(CELL, sweeps.of_session("day0")).estimate
-    plan = sweeps.of_session("s1").with_measurement(np.full(6, np.nan), np.nan)
-    with pytest.raises(InputError, match="expected sigma_um in every row"):
-        stale_measurement(DRIFT, plan, estimate, ("extrinsic",))
 
 
 def test_a_logged_temperature_drives_the_parameters():

@@ -24,15 +24,20 @@ NAMES = [session.name for session in SESSIONS]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory) -> tuple[list[Path], str, str]:
+def runs(shared_folder) -> tuple[list[Path], str, str]:
     """The week, run twice: silently into a new folder, then into one that holds a file; what the second run prints."""
-    folders = [tmp_path_factory.mktemp("week") / name for name in ("first", "second")]
-    folders[1].mkdir()
-    (folders[1] / "mine.txt").write_text("kept")
-    silent = printed(["week", "-o", str(folders[0]), "--quiet", "--seed", "3"])
-    assert silent[0] == ""
-    out, err = printed(["week", "-o", str(folders[1]), "--seed", "3", "--no-page"])
-    return folders, out, err
+
+    def make(root: Path) -> None:
+        (root / "second").mkdir()
+        (root / "second" / "mine.txt").write_text("kept")
+        silent, _ = printed(["week", "-o", str(root / "first"), "--quiet", "--seed", "3"])
+        out, err = printed(["week", "-o", str(root / "second"), "--seed", "3", "--no-page"])
+        (root / "printed.json").write_text(json.dumps([silent, out, err]))
+
+    root = shared_folder("week", make)
+    silent, out, err = json.loads((root / "printed.json").read_text())
+    assert silent == ""
+    return [root / "first", root / "second"], out, err
 
 
 def printed(arguments: list[str]) -> tuple[str, str]:

@@ -1,23 +1,22 @@
-"""What a report says about a campaign, worked out before anything is drawn."""
+"""A campaign read, followed through its sessions, and all that its report says, worked out before anything is drawn."""
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fpcal_bayes.analysis.tasks import TaskNumbers
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecast, Goal
 from fpcal_bayes.decision.policy import decide_track
-from fpcal_bayes.infer.fit.goodness import chi2_tail
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW
+from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
-from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior_summary
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior, read_posterior_summary
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
 from fpcal_bayes.io.campaign import read_campaign
@@ -27,86 +26,89 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.drift import likely_drift
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.record import resume
 from fpcal_bayes.tracking.sessions import check_sessions, hours_now, hours_of
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
 
-if TYPE_CHECKING:
-    from fpcal_bayes.tracking.drift import DriftModel
-
 #: Of a posterior file: more tell no more.
 _MOST_DRAWS = 2000
+#: Points along each task, and errors that are drawn of it.
+_POINTS, _DRAWS = 61, 4000
+#: Longest time between two sessions that can show a change of the robot itself, as `fpcal decide` has it.
+_DIAGNOSIS_H = 24.0
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A campaign as it was read."""
+
+    file: str | Path
+    cell: Cell
+    sweeps: Sweeps  # of all sessions
+    parts: list[Sweeps]  # of each session, in order of time
+    campaign: Campaign | None  # what the file holds beside the sweeps; None if it is a CSV
+    now_h: float | None  # the time that the user gave
+    data: dict[str, str]  # name of the file, and hash of its bytes
+
+    @classmethod
+    def read(cls, file: str | Path, cell: Cell, now: str | None) -> "_Measured":
+        campaign = read_campaign(file, cell) if is_campaign_file(file) else None
+        sweeps = read_sweeps(file, cell) if campaign is None else campaign.sweeps
+        now_h = None if now is None else hours_of(now, sweeps)
+        data = {"file": Path(file).name, "sha256": file_sha256(Path(file))}
+        return cls(file, cell, sweeps, check_sessions(sweeps, now_h), campaign, now_h, data)
+
+    def follow(self, *, posterior: str | None = None, anew: bool = False) -> tuple[Track, list[str]]:
+        """The track, from where a saved one ends, and sentences about the saved one; see `follow`."""
+        cell, sweeps = self.cell, self.sweeps
+        drift, limits = likely_drift(cell, sweeps), Limits()
+        draws = None if posterior is None else _draws(posterior, cell, drift)
+        known, note = None, ""
+        if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
+            known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
+        found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=self.now_h)
+        return replace(found, data=self.data | {"session": found.last.session}), [note] if note else []
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A campaign as it was read and followed.
+    """A campaign as it was read and followed."""
 
-    Attributes
-    ----------
-    track, sweeps
-        Up to the last session, and all its rows.
-    now_h
-        The time that the user gave, or None.
-    notes
-        Sentences about what was saved before.
-    campaign
-        The campaign file, or None if it is a CSV.
-    """
-
-    track: "Track"
-    sweeps: "Sweeps"
-    now_h: float | None
-    notes: list[str]
-    campaign: "Campaign | None"
+    track: Track  # up to the last session
+    sweeps: Sweeps  # all rows
+    now_h: float | None  # the time that the user gave
+    notes: list[str]  # sentences about what was saved before
+    campaign: Campaign | None  # None if the file is a CSV
 
 
-def follow(options: argparse.Namespace, cell: Cell, *, anew: bool = False, posterior: str | None = None) -> Followed:
-    """Follow the campaign that the options name, from where a saved track ends.
+def follow(
+    file: str | Path, cell: Cell, *, now: str | None = None, posterior: str | None = None, anew: bool = False
+) -> Followed:
+    """Follow a campaign, from where a saved track ends.
 
     Parameters
     ----------
-    anew
-        From its first session on instead.
+    now
+        Hours since the campaign began, or a clock time: sessions after it are refused.
     posterior
-        File of draws to start from, as ``fpcal sample`` writes it; from the first session on too.
+        File of draws to start from, as ``fpcal sample`` writes it; all sessions are then taken in again.
+    anew
+        Take in all sessions again, whatever was saved.
     """
-    from fpcal_bayes.core.files import file_sha256
-    from fpcal_bayes.io.campaign import read_campaign
-    from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps
-    from fpcal_bayes.tracking.alarms import Limits
-    from fpcal_bayes.tracking.drift import likely_drift
-    from fpcal_bayes.tracking.record import resume
-    from fpcal_bayes.tracking.sessions import check_sessions, hours_of
-    from fpcal_bayes.tracking.tracker import track
-
-    campaign = read_campaign(options.campaign, cell) if is_campaign_file(options.campaign) else None
-    sweeps = read_sweeps(options.campaign, cell) if campaign is None else campaign.sweeps
-    drift, limits = likely_drift(cell, sweeps), Limits()
-    now_h = None if options.now is None else hours_of(options.now, sweeps)
-    parts = check_sessions(sweeps, now_h)
-    notes: list[str] = []
-    draws = None if posterior is None else _draws(posterior, cell, drift)
-    known = None
-    if campaign is not None and campaign.track is not None and not anew and draws is None:
-        known, note = resume(campaign.track, cell, drift, limits, parts, options.campaign)
-        notes += [note] if note else []
+    measured = _Measured.read(file, cell, now)
     warm_up(cell)
-    found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=now_h)
-    data = {"file": Path(options.campaign).name, "sha256": file_sha256(Path(options.campaign))}
-    utc = {"utc": found.last.utc} if found.last.utc else {}
-    found = replace(found, data=data | {"session": found.last.session} | utc)
-    return Followed(found, sweeps, now_h, notes, campaign)
+    found, notes = measured.follow(posterior=posterior, anew=anew)
+    if found.last.utc:
+        found = replace(found, data=found.data | {"utc": found.last.utc})
+    return Followed(found, measured.sweeps, measured.now_h, notes, measured.campaign)
 
 
-def _draws(posterior: str, cell: Cell, drift: "DriftModel") -> Floats:
+def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
     """The draws of the parameters that are followed, shape (n_draws, n_parameters)."""
-    from fpcal_bayes.infer.posterior.netcdf import read_posterior
-
     read = read_posterior(posterior, cell)
     missing = [name for name in drift.parameters.names if name not in read.parameters]
     if missing:
@@ -117,95 +119,55 @@ def _draws(posterior: str, cell: Cell, drift: "DriftModel") -> Floats:
     return drawn.values[:, drawn.parameters.positions(drift.parameters.names)]
 
 
-#: Points along each task, and errors that are drawn of it.
-_POINTS, _DRAWS = 61, 4000
-#: Longest time between two sessions that can show a change of the robot itself, as `fpcal decide` has it.
-_DIAGNOSIS_H = 24.0
-
-
 @dataclass(frozen=True)
 class TaskOutlook:
-    """What is expected of one task now.
-
-    Attributes
-    ----------
-    name, asked
-        The task, and whether the cell must hold it.
-    task, prediction
-        Its path and its error, or None where it cannot be driven.
-    reason
-        Why it cannot, else empty.
-    """
+    """What is expected of one task now."""
 
     name: str
-    asked: bool
-    task: Task | None
+    asked: bool  # whether the cell must hold it
+    task: Task | None  # its path, or None where it cannot be driven
     prediction: TaskPrediction | None
-    reason: str = ""
+    numbers: TaskNumbers | None  # of the prediction
+    reason: str = ""  # why it cannot be driven
 
 
 @dataclass(frozen=True)
 class CampaignFacts:
-    """Everything that a report shows.
+    """Everything that a report shows."""
 
-    Attributes
-    ----------
-    file, sha256
-        Name of the campaign file, without its folder, and hash of its bytes.
-    cell, sweeps
-        As read.
-    campaign
-        What the file holds beside the sweeps, or None if it is a CSV.
-    goal, costs
-        What the cell must hold, and what measuring costs.
-    now_h
-        Time that the report is for, in hours since the campaign began.
-    observability
-        Of the first session: the calibration.
-    track, track_reason
-        All sessions followed; or None, and why they cannot be.
-    forecast
-        Of the last estimate, or None where tasks cannot be judged.
-    decision, decision_reason
-        What to do now; or None, and why that cannot be said.
-    estimate
-        What the controller holds, with the covariance of the truth now.
-    tasks
-        One of each task.
-    budget, budget_reason
-        Of the first task that must be held, after the calibration; or None, and why there is none.
-    posterior
-        Of the calibration, or None if no draws were given.
-    command
-        The command line that made the report.
-    """
-
-    file: str
+    file: str  # name of the campaign file, without its folder
     sha256: str
     cell: Cell
     sweeps: Sweeps
-    campaign: Campaign | None
+    campaign: Campaign | None  # what the file holds beside the sweeps; None if it is a CSV
     goal: Goal
     costs: Costs
-    now_h: float
-    observability: Observability
-    track: Track | None
-    track_reason: str
-    forecast: Forecast | None
-    decision: Decision | None
-    decision_reason: str
-    estimate: Estimate
+    now_h: float  # time that the report is for, in hours since the campaign began
+    observability: Observability  # of the first session: the calibration
+    track: Track | None  # all sessions followed
+    track_reason: str  # why they cannot be
+    forecast: Forecast | None  # of the last estimate; None where tasks cannot be judged
+    decision: Decision | None  # what to do now
+    decision_reason: str  # why that cannot be said
+    estimate: Estimate  # what the controller holds, with the covariance of the truth now
     tasks: tuple[TaskOutlook, ...]
-    budget: Budget | None
-    budget_reason: str
-    posterior: PosteriorSummary | None
-    command: str
+    budget: Budget | None  # of the first task that must be held, after the calibration
+    budget_reason: str  # why there is none
+    posterior: PosteriorSummary | None  # of the calibration
+    command: str  # that made the report
+
+    @property
+    def calibration(self) -> Identification:
+        """What the first session told."""
+        found = self.observability.identification
+        # Sessions are measured, so that the first one was identified.
+        assert found is not None
+        return found
 
     @property
     def unusable(self) -> str:
         """Why nothing on the page is to be used: a fit that failed or that the noise does not explain; else empty."""
-        found = self.observability.identification
-        assert found is not None
+        found = self.calibration
         if not found.converged or (self.track is not None and not self.track.converged):
             return "the fit did not converge"
         fit = found.fit
@@ -230,53 +192,35 @@ def gather(
     posterior: str | Path | None = None,
     command: str = "",
 ) -> CampaignFacts:
-    """Read a campaign and work out all that its report says.
-
-    Parameters
-    ----------
-    file
-        Campaign (HDF5) or CSV of measured sweeps; its first session calibrates.
-    cell
-        The cell that was measured.
-    goal
-        What must be held; by default a circle of 100 um radius within 50 nm.
-    now
-        Hours since the campaign began, or a clock time; by default this machine's clock where rows carry clock times,
-        else the last session.
-    posterior
-        Draws of the calibration's posterior (.nc), or None.
-    command
-        For the provenance.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used, sessions overlap or repeat, or a task that must be held is unknown.
-    """
+    """Read a campaign and work out all that its report says; arguments as in `write_campaign_report`."""
     goal = Goal(0.05) if goal is None else goal
     path = Path(file)
-    campaign = read_campaign(path, cell) if is_campaign_file(path) else None
-    sweeps = read_sweeps(path, cell) if campaign is None else campaign.sweeps
-    given_h = None if now is None else hours_of(now, sweeps)
-    parts = check_sessions(sweeps, given_h)
+    measured = _Measured.read(path, cell, now)
+    sweeps, parts = measured.sweeps, measured.parts
     draws = None if posterior is None else read_posterior_summary(posterior, cell)
     observability = observe(cell, parts[0])
-    followed, track_reason = _follow(path, cell, sweeps, parts, campaign, given_h)
+    followed, track_reason = None, ""
+    try:
+        followed, _ = measured.follow()
+    except InputError as error:
+        track_reason = str(error)
     last_h = float(parts[-1].time_h.max())
-    now_h = hours_now(sweeps, last_h) if given_h is None else given_h
+    now_h = hours_now(sweeps, last_h) if measured.now_h is None else measured.now_h
     if now_h < last_h:
         raise InputError(f"{path}: now is {now_h:g} h, before the last session at {last_h:g} h: expected a time after")
     costs = Costs(sigma=float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
     forecast, decision, decision_reason = _decide(followed, sweeps, goal, costs, now_h)
-    estimate = _estimate_now(cell, observability, followed, now_h)
-    tasks = tuple(_outlook(estimate, name, name in goal.tasks, goal) for name in _judged(goal, cell))
-    budget, budget_reason = _budget(observability, goal)
+    found = observability.identification
+    assert found is not None
+    estimate = found.estimate if followed is None else _estimate_now(followed, now_h)
+    judged = [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
+    budget, budget_reason = _budget(found, goal)
     return CampaignFacts(
         file=path.name,
-        sha256=file_sha256(path),
+        sha256=measured.data["sha256"],
         cell=cell,
         sweeps=sweeps,
-        campaign=campaign,
+        campaign=measured.campaign,
         goal=goal,
         costs=costs,
         now_h=now_h,
@@ -287,40 +231,12 @@ def gather(
         decision=decision,
         decision_reason=decision_reason,
         estimate=estimate,
-        tasks=tasks,
+        tasks=tuple(_outlook(estimate, name, name in goal.tasks, goal) for name in judged),
         budget=budget,
         budget_reason=budget_reason,
         posterior=draws,
         command=command,
     )
-
-
-def state_at(followed: Track, forecast: Forecast, number: int, time_h: float) -> State:
-    """What is known at a time after session `number`, from 0, if nothing is measured in between."""
-    state = followed.outcomes[number].state
-    return forecast.ahead(state, time_h - state.time_h)
-
-
-def _judged(goal: Goal, cell: Cell) -> list[str]:
-    """Tasks of the report: those to be held, then the others."""
-    return [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
-
-
-def _follow(
-    path: Path, cell: Cell, sweeps: Sweeps, parts: list[Sweeps], campaign: Campaign | None, now_h: float | None
-) -> tuple[Track | None, str]:
-    """All sessions followed, from where a saved track ends; or None, and why they cannot be."""
-    limits = Limits()
-    try:
-        drift = likely_drift(cell, sweeps)
-        known = None
-        if campaign is not None and campaign.track is not None:
-            known, _ = resume(campaign.track, cell, drift, limits, parts, str(path))
-        found = track(cell, sweeps, drift=drift, limits=limits, known=known, now_h=now_h)
-    except InputError as error:
-        return None, str(error)
-    data = {"file": path.name, "sha256": file_sha256(path), "session": found.last.session}
-    return replace(found, data=data), ""
 
 
 def _decide(
@@ -340,42 +256,32 @@ def _decide(
         return forecast, None, str(error)
 
 
-def _estimate_now(cell: Cell, observability: Observability, followed: Track | None, now_h: float) -> Estimate:
+def _estimate_now(followed: Track, now_h: float) -> Estimate:
     """What the controller holds, with the covariance that the truth has around it now."""
-    if followed is None:
-        found = observability.identification
-        # Sessions are measured, so that the first one was identified.
-        assert found is not None
-        return found.estimate
     state, drift = followed.last.state, followed.drift
-    step = drift.transition(now_h - state.time_h)
-    grown = replace(
-        state,
-        time_h=now_h,
-        covariance=step.matrix @ state.covariance @ step.matrix.T + step.noise,
-    )
-    return estimate_of(cell, drift, grown, followed.status, followed.data)
+    _, covariance = drift.propagate(state.mean, state.covariance, now_h - state.time_h)
+    grown = replace(state, time_h=now_h, covariance=covariance)
+    return estimate_of(followed.cell, drift, grown, followed.status, followed.data)
 
 
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskOutlook:
     try:
         task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius, n_points=_POINTS)
-        driven = task.driven()
-        return TaskOutlook(name, asked, task, predict_from_covariance(estimate, driven, draws=_DRAWS))
+        prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
+        return TaskOutlook(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance))
     except InputError as error:
-        return TaskOutlook(name, asked, None, None, str(error))
+        return TaskOutlook(name, asked, None, None, None, str(error))
 
 
-def _budget(observability: Observability, goal: Goal) -> tuple[Budget | None, str]:
+def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
     """The budget of the first task after the calibration, from the sweeps that it was made from where that can be."""
-    found = observability.identification
-    assert found is not None
+    estimate = found.estimate
     try:
-        driven = find_task(found.estimate.cell, found.estimate.vector(), goal.tasks[0], radius=goal.radius).driven()
+        driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius).driven()
         try:
-            return budget_of(found.estimate, driven, sweeps=found.problem.sweeps), ""
+            return budget_of(estimate, driven, sweeps=found.problem.sweeps), ""
         except InputError:
             # Signs that were decided with the fit: the inputs cannot be told apart.
-            return budget_of(found.estimate, driven), ""
+            return budget_of(estimate, driven), ""
     except InputError as error:
         return None, str(error)

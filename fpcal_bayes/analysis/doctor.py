@@ -1,19 +1,19 @@
 """What is wrong or weak in a campaign, finding by finding, each with what to do about it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.analysis.doctor_fit import session_fits
+from fpcal_bayes.analysis.doctor_fit import Finding, Severity, session_fits
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.typing import Bools
+from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-
-Severity = Literal["problem", "doubt", "note"]
+from fpcal_bayes.tracking.drift import HOURS_PER_DAY
+from fpcal_bayes.tracking.sessions import check_sessions
 
 _MOST_NAMED = 6
 #: Share of a joint's range within which a pose counts as standing at its limit.
@@ -22,57 +22,11 @@ _AT_LIMIT = 0.01
 _LEAST_REPEATS = 4
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that a reader of the campaign should know.
-
-    Attributes
-    ----------
-    severity
-        ``problem``: results are wrong or cannot be had; ``doubt``: they may be; ``note``: good to know.
-    kind
-        A short name, the same for all findings of a kind.
-    where
-        Session, or empty for the whole file.
-    what, remedy
-        In words.
-    """
-
-    severity: Severity
-    kind: str
-    where: str
-    what: str
-    remedy: str
-
-    def content(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "severity": self.severity,
-            "kind": self.kind,
-            "session": self.where,
-            "what": self.what,
-            "remedy": self.remedy,
-        }
-
-
 def examine(sweeps: Sweeps, cell: Cell) -> list[Finding]:
-    """Look a campaign over.
-
-    Parameters
-    ----------
-    sweeps
-        Of all sessions, measured or planned.
-    cell
-        The cell that was or will be measured.
-
-    Returns
-    -------
-    list of Finding
-        Problems first; none if there is nothing to say.
-    """
+    """What there is to say of the sweeps of all sessions, measured or planned; problems first."""
     found = [*_times(sweeps), *_rows(sweeps, cell)]
     if sweeps.measured:
-        found += [*_repeats(sweeps, cell), *_fits(sweeps, cell)]
+        found += [*_repeats(sweeps, cell), *session_fits(sweeps, cell)]
     else:
         found += _plan(sweeps, cell)
     ranks: dict[Severity, int] = {"problem": 0, "doubt": 1, "note": 2}
@@ -85,7 +39,7 @@ def named(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def row_names(sweeps: Sweeps, chosen: NDArray[np.bool_]) -> str:
+def row_names(sweeps: Sweeps, chosen: Bools) -> str:
     """Labels of some rows, or their lines where they have no label."""
     picked = np.flatnonzero(chosen)
     return named([str(sweeps.label[i]) or f"row {sweeps.rows[i]}" for i in picked])
@@ -93,9 +47,6 @@ def row_names(sweeps: Sweeps, chosen: NDArray[np.bool_]) -> str:
 
 def _times(sweeps: Sweeps) -> Iterator[Finding]:
     """Times of the sessions."""
-    from fpcal_bayes.tracking.drift import HOURS_PER_DAY
-    from fpcal_bayes.tracking.sessions import check_sessions
-
     names = sweeps.sessions
     times = {name: sweeps.time_h[sweeps.session == name] for name in names}
     if len(names) > 1 and len({float(t.max()) for t in times.values()}) == 1:
@@ -185,8 +136,6 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
 
 def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """The noise that sweeps measured more than once show, against the stated one."""
-    from fpcal_bayes.infer.fit.goodness import chi2_tail
-
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
         part = part.take((part.kind == "sweep") & part.signed & (part.group == ""))
@@ -220,15 +169,8 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
-    for severity, kind, where, what, remedy in session_fits(sweeps, cell):
-        yield Finding(severity, kind, where, what, remedy)
-
-
 def _plan(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """What a plan will not show."""
-    from fpcal_bayes.infer.observability.observe import observe
-
     yield Finding(
         "note", "plan", "", "the file is a plan: nothing is measured yet",
         "measure it; fpcal observe says in full what it will tell",

@@ -1,47 +1,56 @@
 """What the fit of each session, and the track of all, say about a campaign."""
 
 from collections.abc import Iterator
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.tracking.tracker import track
 
-#: Severity, kind, session, what, remedy.
-Said = tuple[Literal["problem", "doubt", "note"], str, str, str, str]
+Severity = Literal["problem", "doubt", "note"]
 
-#: A session with fewer rows than this share of the parameters is judged by the track only.
-_ENOUGH = 1.0
 _OUTLIER = 5.0
 #: A few rows spoil a fit if without them its chi-square falls to the usual.
 _MOST_OUTLIERS = 0.1
 
 
-def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Said]:
-    """Fit each session that can stand alone, and follow all of them.
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a reader of the campaign should know."""
 
-    Parameters
-    ----------
-    sweeps
-        Measured.
-    """
-    fitted = 0
+    severity: Severity  # problem: results are wrong or cannot be had; doubt: they may be; note: good to know
+    kind: str  # a short name, the same for all findings of a kind
+    where: str  # session, or empty for the whole file
+    what: str
+    remedy: str
+
+    def content(self) -> dict[str, Any]:
+        """For JSON."""
+        return {("session" if name == "where" else name): text for name, text in vars(self).items()}
+
+
+def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
+    """Fit each measured session that can stand alone, and follow all of them."""
     for number, name in enumerate(sweeps.sessions):
         part = sweeps.of_session(name)
         used = part.take(part.kind != "path")
-        if len(used) < _ENOUGH * len(cell.free) and number:
+        # A later session with fewer rows than parameters is judged by the track only.
+        if len(used) < len(cell.free) and number:
             continue
         if not len(used):
-            yield ("problem", "rows", name, "holds paths only", "measure sweeps first: the first session calibrates")
+            yield Finding(
+                "problem", "rows", name, "holds paths only", "measure sweeps first: the first session calibrates"
+            )  # fmt: skip
             continue
         found = identify(cell, used)
-        fitted += 1
         if number == 0:
             yield from _rank(cell, used)
         yield from _fit(cell, name, used, found)
@@ -49,33 +58,33 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Said]:
         yield from _track(cell, sweeps)
 
 
-def _rank(cell: Cell, used: Sweeps) -> Iterator[Said]:
+def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
     """Directions of the calibration that other measurements would show."""
     seen = observe(cell, used)
     hidden = [gauge for gauge in seen.gauges if gauge.layer == "model"]
     if hidden:
         names = ", ".join(dict.fromkeys(gauge.parameters[0] for gauge in hidden))
-        yield (
+        yield Finding(
             "note", "gauges", str(used.session[0]),
             f"{len(hidden)} combinations ({names}) leave no trace in any cavity length",
             "nothing: no task depends on them",
         )  # fmt: skip
     for gauge in seen.gauges:
         if gauge.layer != "model":
-            yield "doubt", "rank", str(used.session[0]), gauge.explanation, gauge.remedy
+            yield Finding("doubt", "rank", str(used.session[0]), gauge.explanation, gauge.remedy)
     if seen.spectrum.gap < 1e3:
-        yield (
+        yield Finding(
             "doubt", "rank", str(used.session[0]), "it is not clear-cut which combinations the sweeps see",
             "vary the sweeps more: other orientations, longer translations (fpcal plan proposes some)",
         )  # fmt: skip
 
 
-def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Said]:
+def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
     """Whether the session's own fit can be believed."""
     if not found.converged:
         rival = identify(_other(cell), used)
         better = rival.converged and rival.fit.p_value >= POOR_FIT_BELOW
-        yield (
+        yield Finding(
             "problem", "path model" if better else "convergence", name,
             f"the fit does not converge{f', but with --opd {rival.estimate.cell.opd} it does and is good' * better}",
             _compare(cell) if better else "look for rows with a wrong pose, unit or sign; try fewer free parameters",
@@ -83,7 +92,7 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
         return
     doubtful = [label for label, _ in found.doubtful_signs]
     if doubtful:
-        yield (
+        yield Finding(
             "doubt", "signs", name, f"the sign of {len(doubtful)} rows is doubtful: {', '.join(doubtful[:6])}",
             "scan the wavelength before and after these sweeps, or leave them out",
         )  # fmt: skip
@@ -92,13 +101,13 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
         yield from _poor_fit(cell, name, used, found)
     elif fit.p_value > 1 - POOR_FIT_BELOW and fit.expected > 5:
         factor = np.sqrt(fit.chi2_data / fit.expected)
-        yield (
+        yield Finding(
             "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says, by a factor {factor:.2f}",
             "lower sigma_um by this factor, if there is no other reason for it",
         )  # fmt: skip
 
 
-def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Said]:
+def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
     """Why a fit is poor: slips, a few rows, the path model, or the noise."""
     fit = found.fit
     size = f"chi-square {fit.chi2_data:.1f}, expected {fit.expected:.1f}"
@@ -107,7 +116,7 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
     mended = slips.solution.sum_of_squares
     if len(slipped) and mended < 2 * len(used):
         rows = ", ".join(f"{found.problem.sweeps.label[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
-        yield (
+        yield Finding(
             "problem", "slips", name,
             f"{size}; with {len(slipped)} fringe counts corrected by whole half wavelengths it is {mended:.1f}: {rows}",
             "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them",
@@ -118,14 +127,14 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
         again = identify(cell, used.take(~off))
         if again.converged and again.fit.p_value >= POOR_FIT_BELOW:
             rows = ", ".join(str(label) for label in used.label[off][:6])
-            yield (
+            yield Finding(
                 "problem", "outliers", name, f"{size}; without {rows} it is {again.fit.chi2_data:.1f}",
                 "measure these sweeps again, or sample with --likelihood student",
             )  # fmt: skip
             return
     rival = identify(_other(cell), used)
     if rival.converged and rival.fit.chi2_data < 0.5 * fit.chi2_data:
-        yield (
+        yield Finding(
             "problem", "path model", name,
             f"{size}; with --opd {rival.estimate.cell.opd} chi-square is {rival.fit.chi2_data:.1f}",
             _compare(cell),
@@ -134,12 +143,12 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
             return
     factor = np.sqrt(fit.chi2_data / fit.expected)
     if factor < 10:
-        yield (
+        yield Finding(
             "problem", "sigma", name, f"{size}: the rows lie {factor:.1f} times as far from the fit as sigma_um says",
             "raise sigma_um by this factor, or let fpcal sample --noise-scale infer it; look for drift in the session",
         )  # fmt: skip
         return
-    yield (
+    yield Finding(
         "problem", "fit", name, f"{size}: {factor:.0f} times as far from the fit as sigma_um says",
         "check the cell (signs, units, order of the joints), the poses, and whether the cell moved during the session",
     )  # fmt: skip
@@ -154,12 +163,12 @@ def _compare(cell: Cell) -> str:
     return f"compare the two: fpcal compare FILE --models opd={cell.opd},opd={_other(cell).opd}"
 
 
-def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Said]:
+def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Finding]:
     """What shows only from session to session."""
     try:
         found = track(cell, sweeps)
     except InputError as error:
-        yield (
+        yield Finding(
             "problem", "track", "", f"the sessions cannot be followed: {error}",
             "see the other findings; each session can still be identified alone with --session NAME",
         )  # fmt: skip
@@ -170,6 +179,8 @@ def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Said]:
     }
     for outcome in found.outcomes[1:]:
         if outcome.verdict != "as-modelled":
-            yield "doubt", outcome.verdict, outcome.session, "; ".join(outcome.evidence), remedies[outcome.verdict]
+            yield Finding(
+                "doubt", outcome.verdict, outcome.session, "; ".join(outcome.evidence), remedies[outcome.verdict]
+            )
         for warning in outcome.warnings:
-            yield "note", "rows", outcome.session, warning, "measure these rows again if they matter"
+            yield Finding("note", "rows", outcome.session, warning, "measure these rows again if they matter")

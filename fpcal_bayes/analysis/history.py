@@ -1,93 +1,84 @@
-"""The history of a campaign on a grid of times: parameters, the error of the tasks, residuals of every row."""
+"""The history of a campaign: parameters and the error of the tasks on a grid of times, and what each session told."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.analysis.campaign import CampaignFacts, state_at
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.analysis.campaign import CampaignFacts
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.tracking.tracker import Track, smooth_track
+from fpcal_bayes.model.parameters import Parameter
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import predict
+from fpcal_bayes.tracking.record import decisions_of
+from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.tracker import Track, innovation_bounds, smooth_track
 
 #: Times of the grid at most, and at least so many between two sessions.
 _MOST_TIMES, _LEAST_BETWEEN, _LEAST_AHEAD = 480, 3, 24
 #: Times at which the error of the tasks is worked out, at most.
 _MOST_OUTLOOKS = 160
+#: Times at which a band is drawn between two sessions, both included.
+_BETWEEN = 4
 
 
 @dataclass(frozen=True)
 class History:
-    """Parameters and errors of the tasks through time.
+    """Parameters through time, in the units a person reads."""
 
-    Attributes
-    ----------
-    hours
-        Grid of t times; the time of a session stands twice, before and after it.
-    after
-        Number of the last session at each time, shape (t,).
-    mean, sd
-        Filtered parameters in the units a person reads, shape (t, n).
-    smooth_hours, smooth_mean, smooth_sd
-        The same at the sessions, given all of them, shapes (s,), (s, n), (s, n).
-    truth
-        What a simulation was made from, shape (t, n), NaN where unknown; or None.
-    stored
-        Estimates that the file holds: session, hours, values and sds by name in the units a person reads.
-    alarms
-        Session, hours and verdict of each session that was not as modelled.
-    """
-
-    hours: Floats
-    after: NDArray[np.int64]
-    mean: Floats
-    sd: Floats
-    smooth_hours: Floats
-    smooth_mean: Floats
-    smooth_sd: Floats
-    truth: Floats | None
+    hours: Floats  # (t,); the time of a session stands twice, before and after it
+    mean: Floats  # (t, n), filtered
+    sd: Floats  # (t, n)
+    smooth_hours: Floats  # (s,), the sessions
+    smooth_mean: Floats  # (s, n), given all of them
+    truth: Floats | None  # (t, n), what a simulation was made from, NaN where unknown
+    #: Estimates that the file holds: session, hours, values and sds by name.
     stored: tuple[tuple[str, float, dict[str, tuple[float, float]]], ...]
+    #: Session, hours and verdict of each session that was not as modelled.
     alarms: tuple[tuple[str, float, str], ...]
 
 
 @dataclass(frozen=True)
 class Outlooks:
-    """Error of the worst task that must be held, while the estimate of the last session is used.
-
-    Attributes
-    ----------
-    hours
-        Shape (t,).
-    median, low, high
-        Peak to peak in um and its 95 % band, shape (t,).
-    risk
-        Probability of being out of tolerance, shape (t,).
-    """
+    """Error of the worst task that must be held, while the estimate of the last session is used; each (t,)."""
 
     hours: Floats
-    median: Floats
-    low: Floats
+    median: Floats  # peak to peak, um
+    low: Floats  # edges of its 95 % band
     high: Floats
-    risk: Floats
+    risk: Floats  # probability of being out of tolerance
 
 
 @dataclass(frozen=True)
 class SessionResiduals:
-    """What the estimate after a session leaves of its rows.
-
-    Attributes
-    ----------
-    session, labels
-        Names of the session and of its n rows.
-    values
-        Measured less expected, over the stated standard deviation, shape (n,).
-    """
+    """What the estimate after a session leaves of its n rows."""
 
     session: str
     labels: tuple[str, ...]
-    values: Floats
+    values: Floats  # (n,), measured less expected over the stated standard deviation
+
+
+@dataclass(frozen=True)
+class SessionNumbers:
+    """What was measured in a session, and what the tests say of it."""
+
+    rows: Sweeps
+    sigma: float  # median, um
+    outcome: SessionOutcome | None  # None where the sessions are not followed
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """How long the estimate after a session held the tasks, in hours."""
+
+    outcome: SessionOutcome
+    held: float
+    at_least: bool  # it was not looked further
+    late: float  # by how much the next session, or the present after the last one, came after the hold had ended
+    last: bool
 
 
 def history(facts: CampaignFacts) -> History | None:
@@ -97,27 +88,35 @@ def history(facts: CampaignFacts) -> History | None:
         return None
     drift, parameters = followed.drift, followed.drift.parameters
     hours, after = _grid(followed, facts.now_h + facts.costs.horizon_h, _MOST_TIMES)
-    states = []
-    for time_h, number in zip(hours, after, strict=True):
-        state = followed.outcomes[number].state
-        step = drift.transition(time_h - state.time_h)
-        covariance = step.matrix @ state.covariance @ step.matrix.T + step.noise
-        states.append((step.matrix @ state.mean + step.shift, np.diag(covariance)))
-    scale = drift.scale / parameters.scales
+    states = [predict(drift, followed.outcomes[i].state, float(h)) for h, i in zip(hours, after, strict=True)]
     n = drift.n_parameters
     smoothed = smooth_track(followed, facts.sweeps).states
     return History(
         hours=hours,
-        after=after,
-        mean=np.array([parameters.to_shown(drift.values(mean)) for mean, _ in states]),
-        sd=np.array([np.sqrt(variance[:n]) * scale for _, variance in states]),
+        mean=np.array([parameters.to_shown(drift.values(state.mean)) for state in states]),
+        sd=np.array([np.sqrt(np.diag(state.covariance)[:n]) * drift.scale / parameters.scales for state in states]),
         smooth_hours=np.array([state.time_h for state in smoothed]),
         smooth_mean=np.array([parameters.to_shown(drift.values(state.mean)) for state in smoothed]),
-        smooth_sd=np.array([np.sqrt(np.diag(state.covariance)[:n]) * scale for state in smoothed]),
         truth=_truth(facts, hours, parameters.names),
         stored=_stored(facts),
         alarms=tuple((o.session, o.time_h, o.verdict) for o in followed.outcomes if o.verdict != "as-modelled"),
     )
+
+
+def parameter_band(
+    drift: DriftModel, parameter: Parameter, outcomes: Sequence[SessionOutcome], end_h: float
+) -> tuple[Floats, Floats, Floats]:
+    """Days, and two standard deviations to either side of what was known then, in the units a person reads."""
+    at = drift.parameters.position(parameter.name)
+    until = [outcome.time_h for outcome in outcomes[1:]] + [max(end_h, outcomes[-1].time_h)]
+    points = []
+    for outcome, end in zip(outcomes, until, strict=True):
+        for time_h in np.linspace(outcome.time_h, end, _BETWEEN):
+            state = predict(drift, outcome.state, float(time_h))
+            mean, variance = drift.values(state.mean)[at], drift.covariance(state.covariance)[at, at]
+            points.append((time_h / 24.0, mean, 2.0 * np.sqrt(variance)))
+    days, mean, width = np.array(points).T
+    return days, (mean - width) / parameter.scale, (mean + width) / parameter.scale
 
 
 def outlooks(facts: CampaignFacts) -> Outlooks | None:
@@ -128,8 +127,9 @@ def outlooks(facts: CampaignFacts) -> Outlooks | None:
     hours, after = _grid(followed, facts.now_h + facts.costs.horizon_h, _MOST_OUTLOOKS)
     rows = []
     for time_h, number in zip(hours, after, strict=True):
-        held = forecast.following(followed.outcomes[number].state.mean)
-        found = held.outlook(state_at(followed, held, int(number), float(time_h)))
+        state = followed.outcomes[number].state
+        held = forecast.following(state.mean)
+        found = held.outlook(held.ahead(state, float(time_h) - state.time_h))
         rows.append((found.median, *found.band(), found.exceeds(facts.goal.tolerance)))
     median, low, high, risk = np.array(rows).T
     return Outlooks(hours, median, low, high, risk)
@@ -139,8 +139,7 @@ def residuals(facts: CampaignFacts) -> list[SessionResiduals]:
     """Residuals of every session that is followed; of the first one alone where nothing is."""
     followed = facts.track
     if followed is None:
-        found = facts.observability.identification
-        assert found is not None
+        found = facts.calibration
         return [_residuals(facts, found.problem.sweeps, found.estimate.vector())]
     model = CavityModel.of(facts.cell, followed.drift.parameters)
     parts = []
@@ -161,7 +160,7 @@ def _residuals(facts: CampaignFacts, sweeps: Sweeps, vector: Floats) -> SessionR
     return SessionResiduals(str(sweeps.session[0]), labels, (measured - expected) / sweeps.sigma)
 
 
-def _grid(followed: Track, end_h: float, most: int) -> tuple[Floats, NDArray[np.int64]]:
+def _grid(followed: Track, end_h: float, most: int) -> tuple[Floats, Ints]:
     """Times from the calibration to `end_h`, and the last session at each."""
     times = np.array([outcome.time_h for outcome in followed.outcomes])
     counts = np.full(len(times), max(_LEAST_BETWEEN, most // len(times)))
@@ -205,3 +204,39 @@ def _stored(facts: CampaignFacts) -> tuple[tuple[str, float, dict[str, tuple[flo
         time_h = float(facts.sweeps.of_session(session).time_h.max())
         found.append((session, time_h, values))
     return tuple(sorted(found, key=lambda entry: entry[1]))
+
+
+def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
+    """95 % bounds of the innovation of a session, or None where no rows of it are tested."""
+    return innovation_bounds(outcome.dof) if outcome.dof else None
+
+
+def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
+    """What was measured, session by session."""
+    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
+    parts = {name: facts.sweeps.of_session(name) for name in facts.sweeps.sessions}
+    return [SessionNumbers(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
+
+
+def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
+    """How long the estimate of each session held; None where that cannot be said."""
+    if facts.track is None or facts.forecast is None:
+        return None
+    entries, outcomes = [], facts.track.outcomes
+    for i, outcome in enumerate(outcomes):
+        last = i + 1 == len(outcomes)
+        gap = (facts.now_h if last else outcomes[i + 1].time_h) - outcome.time_h
+        horizon = max(gap, facts.costs.horizon_h)
+        held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
+        entries.append(LogEntry(outcome, held, held >= horizon, gap - held, last))
+    return entries
+
+
+def saved_decisions(facts: CampaignFacts) -> dict[str, tuple[str, str]]:
+    """Action and reason of the decisions that the file holds, by the session that followed."""
+    if facts.campaign is None or facts.campaign.track is None:
+        return {}
+    return {
+        str(entry.get("session", "")): (str(entry.get("action", "")), str(entry.get("reason", "")))
+        for entry in decisions_of(facts.campaign.track)
+    }

@@ -2,59 +2,22 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_json,
-    check_output,
-    console,
-    positive,
-    write_result,
-)
+import numpy as np
+
+from fpcal_bayes.analysis.cell_view import view_cell
+from fpcal_bayes.cli.common import check_output, check_suffix, console, write_result
+from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import write_text
-from fpcal_bayes.io.cell import read_cell
-
-if TYPE_CHECKING:
-    from fpcal_bayes.core.typing import Floats
-    from fpcal_bayes.model.cell.cell import Cell
-    from fpcal_bayes.model.cell.layout import Layout
-
-_EPILOG = """\
-Look:  fpcal cell CELL says where each axis points and turns at joint zero, how mirror and fibre stand, what tasks can
-       reach, what is odd and what the file does not state. --at "q2=10,q4=1.5" or "0,10,0,1.5,0,0" (um, deg) moves it
-       there. --figure draws it: directions are true, axes are drawn apart.
-Make:  fpcal cell --new "x y z rx rz ry" --name lab7 -o lab7.toml works the angles out. A word for each axis from base
-       to mirror: x moves along +x of the world, rx turns about it by the right hand, -x and -rx count the other way.
-       --side says where the fibre stands as seen from the mirror: +x, minus-x, +y and so on.
-       fpcal cell --from-dh TABLE.csv -o CELL.toml takes modified DH parameters (Craig), a row a joint, with the columns
-       kind,alpha_deg,a_um,theta_deg,d_um and, if wanted, beta_deg.
-A cell whose geometry cannot be right is shown all the same, then refused (exit status 2) with what to mend.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "cell", "look at a cell, or make one from its axes", run, _EPILOG)
-    parser.add_argument("file", metavar="CELL", nargs="?", help="cell TOML file, or built-in cell (femto-st)")
-    parser.add_argument("--at", metavar="Q", help="joint values, in um and deg (default: joint zero)")
-    parser.add_argument("--figure", metavar="OUT", type=Path, help="draw the cell: .svg or .png")
-    make = parser.add_mutually_exclusive_group()
-    make.add_argument("--new", metavar="AXES", help='make a cell from words such as "x y z rx rz ry"')
-    make.add_argument("--from-dh", metavar="TABLE", help="make a cell from a CSV of modified DH parameters")
-    parser.add_argument("-o", dest="output", metavar="CELL", type=Path, help="cell file to write: .toml")
-    parser.add_argument("--name", help="of the new cell (default: that of its file)")
-    parser.add_argument(
-        "--side", default="+y", metavar="AXIS", help="where the fibre stands: +y (default), minus-y, .."
-    )
-    parser.add_argument("--gap-um", type=positive, default=920.0, metavar="L", help="of the new cell (default: 920)")
-    parser.add_argument("--gap-sd-um", type=positive, metavar="S", help="standard deviation of that gap, if measured")
-    parser.add_argument(
-        "--wavelength-nm", type=positive, default=1550.0, metavar="W", help="of the new cell's laser (default: 1550)"
-    )
-    add_json(parser)
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.check import impossible
+from fpcal_bayes.model.cell.layout import Layout, layout_of_axes, layout_of_links, read_axes, read_side
+from fpcal_bayes.report.cell import cell_figure, cell_words
+from fpcal_bayes.report.pages import save_figure
 
 
 def run(options: argparse.Namespace) -> int:
@@ -67,31 +30,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _look(options: argparse.Namespace, source: str | Path) -> int:
-    from fpcal_bayes.analysis.cell_view import view_cell
-    from fpcal_bayes.cli.control import warm_up_inverse
-    from fpcal_bayes.model.cell.check import impossible
-    from fpcal_bayes.report.cell import cell_figure, cell_words
-    from fpcal_bayes.report.svg import svg_text
-
     check_output(options.figure, source)
     check_output(options.json, source, options.figure)
-    if options.figure is not None and options.figure.suffix.lower() not in (".svg", ".png"):
-        raise InputError(f"{options.figure}: expected a file name that ends in .svg or .png")
-    cell = read_cell(source, check=False)
-    cell = cell if options.opd is None else cell.with_opd(options.opd)
+    check_suffix(options.figure, ".svg", ".png")
+    cell = load_cell(source, opd=options.opd, check=False)
     q = None if options.at is None else joints_at(cell, options.at)
-    if len(cell.joints) <= 6 and next(impossible(cell), None) is None:
+    if next(impossible(cell), None) is None:
         warm_up_inverse(cell)
     view = view_cell(cell, q)
     out = console(options)
     for line in cell_words(view):
-        out.print(line, soft_wrap=True, markup=False)
+        out.say(line)
     if options.figure is not None:
-        figure = cell_figure(view)
-        if options.figure.suffix.lower() == ".png":
-            figure.savefig(options.figure, dpi=130)
-        else:
-            write_text(options.figure, svg_text(figure) + "\n")
+        save_figure(cell_figure(view), options.figure)
     write_result(options.json, "cell", view.content())
     if view.refused:
         raise InputError(f"{source}: {view.refused}")
@@ -99,8 +50,6 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
 
 
 def _make(options: argparse.Namespace) -> int:
-    from fpcal_bayes.io.new_cell import new_cell_text
-
     if options.output is None or options.output.suffix.lower() != ".toml":
         raise InputError("expected -o CELL.toml, where the new cell is written")
     if options.file is not None or options.at is not None:
@@ -120,16 +69,14 @@ def _make(options: argparse.Namespace) -> int:
     )
     write_text(options.output, text)
     try:
-        read_cell(options.output)
+        load_cell(options.output)
     except InputError:
         options.output.unlink()
         raise
     return _look(options, options.output)
 
 
-def _layout(options: argparse.Namespace) -> "Layout":
-    from fpcal_bayes.io.new_cell import read_dh_table
-    from fpcal_bayes.model.cell.layout import layout_of_axes, layout_of_links, read_axes, read_side
+def _layout(options: argparse.Namespace) -> Layout:
 
     side = read_side(options.side)
     if options.new is not None:
@@ -137,10 +84,8 @@ def _layout(options: argparse.Namespace) -> "Layout":
     return layout_of_links(*read_dh_table(options.from_dh), side, options.gap_um)
 
 
-def joints_at(cell: "Cell", text: str) -> "Floats":
+def joints_at(cell: Cell, text: str) -> Floats:
     """A joint vector in um and rad from ``q2=10,q4=1.5`` or ``0,10,0,1.5,0,0``; `InputError` if it is neither."""
-    import numpy as np
-
     shown = np.zeros(len(cell.joints))
     parts = [part.strip() for part in text.split(",")]
     named = "=" in text

@@ -1,88 +1,39 @@
 """``fpcal ingest``: from recorded irradiance to sweeps."""
 
 import argparse
+import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    count,
-    positive,
-    warn,
-    write_result,
-)
+from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import file_sha256, make_folder, replacing
+from fpcal_bayes.fringes.alignment import Alignment, align
+from fpcal_bayes.fringes.amplitude import fringe_amplitudes
+from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
+from fpcal_bayes.fringes.kernels import fit_signal
+from fpcal_bayes.fringes.wavelength_scan import ScanReading
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.recordings import read_index
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
+from fpcal_bayes.measure.campaign import Campaign
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-
-if TYPE_CHECKING:
-    from fpcal_bayes.fringes.alignment import Alignment
-    from fpcal_bayes.fringes.ingest import Ingested
-    from fpcal_bayes.fringes.wavelength_scan import ScanReading
-    from fpcal_bayes.measure.recordings import TraceIndex
-
-
-_EPILOG = """\
-INDEX is a CSV with a row for each sweep: session,time_h,label,q1_start_um,..,q6_end_deg,trace, where trace is a CSV
-with the columns t_s,joint,irradiance_v (joint: the one that moves, in um or deg). Optional columns: wavelength_nm (of
-the laser in vacuum), temperature_c, pressure_hpa, humidity_pct (without all three the index of the air is 1),
-scan_before, scan_after (CSV wavelength_nm,irradiance_v), group, kind, utc. Files are named relative to INDEX and lie in
-its folder. Or an HDF5 of the same (fpcal simulate --traces -o INDEX.h5), a campaign that fpcal ingest made, or a MATLAB
-file (-v7) with variables of these names: t_s, joint, irradiance_v as cell arrays of vectors.
-
-A photodiode does not tell the sign of dL. It is taken from scans before and after, from --estimate, or from the cell's
-priors where these leave no doubt; other rows have signed = 0. Doubtful sweeps are no rows of FILE: they are listed,
-drawn, and kept in an HDF5 FILE under /doubtful. All traces are kept in an HDF5 FILE, so it can be ingested again.
-
---alignment writes the fibre's direction against the mirror, by the fringe amplitude along the first session's sweeps
-that tilt the mirror, as a prior: `fpcal identify FILE --prior OUT`. On the perpendicular path dL does not see it. The
-amplitude is made linear at --estimate, or at what the first session's sweeps identify; OUT holds nothing else of it.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "ingest", "read sweeps from recorded irradiance", run, _EPILOG)
-    parser.add_argument("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
-    parser.add_argument(
-        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
-    )
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="estimate JSON that tells signs and doubtful counts")
-    parser.add_argument("--points", type=count, metavar="N", help="rows for N interior points of each sweep too")
-    parser.add_argument("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
-    parser.add_argument(
-        "--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength"
-    )
-    parser.add_argument("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
-    parser.add_argument(
-        "--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior"
-    )
-    plots = parser.add_mutually_exclusive_group()
-    plots.add_argument(
-        "--plots", metavar="DIR", type=Path, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
-    )
-    plots.add_argument("--no-plots", action="store_true", help="draw nothing")
-    add_json(parser)
+from fpcal_bayes.model.kernels.compile import needs_compilation
+from fpcal_bayes.report.fringes import draw_sweep
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.fringes.ingest import IngestSettings, ingest
-    from fpcal_bayes.io.recordings import read_index
-    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
-
     cell = cell_of(options)
-    if options.output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
-        raise InputError(f"{options.output}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+    check_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     for output in (options.output, options.json, options.alignment):
         check_output(output, options.index, options.estimate)
     if options.json is not None and options.json.resolve() == options.output.resolve():
@@ -93,7 +44,8 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(f"{options.alignment}: is another output too, expected another name for --alignment")
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_index(options.index, cell)
-    _announce()
+    if needs_compilation(fit_signal):
+        print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     settings = IngestSettings(
         points=options.points or 0,
         absolute=options.absolute,
@@ -112,23 +64,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _announce() -> None:
-    import sys
-
-    from fpcal_bayes.fringes.kernels import fit_signal
-    from fpcal_bayes.model.kernels.compile import needs_compilation
-
-    if needs_compilation(fit_signal):
-        print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
-
-
-def _write(options: argparse.Namespace, found: "Ingested", index: "TraceIndex", cell: Cell) -> None:
-    from dataclasses import replace
-
-    from fpcal_bayes.io.campaign import write_campaign
-    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
-    from fpcal_bayes.measure.campaign import Campaign
-
+def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell: Cell) -> None:
     if options.output.suffix.lower() in HDF5_SUFFIXES:
         extras = [
             f"--points {options.points}" if options.points else "",
@@ -145,12 +81,8 @@ def _write(options: argparse.Namespace, found: "Ingested", index: "TraceIndex", 
         write_sweeps(options.output, found.sweeps, cell)
 
 
-def _align(cell: Cell, found: "Ingested", index: "TraceIndex", estimate: Estimate | None) -> "Alignment":
+def _align(cell: Cell, found: Ingested, index: TraceIndex, estimate: Estimate | None) -> Alignment:
     """The fibre's direction, near `estimate` or near what the sweeps of the first session identify."""
-    from fpcal_bayes.fringes.alignment import align
-    from fpcal_bayes.fringes.amplitude import fringe_amplitudes
-    from fpcal_bayes.infer.fit.identify import identify
-
     amplitudes = fringe_amplitudes(cell, index.sweeps, found)
     if estimate is None:
         warm_up(cell)
@@ -159,9 +91,7 @@ def _align(cell: Cell, found: "Ingested", index: "TraceIndex", estimate: Estimat
     return align(cell, amplitudes, estimate)
 
 
-def _write_alignment(options: argparse.Namespace, found: "Alignment", index: "TraceIndex") -> None:
-    from fpcal_bayes.core.files import file_sha256
-
+def _write_alignment(options: argparse.Namespace, found: Alignment, index: TraceIndex) -> None:
     data = {
         "file": Path(options.index).name,
         "sha256": file_sha256(Path(options.index)),
@@ -173,23 +103,17 @@ def _write_alignment(options: argparse.Namespace, found: "Alignment", index: "Tr
     names = ", ".join(
         f"{name} to {sd:.2g} deg" for name, sd in zip(content["alignment"]["names"], sds.tolist(), strict=True)
     )
-    console(options).print(
+    console(options).say(
         f"fringe amplitude along {found.n_sweeps} sweeps tells, the mirror held, {names} (chi-square "
-        f"{found.chi_square:.1f}, expected {found.freedom}) -> {options.alignment}",
-        markup=False,
-        soft_wrap=True,
+        f"{found.chi_square:.1f}, expected {found.freedom}) -> {options.alignment}"
     )
 
 
-def _draw(folder: Path, found: "Ingested", index: "TraceIndex", cell: Cell) -> int:
+def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
     """Draw the doubtful sweeps; how many were drawn."""
     drawn = [i for i in found.doubtful.recording.tolist() if found.readings[i] is not None]
     if not drawn:
         return 0
-    from fpcal_bayes.core.files import make_folder, replacing
-    from fpcal_bayes.measure.recordings import moving_joint
-    from fpcal_bayes.report.fringes import draw_sweep
-
     make_folder(folder)
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
     for i in drawn:
@@ -205,10 +129,8 @@ def _draw(folder: Path, found: "Ingested", index: "TraceIndex", cell: Cell) -> i
     return len(drawn)
 
 
-def _content(found: "Ingested", index: "TraceIndex", cell: Cell) -> dict[str, Any]:
+def _content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
     """The JSON: every recording, used or not."""
-    from fpcal_bayes.measure.recordings import moving_joint
-
     sweeps = index.sweeps
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
     rows = []
@@ -242,7 +164,7 @@ def _content(found: "Ingested", index: "TraceIndex", cell: Cell) -> dict[str, An
     return {"counts": counts, "sweeps": rows, "warnings": list(found.warnings)}
 
 
-def _scan_content(scan: "ScanReading | None") -> dict[str, Any] | None:
+def _scan_content(scan: ScanReading | None) -> dict[str, Any] | None:
     if scan is None:
         return None
     doubt = scan.refused or scan.doubt or None
@@ -253,7 +175,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _report(options: argparse.Namespace, found: "Ingested", folder: Path | None) -> None:
+def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:
     readings = [reading for reading in found.readings if reading is not None and reading.good]
     out = console(options)
     sentences = [f"{len(found.sweeps)} rows from {len(found.readings)} recordings -> {options.output}"]
@@ -269,5 +191,5 @@ def _report(options: argparse.Namespace, found: "Ingested", folder: Path | None)
         where = f", drawn in {folder}" if folder else ""
         sentences.append(f"{len(found.doubtful)} doubtful, left out{where}")
     for sentence in sentences:
-        out.print(sentence, markup=False, soft_wrap=True)
+        out.say(sentence)
     warn(found.warnings)

@@ -1,52 +1,36 @@
 """The ``fpcal`` program: which commands there are, and what every one of them does about errors."""
 
 import argparse
+import gc
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli import (
-    cell,
-    check,
-    compare,
-    control,
-    decide,
-    doctor,
-    identify,
-    ingest,
-    observe,
-    plan,
-    report,
-    sample,
-    simulate,
-    study,
-    task_error,
-    track,
-    week,
-)
+from fpcal_bayes.cli.arguments import identify, keep, measure
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.version import __version__
 
 #: In the order of the work.
 _COMMANDS = (
-    cell,
-    simulate,
-    ingest,
-    doctor,
-    observe,
-    identify,
-    sample,
-    compare,
-    task_error,
-    control,
-    check,
-    plan,
-    track,
-    decide,
-    report,
-    week,
-    study,
+    measure.cell,
+    measure.simulate,
+    measure.ingest,
+    measure.doctor,
+    measure.observe,
+    identify.identify,
+    identify.sample,
+    identify.compare,
+    identify.task_error,
+    identify.control,
+    identify.check,
+    keep.plan,
+    keep.track,
+    keep.decide,
+    keep.report,
+    keep.week,
+    keep.study,
 )
 
 _DESCRIPTION = """\
@@ -77,10 +61,7 @@ class _Completion(argparse.Action):
     """Print a script that completes commands and options in a shell."""
 
     def __call__(self, parser: argparse.ArgumentParser, *parts: Any) -> NoReturn:
-        # Takes as long to import as all the rest.
-        import shtab
-
-        print(shtab.complete(parser, shell=parts[1]))
+        print(_load("shtab").complete(parser, shell=parts[1]))
         parser.exit(0)
 
 
@@ -109,9 +90,19 @@ def make_parser() -> Parser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for module in _COMMANDS:
-        module.add_parser(commands)
+    for add in _COMMANDS:
+        add(commands)
     return parser
+
+
+def _load(name: str) -> Any:
+    """The only import that waits: what a command runs takes many times as long to import as the options of all."""
+    # Modules live as long as the process: looking for garbage among their objects takes a fifth of the time.
+    gc.disable()
+    try:
+        return import_module(name)
+    finally:
+        gc.enable()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,7 +120,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         options = make_parser().parse_args(arguments)
-        status: int = options.run(options)
+        command = _load(f"fpcal_bayes.cli.{options.command.replace('-', '_')}")
+        if arguments is None:
+            gc.freeze()
+        status: int = command.run(options)
         sys.stdout.flush()
     except InputError as error:
         print(f"fpcal: error: {error}", file=sys.stderr)
@@ -141,4 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of the output is gone; Python would complain about it once more on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    finally:
+        if arguments is None:
+            # The process ends, and its memory with it: looking for garbage once more takes as long as all of numpy.
+            gc.freeze()
     return status

@@ -3,105 +3,33 @@
 import argparse
 import re
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from math import radians
 
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    count,
-    positive,
-    seed,
-    warn,
-    write_result,
-)
+import numpy as np
+
+from fpcal_bayes.cli.arguments.common import positive
+from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.design.candidates import SweepLimits
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_short_order, shortfalls
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
+from fpcal_bayes.infer.design.rows import read_often
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-
-if TYPE_CHECKING:
-    from fpcal_bayes.infer.design.candidates import SweepLimits
-    from fpcal_bayes.infer.design.plan import PlanSettings
-    from fpcal_bayes.infer.design.problem import Ground
-    from fpcal_bayes.measure.sweeps import Sweeps
-
-
-_EPILOG = """\
-Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
-task, in units of what the paper's 69 sweeps leave, is expected to be known best; then they are varied to serve better,
-and at the end all of them move together to where the criterion is smallest nearby.
-Without an estimate the plan is averaged over draws of the prior, so that it is good before the cell is known.
-
---reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
-task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
---after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
-
-SWEEPS holds whole sweeps. --rows writes the readings of each as rows of one group, for `fpcal simulate --protocol`.
-Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
-"""
+from fpcal_bayes.motion.tasks import possible_tasks
+from fpcal_bayes.report.pages import save_figure
+from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
+from fpcal_bayes.tracking.drift import aged
 
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "plan", "choose which sweeps to measure", run, _EPILOG)
-    parser.add_argument(
-        "-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5"
-    )
-    parser.add_argument("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
-    parser.add_argument("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
-    parser.add_argument("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
-    parser.add_argument(
-        "--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification"
-    )
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
-    parser.add_argument("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
-    parser.add_argument("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
-    parser.add_argument("--session", metavar="NAME", help="session of these (default: the first)")
-    parser.add_argument(
-        "--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too"
-    )
-    parser.add_argument(
-        "--readings", type=count, metavar="K", help="readings of a sweep after its start, evenly spaced"
-    )
-    parser.add_argument("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument(
-        "--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)"
-    )
-    parser.add_argument("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
-    parser.add_argument("--draws", type=count, default=64, metavar="N", help="of the prior (default: 64)")
-    parser.add_argument("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
-    parser.add_argument("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
-    parser.add_argument("--single-joints", action="store_true", help="move one joint at a time only")
-    parser.add_argument(
-        "--reversals", type=positive, metavar="F", help="variance factor where dL reverses (default: 1)"
-    )
-    parser.add_argument(
-        "--variations", type=count, default=30, metavar="N", help="of each sweep in a round of refinement (default: 30)"
-    )
-    parser.add_argument(
-        "--iterations", type=seed, default=100, metavar="N", help="of the descent at the end (default: 100)"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="of the search (default: 0)")
-    parser.add_argument("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
-    parser.add_argument("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
-    add_json(parser)
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.design.plan import Planner, duration, in_short_order, shortfalls
-    from fpcal_bayes.infer.design.rows import read_often
-    from fpcal_bayes.io.sweeps import write_sweeps
-    from fpcal_bayes.report.plan import accuracy_table, plan_content, sweeps_table
-
     cell = cell_of(options)
     if options.n is None and options.reach is None:
         raise InputError("expected --n N or --reach TASK=NM,..")
@@ -109,7 +37,9 @@ def run(options: argparse.Namespace) -> int:
     outputs = [options.output, options.rows, options.json, options.figure]
     for i, output in enumerate(outputs):
         check_output(output, options.after, options.estimate, *outputs[:i])
-    _check_suffixes(options)
+    for rows in (options.output, options.rows):
+        check_suffix(rows, ".csv", *HDF5_SUFFIXES)
+    check_suffix(options.figure, ".svg", ".png")
     settings = _settings(options)
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
@@ -137,28 +67,20 @@ def run(options: argparse.Namespace) -> int:
     if options.rows is not None:
         write_sweeps(options.rows, read_often(ordered, readings), cell)
     if options.figure is not None:
-        from fpcal_bayes.report.plan import draw_plan
-        from fpcal_bayes.report.week import save_figure
-
         save_figure(draw_plan(cell, ordered), options.figure)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
-    out.print(f"time: {times}", soft_wrap=True, markup=False)
+    out.say(f"time: {times}")
     warn(warnings)
     content = plan_content(chosen, ordered, expected, seconds, _record(options, settings), warnings)
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content})
     return 0
 
 
-def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> "tuple[Ground, Ground]":
+def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple[Ground, Ground]:
     """What the plan is made on, and what it is judged on."""
-    from fpcal_bayes.infer.design.problem import estimate_ground, measured_estimate, prior_ground
-    from fpcal_bayes.io.estimate import read_estimate
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.tracking.drift import aged
-
     sigma, common = options.sigma_nm * 1e-3, {"tasks": tasks, "radius": options.radius_um}
     first: Sweeps | None = None
     if options.after is not None:
@@ -188,20 +110,14 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> "tupl
     return grounds[0], grounds[1]
 
 
-def _absolute(cell: Cell) -> "Sweeps":
+def _absolute(cell: Cell) -> Sweeps:
     """One absolute length at joint vector zero."""
-    import numpy as np
-
-    from fpcal_bayes.measure.sweeps import Sweeps
-
     home = np.zeros((1, len(cell.joints)))
     return Sweeps.make(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
 
-def _labelled(sweeps: "Sweeps") -> "Sweeps":
+def _labelled(sweeps: Sweeps) -> Sweeps:
     """Sweeps named by their usefulness and the joints that move."""
-    import numpy as np
-
     moved = sweeps.q_start != sweeps.q_end
     names = [
         f"p{number:02d}-" + "".join(f"q{i}" for i, m in enumerate(row, 1) if m) for number, row in enumerate(moved, 1)
@@ -209,10 +125,8 @@ def _labelled(sweeps: "Sweeps") -> "Sweeps":
     return replace(sweeps, label=np.array(names, dtype=np.str_))
 
 
-def _paper(cell: Cell) -> "Sweeps | None":
+def _paper(cell: Cell) -> Sweeps | None:
     """The paper's sweeps, if the cell can make them."""
-    from fpcal_bayes.measure.protocol import paper_protocol
-
     try:
         return paper_protocol(cell)
     except InputError:
@@ -234,9 +148,6 @@ def _targets(text: str | None) -> dict[str, float]:
 
 
 def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
-    from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
-    from fpcal_bayes.motion.tasks import possible_tasks
-
     if options.tasks is None:
         return list(targets) if targets else list(possible_tasks(cell, DEFAULT_TASKS))
     tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
@@ -245,9 +156,7 @@ def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -
     return list(dict.fromkeys(tasks))
 
 
-def _settings(options: argparse.Namespace) -> "PlanSettings":
-    from fpcal_bayes.infer.design.plan import PlanSettings
-
+def _settings(options: argparse.Namespace) -> PlanSettings:
     readings = options.readings or (2 if options.midpoints else 1)
     return PlanSettings(
         readings=readings,
@@ -255,27 +164,21 @@ def _settings(options: argparse.Namespace) -> "PlanSettings":
         criterion=options.criterion,
         n_candidates=options.candidates,
         variations=options.variations,
-        iterations=options.iterations,
         several=not options.single_joints,
         seed=options.seed,
         limits=_limits(options),
     )
 
 
-def _limits(options: argparse.Namespace) -> "SweepLimits":
-    from math import radians
-
-    from fpcal_bayes.infer.design.candidates import SweepLimits
-
+def _limits(options: argparse.Namespace) -> SweepLimits:
     given = {
         "tilt": None if options.max_tilt_deg is None else radians(options.max_tilt_deg),
         "fringe_rate": options.max_fringe_rate,
-        "reversal_variance": options.reversals,
     }
     return SweepLimits(**{name: value for name, value in given.items() if value is not None})
 
 
-def _record(options: argparse.Namespace, settings: "PlanSettings") -> dict[str, object]:
+def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, object]:
     """How the plan was searched, for JSON."""
     return {
         "for": options.purpose,
@@ -290,14 +193,3 @@ def _record(options: argparse.Namespace, settings: "PlanSettings") -> dict[str, 
         "seed": settings.seed,
         "limits": dict(vars(settings.limits)),
     }
-
-
-def _check_suffixes(options: argparse.Namespace) -> None:
-    """Refuse names of files that cannot be written, before any work is done."""
-    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
-
-    for path in (options.output, options.rows):
-        if path is not None and path.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
-            raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
-    if options.figure is not None and options.figure.suffix.lower() not in (".svg", ".png"):
-        raise InputError(f"{options.figure}: expected a file name that ends in .svg or .png")

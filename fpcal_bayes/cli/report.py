@@ -4,51 +4,17 @@ import argparse
 import shlex
 from pathlib import Path
 
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_goal,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    goal_of,
-    write_result,
-)
+from fpcal_bayes.cli.common import cell_of, check_output, console, write_result
+from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.model.cell.cell import Cell
-
-_EPILOG = """\
-The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
-with intervals, what the calibration can tell, residuals, drift with alarms, the log of all sessions, an uncertainty
-budget and where every number comes from. It needs no network, and prints well.
-
-A calibration that did not converge or does not fit is said to be of no use; the exit status is then 1. The numbers of
-the page are those of fpcal track, decide, task-error and observe with the same options.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "report", "write a campaign's report as one HTML page", run, _EPILOG)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
-    parser.add_argument("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
-    parser.add_argument("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
-    add_goal(parser)
-    parser.add_argument(
-        "--now", metavar="TIME_H|UTC", help="time of the report (default: this clock where rows carry utc, else the "
-        "last session)"
-    )  # fmt: skip
-    add_json(parser)
+from fpcal_bayes.report.campaign.page import write_campaign_report
+from fpcal_bayes.report.campaign.words import standing, verdict
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.report.campaign.page import write_campaign_report
-    from fpcal_bayes.report.campaign.words import standing, verdict
-
     cell = cell_of(options)
     for output in (options.output, options.json):
         check_output(output, options.campaign, options.posterior, *(options.task or ()))
@@ -69,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         )
     said = verdict(facts)
     for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
-        out.print(sentence, markup=False, soft_wrap=True)
+        out.say(sentence)
     tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
     write_result(options.json, "report", facts.estimate.content() | {"report": content})

@@ -2,78 +2,30 @@
 
 import argparse
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_json,
-    add_prior,
-    cell_of,
-    check_output,
-    console,
-    count,
-    prior_of,
-    seed,
-    warn,
-    with_source,
-    write_result,
-)
+from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.identify import with_source
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.infer.posterior.checkpoint import BlockStore
+from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.leave_out import leave_one_out
+from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
+from fpcal_bayes.infer.posterior.sample import identity, sample
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
-
-if TYPE_CHECKING:
-    from fpcal_bayes.infer.posterior.sample import Posterior
-
-
-_EPILOG = """\
-Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
-same draws as one that was not.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "sample", "draw from the posterior of a cell", run, _EPILOG)
-    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    parser.add_argument("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
-    parser.add_argument("--session", metavar="NAME", help="session to use (default: the first)")
-    parser.add_argument(
-        "--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    parser.add_argument(
-        "--likelihood",
-        choices=("gaussian", "student", "slip"),
-        default="gaussian",
-        help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
-        "(default: gaussian)",
-    )
-    parser.add_argument("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
-    add_prior(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was killed")
-    parser.add_argument("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
-    parser.add_argument(
-        "--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)"
-    )
-    add_json(parser)
+from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.fit.identify import identify
-    from fpcal_bayes.infer.posterior.checkpoint import BlockStore
-    from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
-    from fpcal_bayes.infer.posterior.sample import identity, sample
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.report.posterior import posterior_table
-
     cell = cell_of(options)
     check_output(options.output, options.file, options.prior)
     check_output(options.json, options.file, options.output, options.prior)
@@ -81,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
-    prior = prior_of(options, cell)
+    prior = None if options.prior is None else read_estimate(options.prior, cell)
     warm_up(cell)
     result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps.sessions[0])
     warn(result.warnings)
@@ -125,21 +77,19 @@ def run(options: argparse.Namespace) -> int:
     title = f"{options.file}, session {sweeps.sessions[0]}: posterior"
     out.print(posterior_table(posterior, title))
     diagnostics = posterior.diagnostics
-    out.print(
+    out.say(
         f"sampler: {posterior.log_density.size} draws in {posterior.seconds:.1f} s, acceptance "
         f"{100 * posterior.acceptance:.0f} %, effective {diagnostics.effective:.0f} or more, nested R-hat at most "
         f"{diagnostics.rhat.max():.4f}, charts {posterior.charts}, outside them "
-        f"{100 * posterior.outside:.2g} %",
-        markup=False,
-        soft_wrap=True,
+        f"{100 * posterior.outside:.2g} %"
     )
     noise = posterior.target.noise_factors(posterior.points)
     if noise is not None:
-        out.print(f"noise: {noise.mean():.3f} +- {noise.std():.3f} times the stated", markup=False, soft_wrap=True)
+        out.say(f"noise: {noise.mean():.3f} +- {noise.std():.3f} times the stated")
     slips = slip_probabilities(posterior)
     if slips is not None:
         likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]
-        out.print(f"slipped sweeps: {', '.join(likely) or 'none'}", markup=False, soft_wrap=True)
+        out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
     if not posterior.converged:
         warn(
             f"not converged: {failure}; try fewer --draws or more informative sweeps" for failure in posterior.failures
@@ -171,10 +121,7 @@ def _pairs(options: argparse.Namespace, cell: Cell) -> list[str] | None:
     return list(dict.fromkeys(names)) or None
 
 
-def _write_plots(posterior: "Posterior", tree: Any, options: argparse.Namespace, pairs: list[str] | None) -> None:
-    from fpcal_bayes.infer.posterior.leave_out import leave_one_out
-    from fpcal_bayes.report.posterior import write_posterior_figures
-
+def _write_plots(posterior: Posterior, tree: Any, options: argparse.Namespace, pairs: list[str] | None) -> None:
     loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
     for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):
-        console(options).print(f"figure: {path}", markup=False, soft_wrap=True)
+        console(options).say(f"figure: {path}")

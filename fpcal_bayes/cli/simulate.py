@@ -2,72 +2,31 @@
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from fpcal_bayes.cli.options import Commands, add_command, cell_of, check_output, console, positive, seed
+from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
+from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.joint_paths import read_joint_path
+from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.traces import write_path_trace
+from fpcal_bayes.io.truth import read_truth, write_truth
+from fpcal_bayes.measure.campaign import Campaign
+from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.optics import HARD, RecorderSettings
+from fpcal_bayes.simulator.recorder import check_recordable, record_path, record_sweeps
+from fpcal_bayes.simulator.sweeps import simulate
 
-if TYPE_CHECKING:
-    from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.measure.truth import Truth
-    from fpcal_bayes.simulator.optics import RecorderSettings
-
-
-_EPILOG = """\
-The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
-another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several
-[[epoch]] tables with `time_h` and [epoch.parameters].
-
---traces records the irradiance in place of dL: FILE is an index for `fpcal ingest`, a CSV with its traces in a folder
-beside it or HDF5 with everything inside; the truth goes to FILE_truth.toml. Sweeps have wavelength scans before and
-after (--signs paper: X and Z translations only). 200 samples a second for 10 s a sweep, so at least 35 a fringe with
-the paper's protocol. --disturbances hard: 20 % change of gain; 10 % drift of the offset, 1 % second harmonic and 1 %
-noise relative to the fringes' amplitude. The velocity has a ripple of 10 % always.
-
---path records the joint path of `fpcal control -o JOINTS.csv` in place of sweeps, for `fpcal check`.
-"""
 _PROTOCOLS = ("paper", "paper-mid")
-DEFAULT_SIGMA_NM = 5.0
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "simulate", "measure sweeps on a simulated cell", run, _EPILOG)
-    parser.add_argument(
-        "-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5"
-    )
-    parser.add_argument("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
-    parser.add_argument(
-        "--protocol",
-        metavar="paper|paper-mid|SWEEPS.csv",
-        help="which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)",
-    )
-    parser.add_argument(
-        "--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only"
-    )
-    parser.add_argument(
-        "--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    parser.add_argument("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
-    parser.add_argument("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
-    parser.add_argument("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
-    parser.add_argument(
-        "--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest"
-    )
-    parser.add_argument("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.io.truth import read_truth
-    from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
-    from fpcal_bayes.measure.truth import paper_truth
-
     cell = cell_of(options)
     _check_options(options)
     protocol = options.protocol or "paper"
@@ -99,20 +58,13 @@ def _check_options(options: argparse.Namespace) -> None:
             raise InputError(f"--{name.replace('_', '-')}: is not taken with --path")
 
 
-def _settings(options: argparse.Namespace) -> "RecorderSettings":
-    from fpcal_bayes.simulator.optics import HARD, RecorderSettings
-
+def _settings(options: argparse.Namespace) -> RecorderSettings:
     settings = HARD if options.disturbances == "hard" else RecorderSettings()
     return replace(settings, samples_per_fringe=options.samples_per_fringe)
 
 
-def _measure(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps", protocol: str) -> int:
+def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps, protocol: str) -> int:
     """Changes of length with Gaussian noise."""
-    from fpcal_bayes.io.campaign import write_campaign
-    from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
-    from fpcal_bayes.measure.campaign import Campaign
-    from fpcal_bayes.simulator.sweeps import simulate
-
     warm_up(cell)
     sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
     sweeps = simulate(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
@@ -124,16 +76,14 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Swe
         write_sweeps(options.output, sweeps, cell)
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
-    _say(options, f"{len(sweeps)} rows simulated on cell {cell.name!r}, sd {sigma_nm:g} nm{signs} -> {options.output}")
+    console(options).say(
+        f"{len(sweeps)} rows simulated on cell {cell.name!r}, sd {sigma_nm:g} nm{signs} -> {options.output}"
+    )
     return 0
 
 
-def _record(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Sweeps") -> int:
+def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps) -> int:
     """Traces of sweeps, with an index."""
-    from fpcal_bayes.io.recordings import write_index
-    from fpcal_bayes.io.truth import write_truth
-    from fpcal_bayes.simulator.recorder import check_recordable, record_sweeps
-
     check_recordable(plan)
     warm_up(cell)
     index = record_sweeps(cell, truth, plan, _settings(options), seed=options.seed, scans=plan.signed)
@@ -141,32 +91,21 @@ def _record(options: argparse.Namespace, cell: Cell, truth: "Truth", plan: "Swee
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
     samples = sum(map(len, index.traces))
-    _say(
-        options,
-        f"{len(plan)} sweeps recorded on cell {cell.name!r}, {samples} samples -> {options.output}, truth in {beside}",
+    console(options).say(
+        f"{len(plan)} sweeps recorded on cell {cell.name!r}, {samples} samples -> {options.output}, truth in {beside}"
     )
     return 0
 
 
-def _record_path(options: argparse.Namespace, cell: Cell, truth: "Truth") -> int:
+def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     """The trace of one path."""
-    from fpcal_bayes.io.joint_paths import read_joint_path
-    from fpcal_bayes.io.traces import write_path_trace
-    from fpcal_bayes.simulator.recorder import record_path
-
-    if options.output.suffix.lower() != ".csv":
-        raise InputError(f"{options.output}: expected a file name that ends in .csv")
+    check_suffix(options.output, ".csv")
     path = read_joint_path(options.path, cell)
     warm_up(cell)
     trace = record_path(cell, truth, path, options.time_h or 0.0, _settings(options), options.seed)
     write_path_trace(options.output, trace, cell)
-    _say(
-        options,
+    console(options).say(
         f"{len(trace)} samples recorded along {options.path}, true change of length {1e3 * trace.length_change:.1f} nm "
-        f"peak to peak -> {options.output}",
+        f"peak to peak -> {options.output}"
     )
     return 0
-
-
-def _say(options: argparse.Namespace, text: str) -> None:
-    console(options).print(text, soft_wrap=True, markup=False)

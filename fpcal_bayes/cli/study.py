@@ -4,92 +4,38 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_goal,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    count,
-    goal_of,
-    positive,
-    seed,
-    warn,
-    write_result,
-)
+from fpcal_bayes.cli.common import Output, cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.kernels import warm_up
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.model.cell.cell import Cell
-    from fpcal_bayes.study.base import Study, Summary
-    from fpcal_bayes.study.runner import Progress
-
-
-_EPILOG = """\
-coverage  does the truth lie in the predicted bands of each task?
-sbc       simulation-based calibration: are the truths uniformly ranked among posterior draws?
-policy    weeks of drift under several policies: share of time in tolerance against sweeps spent
-plan      does a plan do as well as the paper's sweeps?
-
-Replicate K is the same whenever and wherever it runs. Each is put into STORE as soon as it is there. A study that was
-stopped, or killed, goes on when the command is given again, and leaves the same file byte for byte; a larger
---replicates adds to it. Workers that die lose nothing: what they had is given to others.
-
-Without --scheduler the workers are processes of this machine. A cluster is started with `dask scheduler` and, wherever
-fpcal_bayes of the same version is installed, `dask worker tcp://HOST:PORT --nthreads 1`. Dask hands pickles on: name
-a scheduler that you trust only.
-"""
+from fpcal_bayes.infer.design.rows import read_often
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.table import plain_table
+from fpcal_bayes.study.base import Study, Summary
+from fpcal_bayes.study.coverage import Coverage
+from fpcal_bayes.study.drifting_week import Setting
+from fpcal_bayes.study.planning import Planning
+from fpcal_bayes.study.policies import DEFAULT_POLICIES, Policies, rules
+from fpcal_bayes.study.runner import Progress, run_on_cluster
+from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, sbc_plan
+from fpcal_bayes.study.store import StudyStore
 
 #: Seconds between two lines about the progress where there is no terminal.
 _BETWEEN_LINES = 30.0
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "study", "run many independent replicates of a question", run, _EPILOG)
-    parser.add_argument("study", metavar="NAME", choices=tuple(_MAKERS), help="coverage, sbc, policy or plan")
-    parser.add_argument("--replicates", type=count, required=True, metavar="N", help="how many in all")
-    parser.add_argument("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.h5)")
-    parser.add_argument("--anew", action="store_true", help="forget what the store holds")
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster that runs already")
-    parser.add_argument("--workers", type=count, metavar="N", help="processes on this machine (default: its cores)")
-    parser.add_argument("--seed", type=seed, default=0, help="of the study (default: 0)")
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument(
-        "--protocol",
-        default="paper",
-        metavar="paper|paper-mid|SWEEPS",
-        help="coverage, sbc: sweeps of each calibration (default: paper); sbc also: random",
-    )
-    parser.add_argument("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
-    parser.add_argument("--plan", metavar="SWEEPS", help="plan: whole sweeps, as fpcal plan writes them")
-    parser.add_argument("--readings", type=count, default=2, metavar="K", help="plan: of each sweep (default: 2)")
-    parser.add_argument("--policies", metavar="NAME;..", help="policy: which (a wrong name lists all)")
-    parser.add_argument("--hours", type=positive, default=192.0, help="policy: length of a week (default: 192)")
-    parser.add_argument("--harder", action="store_true", help="policy: weeks that drift otherwise than modelled too")
-    add_goal(parser)
-    add_json(parser)
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.study.runner import run_on_cluster
-    from fpcal_bayes.study.store import StudyStore
-
     cell = cell_of(options)
     output: Path = options.output or Path(f"study-{options.study}.h5")
     for path in (output, options.json):
@@ -97,9 +43,8 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, output)
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers: expected without --scheduler, whose workers are there already")
-    workers = options.workers or len(os.sched_getaffinity(0))
+    workers = options.workers or _cores()
     study = _MAKERS[options.study](options, cell)
-    warm_up(cell)
     warm_up_inverse(cell)
 
     store = StudyStore(output, study)
@@ -117,11 +62,7 @@ def run(options: argparse.Namespace) -> int:
     out = console(options)
     _print(summary, out)
     known = options.replicates - state.came
-    out.print(
-        f"{state.came} replicates in {state.seconds:.1f} s, {known} were there before -> {output}",
-        markup=False,
-        soft_wrap=True,
-    )
+    out.say(f"{state.came} replicates in {state.seconds:.1f} s, {known} were there before -> {output}")
     warn(summary.warnings)
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},
@@ -136,29 +77,29 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _print(summary: "Summary", out: Console) -> None:
-    from fpcal_bayes.report.fit import plain_table
+def _cores() -> int:
+    """How many cores this process may use; where the system does not tell, all."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
+
+def _print(summary: Summary, out: Output) -> None:
     if summary.rows:
         table = plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])
         for row in summary.rows:
             table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
         out.print(table)
     for sentence in summary.sentences:
-        out.print(sentence, markup=False, soft_wrap=True)
+        out.say(sentence)
 
 
-def _sweeps_of(options: argparse.Namespace, cell: "Cell") -> "Sweeps":
+def _sweeps_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
     """The sweeps that ``--protocol`` names, as a plan."""
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
-
     if options.protocol in PROTOCOLS:
         return protocol_by_name(options.protocol, cell)
     return _usable(read_sweeps(options.protocol, cell, plan=True), options.protocol)
 
 
-def _usable(sweeps: "Sweeps", file: str) -> "Sweeps":
+def _usable(sweeps: Sweeps, file: str) -> Sweeps:
     """Sweeps of one session without those that no calibration uses."""
     first = sweeps.of_session(None)
     kept = first.take(first.kind == "sweep")
@@ -167,51 +108,31 @@ def _usable(sweeps: "Sweeps", file: str) -> "Sweeps":
     return kept
 
 
-def _coverage(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.study.coverage import Coverage
-
+def _coverage(options: argparse.Namespace, cell: Cell) -> Study:
     plan = _sweeps_of(options, cell)
     return Coverage(cell=cell, seed=options.seed, plan=plan, sigma=1e-3 * options.sigma_nm)
 
 
-def _sbc(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, sbc_plan
-
+def _sbc(options: argparse.Namespace, cell: Cell) -> Study:
     if options.draws <= RANKED:
         raise InputError(f"--draws {options.draws}: expected more than {RANKED}, among which the truth is ranked")
     plan = sbc_plan("random", cell) if options.protocol == "random" else _sweeps_of(options, cell)
-    return PosteriorRanks(
-        cell=cell, seed=options.seed, plan=plan, sigma=1e-3 * options.sigma_nm, draws=options.draws
-    )  # fmt: skip
+    sigma, draws = 1e-3 * options.sigma_nm, options.draws
+    return PosteriorRanks(cell=cell, seed=options.seed, plan=plan, sigma=sigma, draws=draws)
 
 
-def _policy(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.study.drifting_week import Setting
-    from fpcal_bayes.study.policies import DEFAULT_POLICIES, Policies, rules
-
+def _policy(options: argparse.Namespace, cell: Cell) -> Study:
     goal = goal_of(options)
     chosen = tuple(options.policies.split(";")) if options.policies else DEFAULT_POLICIES
     known = rules(Setting(cell), goal)
     for name in chosen:
         if name not in known:
             raise InputError(f"--policies: {name!r:.60} is unknown, expected some of: {'; '.join(known)}")
-    sigma = 1e-3 * options.sigma_nm
-    return Policies(
-        cell=cell,
-        seed=options.seed,
-        goal=goal,
-        policies=chosen,
-        sigma=sigma,
-        hours=options.hours,
-        harder=options.harder,
-    )
+    sigma, hours, harder = 1e-3 * options.sigma_nm, options.hours, options.harder
+    return Policies(cell=cell, seed=options.seed, goal=goal, policies=chosen, sigma=sigma, hours=hours, harder=harder)
 
 
-def _plan(options: argparse.Namespace, cell: "Cell") -> "Study":
-    from fpcal_bayes.infer.design.rows import read_often
-    from fpcal_bayes.io.sweeps import read_sweeps
-    from fpcal_bayes.study.planning import Planning
-
+def _plan(options: argparse.Namespace, cell: Cell) -> Study:
     if options.plan is None:
         raise InputError("study plan: expected --plan SWEEPS, whole sweeps as fpcal plan -o writes them")
     whole = _usable(read_sweeps(options.plan, cell, plan=True), options.plan)
@@ -221,12 +142,9 @@ def _plan(options: argparse.Namespace, cell: "Cell") -> "Study":
     return Planning(cell=cell, seed=options.seed, plan=rows, sigma=1e-3 * options.sigma_nm)
 
 
-_MAKERS: "dict[str, Callable[[argparse.Namespace, Cell], Study]]" = {
-    "coverage": _coverage,
-    "sbc": _sbc,
-    "policy": _policy,
-    "plan": _plan,
-}
+_MAKERS: dict[str, Callable[[argparse.Namespace, Cell], Study]] = {
+    "coverage": _coverage, "sbc": _sbc, "policy": _policy, "plan": _plan
+}  # fmt: skip
 
 
 class _Reporter:
@@ -255,7 +173,7 @@ class _Reporter:
     def __exit__(self, *_: Any) -> None:
         self._bar.stop()
 
-    def show(self, state: "Progress") -> None:
+    def show(self, state: Progress) -> None:
         """Show the state after a task."""
         self._bar.update(self._task, completed=state.done, workers=state.workers)
         if self._quiet or self._terminal or time.monotonic() < self._next_line:

@@ -6,60 +6,23 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fpcal_bayes.analysis.campaign import follow
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.options import (
-    Commands,
-    add_command,
-    add_goal,
-    add_json,
-    cell_of,
-    check_output,
-    console,
-    goal_of,
-    positive,
-    warn,
-    write_result,
-)
+from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-
-if TYPE_CHECKING:
-    from fpcal_bayes.decision.forecast import Goal
-    from fpcal_bayes.tracking.tracker import Track
-
-
-_EPILOG = """\
-The first session of CAMPAIGN is the full calibration, the following ones update it: any number of sweeps, at any time.
-Sessions may stand in any order; one that arrives late takes its place. In an HDF5 campaign the states are saved, and
-the next run takes in what is new; a CSV is never changed.
-
-Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
-widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
-
-ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
-session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
-fpcal decide says what to do then.
-"""
-
-
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "track", "follow the parameters from session to session", run, _EPILOG)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
-    parser.add_argument("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
-    parser.add_argument("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
-    parser.add_argument(
-        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again"
-    )  # fmt: skip
-    add_goal(parser)
-    parser.add_argument("--anew", action="store_true", help="take in all sessions again, whatever was saved")
-    parser.add_argument(
-        "--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted"
-    )
-    add_json(parser)
+from fpcal_bayes.core.files import exclusive, file_sha256
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.decision.policy import valid_until
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.sweeps import is_campaign_file
+from fpcal_bayes.report.fit import parameter_table
+from fpcal_bayes.report.track import session_table, time_text, verdict_lines
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.fit_sizes import fit_sizes
+from fpcal_bayes.tracking.record import decisions_of, record_of
+from fpcal_bayes.tracking.tracker import Track
 
 
 def run(options: argparse.Namespace) -> int:
@@ -97,14 +60,6 @@ def _stamp(file: str) -> tuple[int, int] | None:
 
 def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
-    from fpcal_bayes.core.files import exclusive, file_sha256
-    from fpcal_bayes.io.campaign import write_campaign
-    from fpcal_bayes.io.sweeps import is_campaign_file
-    from fpcal_bayes.report.fit import parameter_table
-    from fpcal_bayes.report.track import session_table, time_text, verdict_lines
-    from fpcal_bayes.tracking.alarms import Limits
-    from fpcal_bayes.tracking.record import decisions_of, record_of
-
     cell = cell_of(options)
     for output in (options.estimate, options.json):
         check_output(output, options.campaign, options.posterior, *(options.task or ()))
@@ -115,7 +70,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         # Two that save their states in one campaign would each lose what the other found.
         campaign_file = is_campaign_file(options.campaign)
         require_same = alone.enter_context(exclusive(Path(options.campaign))) if campaign_file else None
-        followed = follow(options, cell, anew=options.anew, posterior=options.posterior)
+        followed = follow(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
         found, sweeps, notes = followed.track, followed.sweeps, followed.notes
         if followed.campaign is not None and require_same is not None and found.resumed < len(found.outcomes):
             try:
@@ -137,25 +92,32 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     lines = verdict_lines(found)
     valid_until_h, note = _valid_until(found, goal, asked=options.task is not None)
     notes += note
+    if not found.trust.usable:
+        valid_until_h = None
+        out.say(f"not valid: {found.trust.against}")
     if valid_until_h is not None:
         exceeds = f"P({', '.join(goal.tasks)} > {options.tolerance_nm:g} nm)"
         until = time_text(valid_until_h, found.outcomes)
         valid = f"valid until {until}: {exceeds} < {options.level:g}"
         passed = f"not valid: {exceeds} is above {options.level:g} already"
-        out.print(valid if valid_until_h > found.last.time_h else passed, markup=False, soft_wrap=True)
+        out.say(valid if valid_until_h > found.last.time_h else passed)
+    drift_fit = {}
+    if options.fit_drift:
+        fitted = fit_sizes(cell, sweeps)
+        out.say("\n".join(fitted.lines()))
+        drift_fit = {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     warn(warnings)
-    content = found.estimate(valid_until_h).content() | {"fit": _fit(found)}
+    fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
+    content = found.estimate(valid_until_h).content() | {"fit": fit}
     if options.estimate is not None:
         write_result(options.estimate, "track", content)
-    write_result(options.json, "track", content | _content(found) | {"warnings": warnings})
+    write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
     return 0 if found.converged else 1
 
 
-def _valid_until(found: "Track", goal: "Goal", *, asked: bool) -> tuple[float | None, list[str]]:
+def _valid_until(found: Track, goal: Goal, *, asked: bool) -> tuple[float | None, list[str]]:
     """Until when the estimate holds, in hours, or None and why it cannot be said."""
-    from fpcal_bayes.decision.policy import valid_until
-
     try:
         warm_up_inverse(found.cell)
         return valid_until(found, goal), []
@@ -166,25 +128,11 @@ def _valid_until(found: "Track", goal: "Goal", *, asked: bool) -> tuple[float | 
         return None, [f"how long the estimate holds cannot be said: {error}"]
 
 
-def _fit(found: Any) -> dict[str, Any]:
-    last = found.last
-    return {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": last.nis, "converged": found.converged}
-
-
-def _content(found: Any) -> dict[str, Any]:
+def _content(found: Track) -> dict[str, Any]:
     """What ``track --json`` writes beside the estimate."""
-    return {
-        "sessions": [
-            {
-                "session": outcome.session,
-                "time_h": outcome.time_h,
-                "n_sweeps": outcome.n_sweeps,
-                "nis": outcome.nis,
-                "dof": outcome.dof,
-                "verdict": outcome.verdict,
-                "evidence": list(outcome.evidence),
-            }
-            for outcome in found.outcomes
-        ],
-        "calibration_due": found.calibration_due is not None,
-    }
+    told = ("session", "time_h", "n_sweeps", "nis", "dof", "verdict")
+    sessions = [
+        {name: getattr(outcome, name) for name in told} | {"evidence": list(outcome.evidence)}
+        for outcome in found.outcomes
+    ]
+    return {"sessions": sessions, "calibration_due": found.calibration_due is not None}

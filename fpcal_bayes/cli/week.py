@@ -3,74 +3,60 @@
 import argparse
 import io
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rich.console import Console
-
-from fpcal_bayes.cli.control import warm_up_inverse
-from fpcal_bayes.cli.options import Commands, add_command, cell_of, console, positive, seed, warn
+from fpcal_bayes.cli.common import Output, cell_of, console, warn
+from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import make_folder, write_json, write_text
-from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.decision.policy import valid_until
+from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
+from fpcal_bayes.infer.posterior.sample import sample
+from fpcal_bayes.io.campaign import read_campaign, write_campaign
+from fpcal_bayes.io.traces import write_path_trace
+from fpcal_bayes.measure.campaign import Campaign
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
-
-if TYPE_CHECKING:
-    from fpcal_bayes.infer.fit.identify import Identification
-    from fpcal_bayes.infer.posterior.sample import Posterior
-    from fpcal_bayes.measure.sweeps import Sweeps
-    from fpcal_bayes.model.cell.cell import Cell
-    from fpcal_bayes.study.paper_scenarios import Followed
-    from fpcal_bayes.study.paper_week import Circle, Week
-    from fpcal_bayes.tracking.tracker import Track
-
-
-_EPILOG = """\
-The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
-protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
-same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm.
-
-Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
-policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
-(the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
-truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
-irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, courses.svg.
-"""
+from fpcal_bayes.report.campaign.page import write_campaign_report
+from fpcal_bayes.report.fit import fit_lines
+from fpcal_bayes.report.pages import save_figure
+from fpcal_bayes.report.posterior import posterior_table
+from fpcal_bayes.report.track import verdict_lines
+from fpcal_bayes.report.week import (
+    circle_table,
+    course_table,
+    draw_circles,
+    draw_courses,
+    draw_week,
+    reflection_lines,
+    truth_table,
+)
+from fpcal_bayes.study.paper_scenarios import Followed, decision_log, follow_week
+from fpcal_bayes.study.paper_week import (
+    SESSIONS,
+    Circle,
+    Week,
+    check_circles,
+    identify_session,
+    measure_week,
+    renewed_circles,
+)
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.record import record_of
+from fpcal_bayes.tracking.tracker import Track
 
 #: Effective draws of the posterior of day 0.
 _DRAWS = 1000
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command to the program."""
-    parser = add_command(commands, "week", "run the paper's week on a simulated cell", run, _EPILOG)
-    parser.add_argument(
-        "-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)"
-    )
-    parser.add_argument("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    parser.add_argument("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    parser.add_argument(
-        "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
-        "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
-    )  # fmt: skip
-    parser.add_argument("--no-page", dest="page", action="store_false", help="leave out report.html")
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from fpcal_bayes.infer.posterior.sample import sample
-    from fpcal_bayes.study.paper_scenarios import follow_week
-    from fpcal_bayes.study.paper_week import (
-        SESSIONS,
-        Week,
-        check_circles,
-        identify_session,
-        measure_week,
-        renewed_circles,
-    )
-
     cell = cell_of(options)
     make_folder(options.output)
-    warm_up(cell)
     warm_up_inverse(cell)
     began = time.perf_counter()
     sigma = options.sigma_nm * 1e-3
@@ -97,53 +83,44 @@ def run(options: argparse.Namespace) -> int:
     week = Week(cell, truth, sweeps, results)
     command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed} --between {options.between}"
     _write_data(options, cell, week, followed, command)
-    _write_circles(options.output, cell, checks, renewed)
-    _write_figures(options.output, week, followed, checks, renewed)
-    _write_posterior(options, posterior, command)
-    _write_page(options, cell, posterior is not None, command)
+    _write_paths_and_figures(options.output, week, followed, checks, renewed)
+    folder = options.output
+    if posterior is not None:
+        write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
+    if options.page:
+        # As `fpcal report` writes it.
+        draws = None if posterior is None else folder / "posterior.nc"
+        write_campaign_report(folder / "campaign.h5", cell, folder / "report.html", posterior=draws, command=command)
     text = io.StringIO()
-    report = Console(file=text, width=120, highlight=False)
+    report = Output(file=text, width=120, highlight=False)
     for target, timed in ((report, False), (out, True)):
-        print_week(week, target, timed=timed)
-        print_courses(followed, checks, renewed, target)
-        print_posterior(posterior, target)
+        _print_week(week, target, timed=timed)
+        _print_courses(followed, checks, renewed, target)
+        _print_posterior(posterior, target)
     write_text(options.output / "report.txt", text.getvalue())
     warn(f"{name}: {warning}" for name, result in results.items() for warning in result.warnings)
-    out.print(
-        f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/",
-        markup=False,
-        soft_wrap=True,
+    out.say(
+        f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/"
     )
     sampled = posterior is not None and posterior.converged
     return 0 if sampled and all(result.converged for result in results.values()) else 1
 
 
-def without_seconds(fit: dict[str, Any]) -> dict[str, Any]:
-    """What an estimate says about its fit, without the time it took."""
-    return {key: value for key, value in fit.items() if key != "seconds"}
-
-
-def _write_data(options: argparse.Namespace, cell: "Cell", week: "Week", followed: "Followed", command: str) -> None:
+def _write_data(options: argparse.Namespace, cell: Cell, week: Week, followed: Followed, command: str) -> None:
     """Both campaigns, and an estimate JSON a session."""
-    from dataclasses import replace
-
-    from fpcal_bayes.decision.policy import valid_until
-    from fpcal_bayes.io.campaign import read_campaign, write_campaign
-    from fpcal_bayes.measure.campaign import Campaign
-    from fpcal_bayes.study.paper_scenarios import decision_log
-    from fpcal_bayes.tracking.alarms import Limits
-    from fpcal_bayes.tracking.record import record_of
-
     folder: Path = options.output
     contents = {
         name: {"schema": SCHEMA, "command": "identify", **found.content()}
         for name, found in week.identifications.items()
     }
     # A second run gives the same campaign: how long an identification took is in its own file.
-    timeless = {name: content | {"fit": without_seconds(content["fit"])} for name, content in contents.items()}
+    timeless = {
+        name: content | {"fit": {key: value for key, value in content["fit"].items() if key != "seconds"}}
+        for name, content in contents.items()
+    }
     truth = week.truth.record()
 
-    def save(file: str, sweeps: "Sweeps", lived: "Track", estimates: dict[str, Any], log: list[dict[str, Any]]) -> None:
+    def save(file: str, sweeps: Sweeps, lived: Track, estimates: dict[str, Any], log: list[dict[str, Any]]) -> None:
         made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth, estimates=estimates)
         write_campaign(folder / file, made, cell)
         # The track is of the rows as the file holds them, in degrees.
@@ -162,48 +139,19 @@ def _write_data(options: argparse.Namespace, cell: "Cell", week: "Week", followe
         write_json(folder / f"{name}.json", content)
 
 
-def _write_page(options: argparse.Namespace, cell: "Cell", sampled: bool, command: str) -> None:
-    """The report of the paper's protocol, as `fpcal report` writes it."""
-    if not options.page:
-        return
-    from fpcal_bayes.report.campaign.page import write_campaign_report
-
-    folder: Path = options.output
-    posterior = folder / "posterior.nc" if sampled else None
-    write_campaign_report(folder / "campaign.h5", cell, folder / "report.html", posterior=posterior, command=command)
-
-
-def _write_circles(folder: Path, cell: "Cell", checks: "list[Circle]", renewed: "list[Circle]") -> None:
-    from fpcal_bayes.io.traces import write_path_trace
-
+def _write_paths_and_figures(
+    folder: Path, week: Week, followed: Followed, checks: list[Circle], renewed: list[Circle]
+) -> None:
     make_folder(folder / "circles")
     for circle in [*checks, *renewed]:
-        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, cell)
-
-
-def _write_figures(
-    folder: Path, week: "Week", followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]"
-) -> None:
-    from fpcal_bayes.report.week import draw_circles, draw_courses, draw_week, save_figure
-
+        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, week.cell)
     save_figure(draw_week(week, followed), folder / "extrinsics.svg")
     save_figure(draw_circles(checks, renewed), folder / "circles.svg")
     save_figure(draw_courses(followed.courses), folder / "courses.svg")
 
 
-def _write_posterior(options: argparse.Namespace, posterior: "Posterior | None", command: str) -> None:
-    from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
-
-    if posterior is not None:
-        tree = data_tree(posterior, seed=options.seed, command=command)
-        write_netcdf(tree, options.output / "posterior.nc")
-
-
-def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
+def _print_week(week: Week, out: Output, *, timed: bool) -> None:
     """Print each session's parameters beside the truth, as the paper's tables have them."""
-    from fpcal_bayes.report.fit import fit_lines, reflection_lines, truth_table
-    from fpcal_bayes.study.paper_week import SESSIONS
-
     for session in SESSIONS:
         result = week.identifications[session.name]
         truth = week.truth.at(24.0 * session.day)
@@ -213,32 +161,27 @@ def print_week(week: "Week", out: Console, *, timed: bool = True) -> None:
         title = f"Day {session.day:g}: {session.tables} of the paper anew{held}"
         out.print(truth_table(result.estimate, truth[shown], [names[i] for i in shown], title))
         for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result, timed=timed):
-            out.print(line, markup=False, soft_wrap=True)
+            out.say(line)
         out.print()
 
 
-def print_courses(followed: "Followed", checks: "list[Circle]", renewed: "list[Circle]", out: Console) -> None:
+def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circle], out: Output) -> None:
     """Print the circles, and what each way through the week held and cost."""
-    from fpcal_bayes.report.track import verdict_lines
-    from fpcal_bayes.report.week import circle_table, course_table
-
     tolerance = followed.goal.tolerance
     out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
     out.print(circle_table("Circle at each identification (Fig 14)", renewed, tolerance))
     out.print(course_table(followed.courses))
     for name, lived in (("filter", followed.track), ("policy", followed.policy_track)):
         for line in verdict_lines(lived):
-            out.print(f"{name}: {line}", markup=False, soft_wrap=True)
+            out.say(f"{name}: {line}")
     out.print()
 
 
-def print_posterior(posterior: "Posterior | None", out: Console) -> None:
+def _print_posterior(posterior: Posterior | None, out: Output) -> None:
     """Print the posterior of day 0, or what it fails by."""
-    from fpcal_bayes.report.posterior import posterior_table
-
     if posterior is None:
         out.print("Posterior of day 0: not sampled, since its maximum was not found")
         return
     out.print(posterior_table(posterior, "Posterior of day 0"))
     for failure in posterior.failures:
-        out.print(f"not converged: {failure}", markup=False, soft_wrap=True)
+        out.say(f"not converged: {failure}")

@@ -11,6 +11,10 @@ class InputError(ValueError):
         super().__init__(" ".join(message.split()))
 
 
+class UnreachableError(InputError):
+    """A pose that the cell cannot take by this estimate."""
+
+
 def located(file: object, expected: str, *, row: int | None = None, column: str | None = None) -> InputError:
     """Build the message ``file: row R, column C: what was expected``.
 

@@ -1,16 +1,33 @@
 """Files written whole or not at all, and hashes that identify their content."""
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError
+
+try:
+    import fcntl
+except ImportError:
+    # Windows: there an open file cannot be replaced, so that the lock is a file of its own.
+    import filelock
+
+    _HAS_FLOCK = False
+else:
+    _HAS_FLOCK = True
+
+#: On Windows a file that somebody reads cannot be replaced: how often this is tried, and the seconds between.
+_TRIES, _BETWEEN_TRIES = 20, 0.05
+
+
+#: Key of a JSON file under which the hash of all the rest stands.
+CONTENT_HASH = "content_sha256"
 
 
 def require_readable(path: Path) -> None:
@@ -76,11 +93,21 @@ def replacing(path: Path) -> Iterator[Path]:
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
+        _replace(temporary, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """Rename; where a reader forbids it, wait for the reader."""
+    for _ in range(0 if _HAS_FLOCK else _TRIES):
+        with contextlib.suppress(PermissionError):
+            temporary.replace(path)
+            return
+        time.sleep(_BETWEEN_TRIES)
+    temporary.replace(path)
 
 
 @contextlib.contextmanager
@@ -94,29 +121,37 @@ def exclusive(path: Path) -> Iterator[Callable[[], None]]:
     InputError
         If another process holds the file, or it cannot be opened.
     """
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
-
-    def require_same() -> None:
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(handle), path.stat()):
-                return
-        raise InputError(f"{path}: another program replaced or removed this file meanwhile: run the command again")
-
-    try:
+    with contextlib.ExitStack() as held:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            with contextlib.ExitStack() as opened:
+                handle = os.open(path, os.O_RDONLY)
+                opened.callback(os.close, handle)
+                before = os.fstat(handle)
+                if _HAS_FLOCK:
+                    # As long as the file is open, no other one has its number.
+                    held.push(opened.pop_all())
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
+
+        def require_same() -> None:
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(before, path.stat()):
+                    return
+            raise InputError(f"{path}: another program replaced or removed this file meanwhile: run the command again")
+
+        try:
+            if _HAS_FLOCK:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            else:
+                lock = filelock.FileLock(path.with_name(f".{path.name}.lock"), timeout=0)
+                held.enter_context(lock)
+        except (BlockingIOError, TimeoutError) as error:
             raise InputError(f"{path}: another fpcal is writing this file: wait until it has ended") from error
         except OSError:
             # Some shared drives have no locks; that the file is still the same is checked all the same.
             pass
         require_same()
         yield require_same
-    finally:
-        os.close(handle)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -126,8 +161,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write `content` as JSON; NaN and infinity are refused, since JSON has neither."""
-    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    """Write `content` and its hash as JSON; NaN and infinity are refused, since JSON has neither."""
+    write_text(path, json.dumps(content | {CONTENT_HASH: content_sha256(content)}, indent=1, allow_nan=False) + "\n")
 
 
 def read_text(path: Path) -> str:

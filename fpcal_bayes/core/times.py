@@ -13,13 +13,7 @@ def clock(text: str) -> datetime:
 
 
 def read_time(text: str, name: str = "time") -> float | datetime:
-    """Hours since the campaign began, or a clock time; `name` is what errors call it.
-
-    Raises
-    ------
-    InputError
-        If the text is neither.
-    """
+    """Hours since the campaign began, or a clock time; `name` is what errors call it."""
     try:
         hours = float(text)
     except ValueError:

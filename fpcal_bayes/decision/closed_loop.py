@@ -1,4 +1,4 @@
-"""A policy in charge of a cell: it says when to measure what, and the filter takes in what was measured.
+"""The closed loop: a rule or a policy says when to measure what, and the filter takes in what was measured.
 
 The cell is behind a function that measures a plan, simulated or real. How well the robot did meanwhile is judged
 afterwards, by the estimates that the controller held and a truth that is known in simulation only.
@@ -19,83 +19,104 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.session import SessionOutcome, take_in
 from fpcal_bayes.tracking.smoother import looked_at_again
 from fpcal_bayes.tracking.start import with_hidden_noise
 
 #: Measures a plan at a time in hours.
 Measure = Callable[[Sweeps, float], Sweeps]
+#: Which sweeps are measured at a time in hours (none: only look again).
+Plan = Callable[[float], Sweeps | None]
+
+#: Sessions of a policy begin on multiples of this, in hours.
+STEP_H = 0.05
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """What was measured so far: outcomes, the calibration first, and the sweeps of each session after it."""
+
+    outcomes: list[SessionOutcome]
+    sweeps: list[Sweeps]
+
+
+#: What comes next: after the sessions so far and at a time, hours until something is measured, and what then.
+Rule = Callable[[Sessions, float], tuple[float, Plan]]
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """What a policy did.
+    """What a policy did."""
 
-    Attributes
-    ----------
-    outcomes
-        One a session, the calibration first.
-    sweeps
-        Measured, one set a session after the calibration.
-    decisions
-        That ordered each of these sessions.
+    outcomes: tuple[SessionOutcome, ...]  # one a session, the calibration first
+    sweeps: tuple[Sweeps, ...]  # measured, one set a session after the calibration
+    decisions: tuple[Decision, ...]  # that ordered each of these sessions
+
+
+def run_rule(
+    rule: Rule,
+    drift: DriftModel,
+    model: CavityModel,
+    limits: Limits,
+    start: SessionOutcome,
+    measure: Measure,
+    end_h: float,
+    *,
+    step_h: float,
+) -> Sessions:
+    """Let a rule say when to measure what, from a calibration until `end_h`, and take in what is measured.
+
+    Sessions begin on multiples of `step_h`, at most one on each. The drift is that of the filter (`with_hidden_noise`).
     """
-
-    outcomes: tuple[SessionOutcome, ...]
-    sweeps: tuple[Sweeps, ...]
-    decisions: tuple[Decision, ...]
-
-    @property
-    def held(self) -> list[tuple[float, Floats]]:
-        """From when on the controller held which state, shape (n_states,) each."""
-        return [(outcome.time_h, outcome.state.mean) for outcome in self.outcomes]
-
-
-def run_policy(
-    policy: Policy, start: SessionOutcome, measure: Measure, end_h: float, *, step_h: float = 0.05
-) -> ClosedLoop:
-    """Let a policy run from a calibration on.
-
-    Parameters
-    ----------
-    start
-        The calibration.
-    measure
-        Measures a plan.
-    end_h
-        When the last session may begin, in hours since the campaign began.
-    step_h
-        Sessions begin on multiples of this, the last one at which the tolerance is still expected to hold.
-
-    Raises
-    ------
-    InputError
-        If the tolerance cannot be met.
-    """
-    policy = replace(policy, drift=with_hidden_noise(policy.drift, policy.model, start.state))
-    outcomes = [start]
-    measured: list[Sweeps] = []
-    decisions: list[Decision] = []
-    diagnosed, now = start.time_h, start.time_h
+    done, now = Sessions([start], []), start.time_h
     while True:
-        last = outcomes[-1]
-        forecast = Forecast.of(policy.drift, policy.model, policy.goal, last.state.mean)
+        hours, plan_at = rule(done, now)
+        now = float((np.floor(now / step_h + 1e-6) + max(1.0, np.floor(hours / step_h + 1e-6))) * step_h)
+        if now > end_h + 1e-9:
+            return done
+        plan = plan_at(now)
+        if plan is None:
+            continue
+        taken, last = measure(plan, now), done.outcomes[-1]
+        done.outcomes.append(take_in(drift, model, limits, last.state, last.monitor, taken))
+        done.outcomes[-1] = looked_at_again(drift, done.outcomes)
+        done.sweeps.append(taken)
+
+
+def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: float) -> ClosedLoop:
+    """Let a policy run from a calibration until the last session that may begin by `end_h`.
+
+    Each session is planned for the last step at which the tolerance is still expected to hold; `InputError` if the
+    tolerance cannot be met.
+    """
+    drift, model, limits = with_hidden_noise(policy.drift, policy.model, start.state), policy.model, policy.limits
+    policy = replace(policy, drift=drift)
+    decisions: list[Decision] = []
+    diagnosed = start.time_h
+
+    def rule(done: Sessions, now: float) -> tuple[float, Plan]:
+        nonlocal diagnosed
+        last = done.outcomes[-1]
+        if done.sweeps and is_diagnosis(drift, model, done.outcomes[-2], last, done.sweeps[-1], limits):
+            diagnosed = now
+        forecast = Forecast.of(drift, model, policy.goal, last.state.mean)
         due = f"the robot itself moved before session {last.session}" if last.verdict == "intrinsics-moved" else None
         state = forecast.ahead(last.state, now - last.time_h)
+
+        def plan_at(time_h: float) -> Sweeps:
+            at_session = forecast.ahead(last.state, time_h - last.time_h)
+            decisions.append(policy.measure_now(forecast, at_session, due, diagnosed))
+            sweeps = decisions[-1].sweeps
+            assert sweeps is not None
+            return sweeps
+
         # A session too many is dearer than one a few minutes late: it is planned for the end of the hold.
-        hold = 0.0 if due else policy.hold_hours(forecast, state, diagnosed)
-        now = (np.floor(now / step_h + 1e-6) + max(1.0, np.floor(hold / step_h + 1e-6))) * step_h
-        if now > end_h + 1e-9:
-            return ClosedLoop(tuple(outcomes), tuple(measured), tuple(decisions))
-        decision = policy.measure_now(forecast, forecast.ahead(last.state, now - last.time_h), due, diagnosed)
-        assert decision.sweeps is not None
-        taken = measure(decision.sweeps, now)
-        outcomes.append(take_in(policy.drift, policy.model, policy.limits, last.state, last.monitor, taken))
-        outcomes[-1] = looked_at_again(policy.drift, outcomes)
-        measured.append(taken)
-        decisions.append(decision)
-        if is_diagnosis(policy.drift, policy.model, last, outcomes[-1], taken, policy.limits):
-            diagnosed = now
+        return 0.0 if due else policy.hold_hours(forecast, state, diagnosed), plan_at
+
+    done = run_rule(rule, drift, model, limits, start, measure, end_h, step_h=STEP_H)
+    return ClosedLoop(tuple(done.outcomes), tuple(done.sweeps), tuple(decisions))
 
 
 def task_peaks(
@@ -106,24 +127,13 @@ def task_peaks(
     times_h: Floats,
     *,
     radius: float = 100.0,
+    whole: bool = False,
 ) -> Floats:
-    """Peak to peak of the error of tasks while a controller holds one estimate after the other.
+    """Peak to peak of the error of tasks while a controller holds one estimate after the other, in um, (n_tasks, t).
 
-    Parameters
-    ----------
-    model
-        Of the free parameters.
-    truth
-        Of the same parameters, or more.
-    held
-        From when on which free parameters (n_free,) were held, in um and rad, in order of time.
-    times_h
-        Where to look, none before the first estimate, shape (t,).
-
-    Returns
-    -------
-    ndarray
-        In um, shape (n_tasks, t).
+    `held` says from when on which free parameters (n_free,), in um and rad, were held, in order of time; `times_h` (t,)
+    says where to look, none before the first estimate. With `whole` the paths are taken in full, beyond joint limits
+    too, in place of what can be driven.
     """
     columns = truth.parameters.positions(model.free.names)
     peaks = np.zeros((len(tasks), len(times_h)))
@@ -134,6 +144,6 @@ def task_peaks(
         values = held[i][1]
         true = truth.at(times_h[here])[:, columns]
         for row, name in enumerate(tasks):
-            task = find_task(model.cell, model.vector(values), name, radius=radius).driven()
-            peaks[row, here] = peak_to_peak(task_errors(model, true, values, task))
+            task = find_task(model.cell, model.vector(values), name, radius=radius)
+            peaks[row, here] = peak_to_peak(task_errors(model, true, values, task if whole else task.driven()))
     return peaks

@@ -75,39 +75,19 @@ class Costs:
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do, and what follows from it.
+    """What to do, and what follows from it."""
 
-    Attributes
-    ----------
-    action
-        ``hold``: measure nothing before `hold_hours` have passed; ``extrinsic``: measure `sweeps` now; ``full``:
-        calibrate in full now.
-    now_h
-        Time of the decision in hours since the campaign began.
-    hold_hours
-        Hours from now until something is to be measured; zero if now.
-    level
-        Probability of being out of tolerance that is accepted.
-    sweeps
-        To be measured now; no rows if nothing is.
-    minutes
-        How long that takes.
-    then_hours
-        Hours that the tolerance is expected to hold after it, up to the horizon.
-    now, at_horizon, after
-        Error of the tasks now, at the horizon if nothing is measured, and after what is recommended (for ``hold``, at
-        its end).
-    reason
-        In words.
-    """
-
+    # ``hold``: measure nothing before `hold_hours` have passed; ``extrinsic``: measure `sweeps` now; ``full``:
+    # calibrate in full now
     action: Action
-    now_h: float
-    hold_hours: float
-    level: float
-    sweeps: Sweeps | None
-    minutes: float
-    then_hours: float
+    now_h: float  # time of the decision in hours since the campaign began
+    hold_hours: float  # hours from now until something is to be measured; zero if now
+    level: float  # probability of being out of tolerance that is accepted
+    sweeps: Sweeps | None  # to be measured now; no rows if nothing is
+    minutes: float  # how long that takes
+    then_hours: float  # hours that the tolerance is expected to hold after it, up to the horizon
+    # now, at_horizon, after: error of the tasks now, at the horizon if nothing is measured, and after what is
+    # recommended (for ``hold``, at its end)
     now: Outlook
     at_horizon: Outlook
     after: Outlook
@@ -128,17 +108,8 @@ class _Session:
 def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
     """The state expected after measuring a plan at the time of `state`, to first order.
 
-    Parameters
-    ----------
-    plan
-        Sweeps; measurements in it are not looked at.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-
-    Returns
-    -------
-    State
-        With the mean of the prediction, which the estimate of the controller follows.
+    Measurements in the plan are not looked at; `sigma` is the standard deviation of each change of cavity length, in
+    um. The mean is that of the prediction, which the estimate of the controller follows.
     """
     planned = plan.with_measurement(np.zeros(len(plan)), sigma)
     measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
@@ -159,31 +130,15 @@ def decide(
     *,
     measure: bool = False,
 ) -> Decision:
-    """What to do now.
+    """What to do now; `InputError` if not even a full calibration brings the tasks within the tolerance.
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
     sessions that follow it included; if none does, a full calibration.
 
-    Parameters
-    ----------
-    forecast
-        For the estimate that the controller holds.
-    state
-        Predicted for now.
-    choose
-        Chooses the sweeps of a session.
-    calibration
-        Sweeps of a full calibration, as a plan.
-    calibration_due
-        Why a full calibration is due whatever the error, or None.
-    measure
-        Whether something is measured in any case, so that the question is only what.
-
-    Raises
-    ------
-    InputError
-        If not even a full calibration brings the tasks within the tolerance.
+    The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
+    of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
+    measured in any case, so that the question is only what.
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))

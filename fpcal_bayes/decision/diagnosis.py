@@ -31,16 +31,9 @@ def watched(drift: DriftModel, limits: Limits) -> int:
 def session_power(
     drift: DriftModel, model: CavityModel, state: State, sweeps: Sweeps, hours: float, limits: Limits
 ) -> Floats:
-    """Probability that sweeps at the time of `state` show a jump of each parameter, shape (n_parameters,).
+    """Probability that sweeps at the time of a predicted `state` show a jump of each parameter, shape (n_parameters,).
 
-    Parameters
-    ----------
-    state
-        Predicted.
-    sweeps
-        With `sigma`; what they read is not looked at.
-    hours
-        Since the session before.
+    The sweeps have their `sigma`; what they read is not looked at. `hours` have passed since the session before.
     """
     planned = sweeps.with_measurement(np.zeros(len(sweeps)), sweeps.sigma)
     misfit, jacobian = SweepMeasurement.of(drift, model, planned, state.mean).linearise(state.mean)
@@ -54,13 +47,7 @@ def most_power(drift: DriftModel, state: State, hours: float, limits: Limits) ->
 
 
 def last_diagnosis(track: Track, sweeps: Sweeps, limits: Limits) -> float:
-    """When a session could last show a change of the robot, in hours since the campaign began.
-
-    Parameters
-    ----------
-    sweeps
-        Of all sessions of the track.
-    """
+    """When a session could last show a change of the robot, in hours since the campaign began."""
     drift, model = track.drift, CavityModel.of(track.cell, track.drift.parameters)
     for number in range(len(track.outcomes) - 1, 0, -1):
         outcome, before = track.outcomes[number], track.outcomes[number - 1]
@@ -77,15 +64,7 @@ def is_diagnosis(
     sweeps: Sweeps,
     limits: Limits,
 ) -> bool:
-    """Whether a session could show a change of the robot.
-
-    Parameters
-    ----------
-    before, outcome
-        Of the session before it and of itself.
-    sweeps
-        Of the session.
-    """
+    """Whether the session of `outcome` could show a change of the robot, `before` being the outcome before it."""
     rows = sweeps.take(sweeps.kind != "path")
     if not len(rows):
         return False

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import quantile_band, symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
 from fpcal_bayes.model.cavity import CavityModel
@@ -42,7 +43,7 @@ class Goal:
     tolerance
         Largest peak to peak of the error of any of the tasks, in um.
     tasks
-        Names as in `control.tasks.TASKS`, or path files.
+        Names as in `TASKS`, or path files.
     level
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
@@ -71,34 +72,25 @@ class Goal:
 
 @dataclass(frozen=True)
 class Outlook:
-    """Error of the tasks at one time.
+    """Error of the tasks at one time."""
 
-    Attributes
-    ----------
-    time_h
-        Hours since the campaign began.
-    peaks
-        Peak to peak of each task in each draw, shape (n_tasks, n_draws), in um.
-    """
-
-    time_h: float
-    peaks: Floats
+    time_h: float  # hours since the campaign began
+    peaks: Floats  # peak to peak of each task in each draw, shape (n_tasks, n_draws), in um
 
     @property
     def worst(self) -> Floats:
         """Peak to peak of the worst task in each draw, shape (n_draws,), in um."""
-        result: Floats = self.peaks.max(axis=0)
-        return result
+        return self.peaks.max(axis=0)
 
     @property
     def median(self) -> float:
         """Median over the draws of the worst task, in um."""
         return float(np.median(self.worst))
 
-    def band(self, share: float = 0.95) -> tuple[float, float]:
-        """Lower and upper edge of the band that holds `share` of the worst task's peak to peak, in um."""
-        low, high = np.quantile(self.worst, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        return float(low), float(high)
+    def band(self) -> tuple[float, float]:
+        """Lower and upper edge of the band that holds 95 % of the worst task's peak to peak, in um."""
+        low, high = quantile_band(self.worst, 0.95).tolist()
+        return low, high
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that any task passes `tolerance`, in um."""
@@ -111,47 +103,23 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Errors of tasks under one estimate, at any later time and after any further measurement.
+    """Errors of tasks under one estimate, at any later time and after any further measurement."""
 
-    Attributes
-    ----------
-    drift
-        What the states mean and how they move.
-    goal
-        What is to be held.
-    estimate
-        Mean of the state that the controller holds, shape (n_states,).
-    jacobian
-        Of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um.
-    tasks
-        The points of each task.
-    poses
-        Joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints).
-    basis, factor
-        Of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters).
-    draws
-        Standard normal, shape (rank, n_draws).
-    """
-
-    drift: DriftModel
-    goal: Goal
-    estimate: Floats
-    jacobian: Floats
-    tasks: tuple[slice, ...]
+    drift: DriftModel  # what the states mean and how they move
+    goal: Goal  # what is to be held
+    estimate: Floats  # mean of the state that the controller holds, shape (n_states,)
+    jacobian: Floats  # of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um
+    tasks: tuple[slice, ...]  # the points of each task
+    # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
+    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters)
     basis: Floats
     factor: Floats
-    draws: Floats
+    draws: Floats  # standard normal, shape (rank, n_draws)
 
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecast":
-        """The forecast for the estimate that the controller holds, the mean of a state (n_states,).
-
-        Raises
-        ------
-        InputError
-            If a task is unknown, or no point of it can be driven to with this estimate.
-        """
+        """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
         values = drift.values(mean)
         vector = model.vector(values)
         counts = [_CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
@@ -179,20 +147,15 @@ class Forecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_parameters
         spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
-        values, vectors = np.linalg.eigh(spread)
-        # The symmetric root moves smoothly with the covariance, as no other does.
-        root = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
         offset = self.factor @ (state.mean - self.estimate)[:n]
-        change = offset[:, None] + root @ self.draws
+        change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
         return Outlook(state.time_h, np.array(peaks))
 
     def ahead(self, state: State, hours: float) -> State:
         """The state after some hours in which nothing is measured and the temperature stays."""
-        step = self.drift.transition(hours)
-        mean = step.matrix @ state.mean + step.shift
-        covariance = step.matrix @ state.covariance @ step.matrix.T + step.noise
+        mean, covariance = self.drift.propagate(state.mean, state.covariance, hours)
         return replace(state, time_h=state.time_h + hours, mean=mean, covariance=covariance)
 
     def exceeds(self, state: State, hours: float = 0.0) -> float:
@@ -200,17 +163,9 @@ class Forecast:
         return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
-        """Hours after `state` until the probability of being out of tolerance passes the level.
+        """Hours after `state` until the probability of being out of tolerance passes the level, at most `horizon_h`.
 
-        Parameters
-        ----------
-        horizon_h
-            The answer if it does not within this time.
-
-        Returns
-        -------
-        float
-            In hours, to the minute below; zero if the level is passed already.
+        To the minute below; zero if the level is passed already.
         """
         inside = 0.0
         for outside in self._times(horizon_h):

@@ -1,6 +1,6 @@
 """The policy for one cell: what it must hold, what measuring costs, and which sweeps there are to choose from.
 
-Sweeps are chosen by `infer.planning`: those that leave the least expected error of the tasks, given all that is known.
+Sweeps are chosen by `infer.design`: those that leave the least expected error of the tasks, given all that is known.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,24 +26,11 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
-    """Sweeps of one joint through points of tasks, as a plan.
+    """Sweeps of one joint through points of tasks, as a plan, labelled by their joint.
 
-    Parameters
-    ----------
-    model, values
-        Where visibility is judged: free parameters, shape (n_free,), in um and rad.
-    poses
-        Joint vectors, shape (n_poses, n_joints), in um and rad.
-
-    Returns
-    -------
-    Sweeps
-        At most n_poses * n_joints rows, labelled by their joint; those that lose the fringes are left out.
-
-    Raises
-    ------
-    InputError
-        If the mirror is out of sight with all joints at zero.
+    Visibility is judged at the free parameters `values` (n_free,); `poses` (n_poses, n_joints) are in um and rad. Those
+    of the n_poses * n_joints sweeps that lose the fringes are left out. `InputError` if the mirror is out of sight at
+    zero.
     """
     limits = SweepLimits()
     low, high = visible_ranges(model, values, limits)
@@ -90,45 +77,25 @@ class _Pool:
 
 @dataclass(frozen=True)
 class Policy:
-    """Decides when to measure what.
+    """Decides when to measure what."""
 
-    Attributes
-    ----------
-    drift, model
-        Of the same parameters.
-    goal, costs
-        What is to be held, and what measuring costs.
-    candidates
-        Sweeps to choose from, as a plan.
-    calibration
-        Sweeps of a full calibration, as a plan.
-    limits
-        Of the tests for changes; they say what a look at the robot can show.
-    """
-
+    # drift, model: of the same parameters
     drift: DriftModel
     model: CavityModel
+    # goal, costs: what is to be held, and what measuring costs
     goal: Goal
     costs: Costs
-    candidates: Sweeps
-    calibration: Sweeps
+    candidates: Sweeps  # sweeps to choose from, as a plan
+    calibration: Sweeps  # sweeps of a full calibration, as a plan
+    # of the tests for changes; they say what a look at the robot can show
     limits: Limits = field(default_factory=Limits)
 
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, costs: Costs, calibration: Sweeps) -> "Policy":
-        """A policy that chooses among the sweeps of a calibration and random ones.
+        """A policy that chooses among random sweeps and those of a calibration, whatever these measured.
 
-        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt.
-
-        Parameters
-        ----------
-        calibration
-            Sweeps of a full calibration; measurements in them are not looked at.
-
-        Raises
-        ------
-        InputError
-            If the joint limits leave no room for sweeps.
+        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt. `InputError` if
+        the joint limits leave no room for sweeps.
         """
         cell, values = model.cell, drift.parameters.nominal
         single = calibration.take(calibration.kind == "sweep")
@@ -186,17 +153,9 @@ class Policy:
     ) -> Decision:
         """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
 
-        Parameters
-        ----------
-        calibration_due
-            Why a full calibration is due whatever the error, or None.
-        diagnosed_h
-            When a session could last show a change of the robot, in hours since the campaign began, or None.
-
-        Raises
-        ------
-        InputError
-            If the tolerance cannot be met.
+        `calibration_due` says why a full calibration is due whatever the error, or is None; `diagnosed_h` when a
+        session could last show a change of the robot, in hours since the campaign began. `InputError` if the tolerance
+        cannot be met.
         """
         decision = self._decide(forecast, state, calibration_due)
         every = self.costs.diagnosis_h
@@ -292,27 +251,16 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     forecast = Forecast.of(track.drift, model, goal, last.state.mean)
     policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
     due = track.calibration_due
-    reason = None if due is None else f"the robot itself moved before session {due}"
+    reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     return policy.decide(forecast, forecast.ahead(last.state, now_h - last.time_h), reason, diagnosed)
 
 
-def valid_until(track: Track, goal: Goal, horizon_h: float = HOURS_PER_WEEK) -> float:
-    """Until when the estimate after the last session holds the tasks, in hours since the campaign began.
-
-    Parameters
-    ----------
-    horizon_h
-        The longest that is promised.
-
-    Raises
-    ------
-    InputError
-        If a task cannot be driven.
-    """
+def valid_until(track: Track, goal: Goal) -> float:
+    """Hours since the campaign began until which the last estimate holds the tasks; a week ahead at most."""
     state = track.last.state
     forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
-    return state.time_h + forecast.hold_hours(state, horizon_h)
+    return state.time_h + forecast.hold_hours(state, HOURS_PER_WEEK)
 
 
 def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:

@@ -1,6 +1,6 @@
 """Where the fibre points, from the fringes' amplitude: what a perpendicular path's dL cannot see.
 
-The amplitude falls with the square of the angle between mirror normal and fibre axis (see `fibre_coupling`). Along a
+The amplitude falls with the square of the angle between mirror normal and fibre axis (see `mirror_coupling`). Along a
 sweep that tilts the mirror its logarithm has a slope, which tells that angle at the sweep's middle, and a bow, which
 tells the mode's radius. Its mean is left free, sweep by sweep, and with it gain and reflectivity.
 
@@ -52,38 +52,24 @@ _IMPROBABLE = 1e-3
 
 @dataclass(frozen=True)
 class Alignment:
-    """The fibre's direction by the fringe amplitude.
+    """The fibre's direction by the fringe amplitude."""
 
-    Attributes
-    ----------
-    estimate
-        The datum: the cell's prior of all parameters, narrowed by the amplitudes.
-    direction, noise, covariance
-        `DIRECTION` with the mirror's geometry held at nominal or at an estimate, in rad, shape (2,); the covariance
-        from noise and drift of the gain alone, and with the uncertainty of what is held; each (2, 2).
-    mode_field_radius, mode_field_radius_sd
-        Of the fibre mode, in um, from the bows.
-    drift
-        Standard deviations of slope and bow that the gain's drift adds, shape (2,).
-    nonlinear
-        The largest standard deviation of a slope or bow that making them linear adds.
-    chi_square, freedom
-        Of slopes and bows under prior and coupling model, and what is expected.
-    n_sweeps
-        That took part.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # the datum: the cell's prior of all parameters, narrowed by the amplitudes
+    #: direction, noise, covariance: `DIRECTION` with the mirror's geometry held at nominal or at an estimate, in rad,
+    #: shape (2,); the covariance from noise and drift of the gain alone, and with the uncertainty of what is held; each
+    #: (2, 2).
     direction: Floats
     noise: Floats
     covariance: Floats
+    #: mode_field_radius, mode_field_radius_sd: Of the fibre mode, in um, from the bows.
     mode_field_radius: float
     mode_field_radius_sd: float
-    drift: Floats
-    nonlinear: float
+    drift: Floats  # standard deviations of slope and bow that the gain's drift adds, shape (2,)
+    nonlinear: float  # the largest standard deviation of a slope or bow that making them linear adds
+    #: chi_square, freedom: Of slopes and bows under prior and coupling model, and what is expected.
     chi_square: float
     freedom: int
-    n_sweeps: int
+    n_sweeps: int  # that took part
 
     @property
     def probability(self) -> float:
@@ -112,17 +98,9 @@ class Alignment:
 def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) -> Alignment:
     """Find the fibre's direction.
 
-    Parameters
-    ----------
-    amplitudes
-        From `fringe_amplitudes`.
-    estimate
-        Near which the amplitudes are made linear, by default nominal: the better the mirror is known, the less is lost.
-
-    Raises
-    ------
-    InputError
-        If the fibre's direction is no free parameter of the cell, or the amplitudes do not follow the coupling model.
+    amplitudes: from `fringe_amplitudes`.
+    estimate: near which the amplitudes are made linear, by default nominal: the better the mirror is known, the less is
+    lost.
     """
     file = amplitudes.sweeps.file
     missing = [name for name in DIRECTION if name not in cell.free]
@@ -166,20 +144,12 @@ def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) 
 
 @dataclass(frozen=True)
 class _View:
-    """Slopes and bows as a function of the state: the cell's free parameters, then the logarithm of the mode's radius.
-
-    Attributes
-    ----------
-    poses
-        At the nodes of all sweeps, shape (n_sweeps * nodes, n_joints).
-    weights
-        What makes slope and bow of values at the nodes, shape (2, nodes).
-    """
+    """Slopes and bows as a function of the state: the cell's free parameters, then the logarithm of the mode radius."""
 
     cell: Cell
     model: CavityModel
-    poses: Floats
-    weights: Floats
+    poses: Floats  # at the nodes of all sweeps, shape (n_sweeps * nodes, n_joints)
+    weights: Floats  # what makes slope and bow of values at the nodes, shape (2, nodes)
 
     @classmethod
     def of(cls, cell: Cell, sweeps: Sweeps, estimate: Estimate | None) -> "_View":

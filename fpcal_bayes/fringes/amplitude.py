@@ -27,18 +27,12 @@ _BINS, _FEWEST_BINS = 128, 320
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """How the fringe amplitude changes along sweeps that tilt the mirror.
+    """How the fringe amplitude changes along sweeps that tilt the mirror."""
 
-    Attributes
-    ----------
-    sweeps
-        The sweeps, n of them.
-    shape, covariance
-        Slope and bow, the coefficients of the first and second Legendre polynomial of the logarithm of the amplitude
-        over the place on the sweep, and their covariance from the traces' noise; shapes (n, 2) and (n, 2, 2).
-    """
-
-    sweeps: Sweeps
+    sweeps: Sweeps  # the sweeps, n of them
+    #: shape, covariance: Slope and bow, the coefficients of the first and second Legendre polynomial of the logarithm
+    #: of the amplitude over the place on the sweep, and their covariance from the traces' noise; shapes (n, 2) and (n,
+    #: 2, 2).
     shape: Floats
     covariance: Floats
 
@@ -62,17 +56,8 @@ def _turns(cell: Cell, sweeps: Sweeps) -> Floats:
 def fringe_amplitudes(cell: Cell, sweeps: Sweeps, found: Ingested) -> Amplitudes:
     """Slope and bow of the logarithm of the fringe amplitude along sweeps of the first session that tilt the mirror.
 
-    Parameters
-    ----------
-    sweeps
-        Of the index that was read.
-    found
-        What `ingest` made of it: phases, which the amplitudes are fitted beside; doubtful sweeps take no part.
-
-    Raises
-    ------
-    InputError
-        If fewer than four sweeps can be used, or all turn the mirror in one direction only.
+    sweeps: of the index that was read.
+    found: what `ingest` made of it: phases, which the amplitudes are fitted beside; doubtful sweeps take no part.
     """
     readings = found.readings
     rows = [i for i in tilting(cell, sweeps).tolist() if (reading := readings[i]) is not None and reading.good]

@@ -1,4 +1,4 @@
-"""Which of the possible readings of a trace it is, and whether that may be said.
+"""The reading of a trace: which of the possible ones it is, and whether that may be said.
 
 A photodiode alone tells L only up to its mirror image, and now and then up to some fringes. Witnesses (wavelength scans
 before and after, an estimate, the cell's priors) say what change to expect; all of it is weighed together.
@@ -14,62 +14,41 @@ from fpcal_bayes.fringes.fit import Fit
 from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.fringes.solve import change_of
 
+#: Probability of another count, or of the other sign, from which on a reading does not stand.
+_COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
+#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
+_WITNESS_LIES, _ANYTHING = 1e-6, 200.0
+#: Changes closer than this, in um, are one count.
+_SAME_COUNT = 0.1
+
 
 @dataclass(frozen=True)
 class Reading:
-    """The change of cavity length along one sweep, and how far to trust it.
+    """The change of cavity length along one sweep, and how far to trust it."""
 
-    Attributes
-    ----------
-    label
-        Of the sweep.
-    dl, sigma
-        Change from start to end and its standard deviation, in um; NaN where the trace was refused.
-    signed
-        Whether the sign of `dl` is known; else `dl` is a size.
-    sign_source
-        Who told the sign, or empty.
-    fringes
-        That passed, those that passed back included.
-    turns
-        Places s on the sweep, from -1 to 1, at which L turns.
-    reversals
-        Joint positions of the same, in um or rad.
-    refused
-        Why the trace gives no number at all; empty where it gives one.
-    doubt
-        Why the number is not to be relied on; empty where it is.
-    alternatives
-        Other changes, in um, that the trace allows.
-    samples_a_fringe
-        On average, while the joint moves.
-    noise, amplitude
-        Standard deviation of one sample and mean amplitude of the fringes, in V.
-    course, course_covariance
-        L less its mean along the sweep: Legendre coefficients in um, see `course`; of the sign of `dl`.
-    wavelength_share
-        Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
-    fit, phase_per_um
-        What was fitted and its 4 pi n / wavelength, for figures; None where refused.
-    """
-
-    label: str
+    label: str  # of the sweep
+    #: dl, sigma: Change from start to end and its standard deviation, in um; NaN where the trace was refused.
     dl: float = np.nan
     sigma: float = np.nan
-    signed: bool = False
-    sign_source: str = ""
-    fringes: float = np.nan
-    turns: tuple[float, ...] = ()
-    reversals: tuple[float, ...] = ()
-    refused: str = ""
-    doubt: str = ""
-    alternatives: tuple[float, ...] = ()
-    samples_a_fringe: float = np.nan
+    signed: bool = False  # whether the sign of `dl` is known; else `dl` is a size
+    sign_source: str = ""  # who told the sign, or empty
+    fringes: float = np.nan  # that passed, those that passed back included
+    turns: tuple[float, ...] = ()  # places s on the sweep, from -1 to 1, at which L turns
+    reversals: tuple[float, ...] = ()  # joint positions of the same, in um or rad
+    refused: str = ""  # why the trace gives no number at all; empty where it gives one
+    doubt: str = ""  # why the number is not to be relied on; empty where it is
+    alternatives: tuple[float, ...] = ()  # other changes, in um, that the trace allows
+    samples_a_fringe: float = np.nan  # on average, while the joint moves
+    #: noise, amplitude: Standard deviation of one sample and mean amplitude of the fringes, in V.
     noise: float = np.nan
     amplitude: float = np.nan
+    #: course, course_covariance: L less its mean along the sweep: Legendre coefficients in um, see `Course`; of the
+    #: sign of `dl`.
     course: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     course_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    #: Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
     wavelength_share: float = 0.0
+    #: fit, phase_per_um: What was fitted and its 4 pi n / wavelength, for figures; None where refused.
     fit: Fit | None = field(default=None, repr=False)
     phase_per_um: float = np.nan
 
@@ -81,15 +60,9 @@ class Reading:
     def changes(self, s: Floats) -> tuple[Floats, Floats]:
         """Changes of L from the start to places on the sweep, with their full covariance.
 
-        Parameters
-        ----------
-        s
-            Places from -1 (start) to 1 (end), shape (n,).
-
-        Returns
-        -------
-        tuple of ndarray
-            In um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly correlated.
+        s: places from -1 (start) to 1 (end), shape (n,).
+        Returns in um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly
+        correlated.
         """
         rows = legendre(s)[:, 1:] - legendre(np.array([-1.0]))[:, 1:]
         changes = rows @ self.course
@@ -102,15 +75,8 @@ class Reading:
         The campaign's groups have equal variances and correlation 1/2. The standard deviation given is the least for
         which such a covariance is nowhere below the true one: rows of the group then never claim more than is known.
 
-        Parameters
-        ----------
-        points
-            Interior points.
-
-        Returns
-        -------
-        tuple
-            Places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
+        points: interior points.
+        Returns places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
         """
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
@@ -118,14 +84,6 @@ class Reading:
         root = np.linalg.inv(np.linalg.cholesky(shape))
         largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
         return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
-
-
-#: Probability of another count, or of the other sign, from which on a reading does not stand.
-_COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
-#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
-_WITNESS_LIES, _ANYTHING = 1e-6, 200.0
-#: Changes closer than this, in um, are one count.
-_SAME_COUNT = 0.1
 
 
 @dataclass(frozen=True)
@@ -146,30 +104,14 @@ class Witness:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a trace is taken to say.
+    """What a trace is taken to say."""
 
-    Attributes
-    ----------
-    fit
-        The fit chosen.
-    mirrored
-        Whether L runs opposite to `fit`.
-    signed
-        Whether the sign is certain enough to be stated.
-    sign_source
-        Who told the sign; empty where nobody did.
-    other_counts
-        Probability that L changed by another number of fringes.
-    alternatives
-        Changes in um that this probability falls to, the most likely first.
-    """
-
-    fit: Fit
-    mirrored: bool
-    signed: bool
-    sign_source: str
-    other_counts: float
-    alternatives: tuple[float, ...]
+    fit: Fit  # the fit chosen
+    mirrored: bool  # whether L runs opposite to `fit`
+    signed: bool  # whether the sign is certain enough to be stated
+    sign_source: str  # who told the sign; empty where nobody did
+    other_counts: float  # probability that L changed by another number of fringes
+    alternatives: tuple[float, ...]  # changes in um that this probability falls to, the most likely first
 
     @property
     def doubtful(self) -> bool:
@@ -180,12 +122,8 @@ class Verdict:
 def decide(fits: Sequence[Fit], witnesses: Sequence[Witness]) -> Verdict:
     """Weigh fits and their mirror images.
 
-    Parameters
-    ----------
-    fits
-        Distinct courses of one trace.
-    witnesses
-        The most trustworthy first; the first that tells the sign by itself is named as its source.
+    fits: distinct courses of one trace.
+    witnesses: the most trustworthy first; the first that tells the sign by itself is named as its source.
     """
     dl, sd = np.array([change_of(fit) for fit in fits]).T
     both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])

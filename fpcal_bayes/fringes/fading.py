@@ -1,6 +1,6 @@
 """How visibility can fade along a sweep, before its trace is looked at.
 
-A mirror that tilts or moves away sends less light back into the fibre (see `fibre_coupling`). The cell's priors and
+A mirror that tilts or moves away sends less light back into the fibre (see `mirror_coupling`). The cell's priors and
 optics give the logarithm of the fringe amplitude along each sweep: for a tilt its bow is nearly certain and its slope
 is not, for a translation there is next to nothing. A short sweep needs that to tell an envelope from a fringe.
 """

@@ -26,24 +26,13 @@ _AMPLITUDE_SD, _MEAN_SD = 1.0, 20.0
 
 @dataclass(frozen=True)
 class Nuisance:
-    """How a signal may change beside its fringes: standard deviations of Legendre coefficients.
+    """How a signal may change beside its fringes: standard deviations of Legendre coefficients."""
 
-    Attributes
-    ----------
-    offset
-        Over time, relative to the fringe amplitude, from the first polynomial on.
-    gain
-        Of the logarithm of the amplitude over time, from the first on.
-    fade
-        Of the same over the place on the sweep, from the first on; empty: the mirror stays aligned.
-    fade_mean
-        Expected values of the latter; empty: zero.
-    """
-
-    offset: tuple[float, ...]
-    gain: tuple[float, ...]
+    offset: tuple[float, ...]  # over time, relative to the fringe amplitude, from the first polynomial on
+    gain: tuple[float, ...]  # of the logarithm of the amplitude over time, from the first on
+    #: Of the same over the place on the sweep, from the first on; empty: the mirror stays aligned.
     fade: tuple[float, ...]
-    fade_mean: tuple[float, ...] = ()
+    fade_mean: tuple[float, ...] = ()  # expected values of the latter; empty: zero
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -59,35 +48,19 @@ LIVELY = Nuisance(offset=_OFFSET, gain=_GAIN, fade=(0.6, 0.2, 0.02, 0.01))
 
 @dataclass(frozen=True)
 class Fit:
-    """A signal fitted.
+    """A signal fitted."""
 
-    Attributes
-    ----------
-    course, covariance
-        Coefficients of the course in um, shape (DEGREE,), and their covariance.
-    unknowns, unknowns_covariance
-        All that was fitted, in the order of `kernel_fit`, and its covariance.
-    nuisance
-        What was allowed beside the fringes.
-    noise
-        Standard deviation of one reading that was presumed, in V.
-    evidence
-        Logarithm, up to a constant that fits of one trace share.
-    residual_squares
-        Sum over readings of the squared residuals of averages, times their count, in V^2.
-    freedom
-        Number of averages less the effective number of unknowns.
-    """
-
+    #: course, covariance: Coefficients of the course in um, shape (DEGREE,), and their covariance.
     course: Floats
     covariance: Floats
+    #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
     unknowns: Floats
     unknowns_covariance: Floats
-    nuisance: Nuisance
-    noise: float
-    evidence: float
-    residual_squares: float
-    freedom: float
+    nuisance: Nuisance  # what was allowed beside the fringes
+    noise: float  # standard deviation of one reading that was presumed, in V
+    evidence: float  # logarithm, up to a constant that fits of one trace share
+    residual_squares: float  # sum over readings of the squared residuals of averages, times their count, in V^2
+    freedom: float  # number of averages less the effective number of unknowns
 
     @property
     def amplitude(self) -> float:
@@ -129,22 +102,14 @@ def fit_course(
 ) -> Fit:
     """Fit a signal from a starting course.
 
-    Parameters
-    ----------
-    samples
-        Signal along the sweep.
-    course
-        Prior of the course; it is widened.
-    start
-        Coefficients to start from, shape (DEGREE,), in um.
-    phase_per_um
-        4 pi n / wavelength.
-    noise
-        Standard deviation of one reading, in V.
-    mirror_light
-        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with visibility.
-    warm
-        A fit of the same samples with the same nuisance, from which this one starts in place of `start`.
+    samples: signal along the sweep.
+    course: prior of the course; it is widened.
+    start: coefficients to start from, shape (DEGREE,), in um.
+    phase_per_um: 4 pi n / wavelength.
+    noise: standard deviation of one reading, in V.
+    mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with
+    visibility.
+    warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
     """
     mean, modes_um = _modes(course)
     over_place, over_time = legendre(samples.s), legendre(samples.time)

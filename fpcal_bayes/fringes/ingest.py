@@ -22,112 +22,28 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
 
-def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
-    """The rows of one sweep: its end, after `points` interior points that share a group with it.
-
-    Parameters
-    ----------
-    sweeps, row
-        The plan and the position in it.
-    reading
-        A good one.
-    """
-    one = sweeps.take(np.array([row]))
-    if points == 0:
-        one = one.with_measurement(np.array([reading.dl]), reading.sigma)
-        return replace(one, signed=np.array([reading.signed]), group=np.array([""]))
-    s, changes, sigma = reading.grouped(points)
-    rows = one.take(np.zeros(points + 1, dtype=np.int64))
-    label = str(one.label[0]) or f"row {one.rows[0]}"
-    names = [f"{label}-mid"] if points == 1 else [f"{label}-{i}of{points + 1}" for i in range(1, points + 1)]
-    share = (s[:, None] + 1.0) / 2.0
-    q_end = rows.q_start + share * (rows.q_end - rows.q_start)
-    q_end[-1] = one.q_end[0]
-    if not reading.signed:
-        changes = np.abs(changes)
-    rows = replace(
-        rows,
-        q_end=q_end,
-        label=np.array([*names, label], dtype=np.str_),
-        group=np.array([label] * (points + 1), dtype=np.str_),
-        signed=np.full(points + 1, reading.signed),
-    )
-    return rows.with_measurement(changes, sigma)
-
-
-def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None) -> Sweeps:
-    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good."""
-    one = sweeps.take(np.array([row]))
-    here = one.q_start, one.q_end
-    good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]
-    kept = [(scan, q, name) for scan, q, name in good if scan is not None and scan.good]
-    rows = one.take(np.zeros(len(kept), dtype=np.int64))
-    if not kept:
-        return rows
-    apart = one.kind[0] != "absolute"
-    rows = replace(
-        rows,
-        q_start=np.concatenate([q for _, q, _ in kept]),
-        q_end=np.concatenate([q for _, q, _ in kept]),
-        label=np.array([f"{one.label[0]}-{name}" if apart else str(one.label[0]) for *_, name in kept], dtype=np.str_),
-        kind=np.full(len(kept), "absolute"),
-        group=np.full(len(kept), "", dtype=np.str_),
-        signed=np.ones(len(kept), dtype=bool),
-        trace=np.full(len(kept), "", dtype=np.str_),
-    )
-    lengths, sigmas = (np.array([getattr(scan, name) for scan, *_ in kept]) for name in ("length", "sigma"))
-    return rows.with_measurement(lengths, sigmas)
-
-
 @dataclass(frozen=True)
 class IngestSettings:
-    """How traces are read.
+    """How traces are read."""
 
-    Attributes
-    ----------
-    points
-        Interior points of each sweep that become rows of their own, in a group with its end.
-    absolute
-        Whether scans before and after sweeps become rows of kind ``absolute``.
-    wavelength_sd
-        Standard deviation of the laser's wavelength, in um.
-    index_sd
-        Standard deviation of the refractive index of the air.
-    """
-
-    points: int = 0
-    absolute: bool = False
-    wavelength_sd: float = 0.0
-    index_sd: float = 0.0
+    points: int = 0  # interior points of each sweep that become rows of their own, in a group with its end
+    absolute: bool = False  # whether scans before and after sweeps become rows of kind ``absolute``
+    wavelength_sd: float = 0.0  # standard deviation of the laser's wavelength, in um
+    index_sd: float = 0.0  # standard deviation of the refractive index of the air
 
 
 @dataclass(frozen=True)
 class Ingested:
-    """What recorded traces gave.
+    """What recorded traces gave."""
 
-    Attributes
-    ----------
-    sweeps
-        Rows that may be used.
-    doubtful
-        Recordings that gave none.
-    readings
-        Of each recording, None for absolute lengths.
-    samples
-        Of each recording as it was laid along its sweep, None for absolute lengths.
-    scans_before, scans_after
-        What the scans of each recording say, None where there is none.
-    warnings
-        Sentences for the user.
-    """
-
-    sweeps: Sweeps
-    doubtful: DoubtfulRecord
-    readings: tuple[Reading | None, ...]
-    samples: tuple[Samples | None, ...]
+    sweeps: Sweeps  # rows that may be used
+    doubtful: DoubtfulRecord  # recordings that gave none
+    readings: tuple[Reading | None, ...]  # of each recording, None for absolute lengths
+    samples: tuple[Samples | None, ...]  # of each recording as it was laid along its sweep, None for absolute lengths
+    #: scans_before, scans_after: What the scans of each recording say, None where there is none.
     scans_before: tuple[ScanReading | None, ...]
     scans_after: tuple[ScanReading | None, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # sentences for the user
 
 
 def ingest(
@@ -135,17 +51,8 @@ def ingest(
 ) -> Ingested:
     """Read recorded traces.
 
-    Parameters
-    ----------
-    index
-        Sweeps, their traces and scans.
-    estimate
-        Of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
-
-    Raises
-    ------
-    InputError
-        If a row is a path, a trace does not belong to its sweep, the air cannot be, or no row can be used.
+    index: sweeps, their traces and scans.
+    estimate: of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
     """
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
@@ -285,6 +192,59 @@ def _require_sweeps(index: TraceIndex) -> None:
             row=int(index.sweeps.rows[np.argmax(paths)]),
             column="kind",
         )
+
+
+def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
+    """The rows of one sweep: its end, after `points` interior points that share a group with it.
+
+    sweeps, row: the plan and the position in it.
+    reading: a good one.
+    """
+    one = sweeps.take(np.array([row]))
+    if points == 0:
+        one = one.with_measurement(np.array([reading.dl]), reading.sigma)
+        return replace(one, signed=np.array([reading.signed]), group=np.array([""]))
+    s, changes, sigma = reading.grouped(points)
+    rows = one.take(np.zeros(points + 1, dtype=np.int64))
+    label = str(one.label[0]) or f"row {one.rows[0]}"
+    names = [f"{label}-mid"] if points == 1 else [f"{label}-{i}of{points + 1}" for i in range(1, points + 1)]
+    share = (s[:, None] + 1.0) / 2.0
+    q_end = rows.q_start + share * (rows.q_end - rows.q_start)
+    q_end[-1] = one.q_end[0]
+    if not reading.signed:
+        changes = np.abs(changes)
+    rows = replace(
+        rows,
+        q_end=q_end,
+        label=np.array([*names, label], dtype=np.str_),
+        group=np.array([label] * (points + 1), dtype=np.str_),
+        signed=np.full(points + 1, reading.signed),
+    )
+    return rows.with_measurement(changes, sigma)
+
+
+def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None) -> Sweeps:
+    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good."""
+    one = sweeps.take(np.array([row]))
+    here = one.q_start, one.q_end
+    good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]
+    kept = [(scan, q, name) for scan, q, name in good if scan is not None and scan.good]
+    rows = one.take(np.zeros(len(kept), dtype=np.int64))
+    if not kept:
+        return rows
+    apart = one.kind[0] != "absolute"
+    rows = replace(
+        rows,
+        q_start=np.concatenate([q for _, q, _ in kept]),
+        q_end=np.concatenate([q for _, q, _ in kept]),
+        label=np.array([f"{one.label[0]}-{name}" if apart else str(one.label[0]) for *_, name in kept], dtype=np.str_),
+        kind=np.full(len(kept), "absolute"),
+        group=np.full(len(kept), "", dtype=np.str_),
+        signed=np.ones(len(kept), dtype=bool),
+        trace=np.full(len(kept), "", dtype=np.str_),
+    )
+    lengths, sigmas = (np.array([getattr(scan, name) for scan, *_ in kept]) for name in ("length", "sigma"))
+    return rows.with_measurement(lengths, sigmas)
 
 
 def _doubtful(

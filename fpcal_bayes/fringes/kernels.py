@@ -1,4 +1,4 @@
-"""Compiled kernel: follow the phase of fringes through their extremes."""
+"""Compiled kernels of fringe reading: courses searched for, a signal fitted, a phase followed through extremes."""
 
 import math
 
@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.kernels.compile import compiled
 
+#: Harmonics of a fringe whose sizes are fitted, two numbers each for the second and the third.
+HARMONICS = 4
+
 
 @compiled
 def turned_bins(
@@ -15,19 +18,10 @@ def turned_bins(
 ) -> NDArray[np.complex128]:
     """Signal turned back by the phase of each bend and summed into bins.
 
-    Parameters
-    ----------
-    signal, place
-        Weighted signal and the bin of each sample, shape (n,).
-    base, bend
-        Known phase, and phase a unit of bend, shape (n,).
-    bends
-        Bends tried, shape (m,).
-
-    Returns
-    -------
-    ndarray
-        Shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
+    signal, place: weighted signal and the bin of each sample, shape (n,).
+    base, bend: known phase, and phase a unit of bend, shape (n,).
+    bends: bends tried, shape (m,).
+    Returns shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
     """
     bins = np.zeros((bends.size, n_bins), dtype=np.complex128)
     for i in range(bends.size):
@@ -79,9 +73,6 @@ def floating_fits(
     return left
 
 
-HARMONICS = 4
-
-
 @compiled
 def normal_equations(
     over_time: Floats,
@@ -99,18 +90,11 @@ def normal_equations(
 ) -> float:
     """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
 
-    Parameters
-    ----------
-    over_time, over_place
-        Legendre polynomials from P_0 on, over time and place, shapes (n, ..).
-    counts
-        Coefficients of A, of log B over time, of log B over the place.
-    base, modes
-        Known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
-    signal, weight
-        Signal and inverse variances, shape (n,).
-    matrix, gradient
-        Filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
+    over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (n, ..).
+    counts: coefficients of A, of log B over time, of log B over the place.
+    base, modes: known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
+    signal, weight: signal and inverse variances, shape (n,).
+    matrix, gradient: filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
     """
     n, n_modes = modes.shape
     p = unknowns.size
@@ -270,23 +254,13 @@ def follow_phase(height: Floats, sd: Floats, expected: Floats, start_sd: float, 
     State are the excess and its speed per sample, driven by white noise; each sample measures cos(expected + excess).
     Near an extreme, where a sample says nothing about the phase, the speed carries it over.
 
-    Parameters
-    ----------
-    height
-        Measured cosines, shape (n,).
-    sd
-        Their standard deviations, shape (n,).
-    expected
-        Expected phase in rad, shape (n,).
-    start_sd, speed_sd
-        Standard deviations of the excess and its speed (per sample) at the start; the excess starts at zero.
-    jerk
-        Spectral density of the acceleration, in rad^2 per sample^3.
-
-    Returns
-    -------
-    ndarray
-        Excess in rad, shape (n,), each from the samples up to it.
+    height: measured cosines, shape (n,).
+    sd: their standard deviations, shape (n,).
+    expected: expected phase in rad, shape (n,).
+    start_sd, speed_sd: standard deviations of the excess and its speed (per sample) at the start; the excess starts at
+    zero.
+    jerk: spectral density of the acceleration, in rad^2 per sample^3.
+    Returns excess in rad, shape (n,), each from the samples up to it.
     """
     result = np.empty(height.size)
     excess, speed = 0.0, 0.0

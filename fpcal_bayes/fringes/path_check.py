@@ -1,4 +1,4 @@
-"""A checked path as rows of a campaign."""
+"""A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,46 +28,26 @@ _COARSE = 0.05
 _DRAWS = 2000
 #: Points along the path at which the estimate's own uncertainty is worked out.
 _POINTS = 121
+#: Of a row, in um: what no noise estimate goes below.
+_LEAST_SIGMA = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class PathError:
-    """What a trace says of the error along its path.
+    """What a trace says of the error along its path."""
 
-    Attributes
-    ----------
-    at
-        Samples of the trace's path, as shares of it, shape (n,).
-    error
-        e, counted from the start of the path, in um, shape (n,).
-    draws
-        What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
-    places
-        Samples at which the draws stand, shape (n_points,).
-    residual
-        Standard deviation of the irradiance around the curve, in V.
-    noise
-        That of the reference scan.
-    amplitude
-        Of the fringes at the start, in V.
-    start_sine
-        Sine of the phase at the start: its size is 1 at half height, 0 at an extreme.
-    followed
-        Whether the curve follows the trace.
-    rival
-        Another error that fits as well, shape (n,), or None: near an extreme of the fringes the irradiance does not
-        tell whether the cavity length went on or turned.
-    """
-
-    at: Floats
-    error: Floats
+    at: Floats  # samples of the trace's path, as shares of it, shape (n,)
+    error: Floats  # e, counted from the start of the path, in um, shape (n,)
+    #: What measurement noise and the uncertainty of A, B and phase may add to it, shape (n_draws, n_points).
     draws: Floats
-    places: NDArray[np.int64]
-    residual: float
-    noise: float
-    amplitude: float
-    start_sine: float
-    followed: bool
+    places: NDArray[np.int64]  # samples at which the draws stand, shape (n_points,)
+    residual: float  # standard deviation of the irradiance around the curve, in V
+    noise: float  # that of the reference scan
+    amplitude: float  # of the fringes at the start, in V
+    start_sine: float  # sine of the phase at the start: its size is 1 at half height, 0 at an extreme
+    followed: bool  # whether the curve follows the trace
+    #: Another error that fits as well, shape (n,), or None: near an extreme of the fringes the irradiance does not tell
+    #: whether the cavity length went on or turned.
     rival: Floats | None = None
 
     @property
@@ -88,31 +68,16 @@ class PathError:
 
 @dataclass(frozen=True, eq=False)
 class PathCheck:
-    """A measured path error against the prediction of an estimate.
+    """A measured path error against the prediction of an estimate."""
 
-    Attributes
-    ----------
-    measured
-        From the trace.
-    predicted
-        Peak to peak of the error by the estimate, one a draw, in um.
-    expected
-        The same with measurement noise: what this trace should show if the calibration holds.
-    probability
-        Of at least the measured peak to peak, if the calibration holds.
-    verdict
-        ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
-        too uncertain to confirm what the estimate predicts (see `blunt`).
-    level
-        See `verdict`.
-    """
-
-    measured: PathError
-    predicted: Floats
-    expected: Floats
-    probability: float
+    measured: PathError  # from the trace
+    predicted: Floats  # peak to peak of the error by the estimate, one a draw, in um
+    expected: Floats  # the same with measurement noise: what this trace should show if the calibration holds
+    probability: float  # of at least the measured peak to peak, if the calibration holds
+    #: ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
+    #: too uncertain to confirm what the estimate predicts (see `blunt`).
     verdict: Verdict
-    level: float
+    level: float  # see `verdict`
 
     @property
     def blunt(self) -> bool:
@@ -131,22 +96,10 @@ def measure_path(
 ) -> PathError:
     """The error along a path, from its irradiance.
 
-    Parameters
-    ----------
-    estimate
-        What the path was made with, or any other whose error is asked for.
-    index
-        Refractive index of the air.
-    stability
-        How gain and offset may bow between the reference scans, relative, one standard deviation.
-    seed
-        Of numpy's default generator, for the draws of the measurement's uncertainty.
-
-    Raises
-    ------
-    InputError
-        If the parts of the recording are not in order, or a reference scan shows no fringe or less than three quarters
-        of one.
+    estimate: what the path was made with, or any other whose error is asked for.
+    index: refractive index of the air.
+    stability: how gain and offset may bow between the reference scans, relative, one standard deviation.
+    seed: of numpy's default generator, for the draws of the measurement's uncertainty.
     """
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)
@@ -204,24 +157,14 @@ def check_path(
 ) -> PathCheck:
     """Hold a measured error against what an estimate leaves unknown.
 
-    Parameters
-    ----------
-    measured
-        From `measure_path`.
-    model, values
-        Cavity model and free parameters (n_free,) of the estimate.
-    draws
-        Of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
-    covariance
-        Of the free parameters, shape (n_free, n_free), in um and rad.
-    trace
-        What was measured.
-    drift
-        Covariance of what the free parameters may have drifted since the estimate, or None.
-    level
-        Probability below which the calibration is refuted.
-    seed
-        Of the draws.
+    measured: from `measure_path`.
+    model, values: cavity model and free parameters (n_free,) of the estimate.
+    draws: of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
+    covariance: of the free parameters, shape (n_free, n_free), in um and rad.
+    trace: what was measured.
+    drift: covariance of what the free parameters may have drifted since the estimate, or None.
+    level: probability below which the calibration is refuted.
+    seed: of the draws.
     """
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
@@ -263,10 +206,6 @@ def _root(matrix: Floats) -> Floats:
     return np.asarray(vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
 
 
-#: Of a row, in um: what no noise estimate goes below.
-_LEAST_SIGMA = 1e-4
-
-
 def check_rows(
     cell: Cell,
     estimate: Estimate,
@@ -279,21 +218,12 @@ def check_rows(
 ) -> Sweeps:
     """The measured error of a path as sweeps.
 
-    Parameters
-    ----------
-    estimate
-        The one that the error was measured against.
-    session, time_h
-        Of all rows.
-    points
-        How many sweeps from the start of the path to points along it to add. They are one group: the reading at the
-        start, and the signal's drift, which counts as part of it, are common to them.
-
-    Returns
-    -------
-    Sweeps
-        First a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the measured
-        change of the cavity length itself.
+    estimate: the one that the error was measured against.
+    session, time_h: of all rows.
+    points: how many sweeps from the start of the path to points along it to add. They are one group: the reading at the
+    start, and the signal's drift, which counts as part of it, are common to them.
+    Returns first a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the
+    measured change of the cavity length itself.
     """
     q = trace.q[trace.path]
     name = Path(trace.file).name or "path"

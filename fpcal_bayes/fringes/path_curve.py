@@ -1,8 +1,9 @@
 """Fit the error along a path to the irradiance: a smooth curve, with the levels of the fringes as nuisances.
 
-Near an extreme of a fringe the irradiance does not tell whether the cavity length goes on or turns, so several curves
-are fitted and compared: those that a Kalman filter follows, and each of them turned at the extremes that it meets. Of
-curves that fit as well the smoothest is the likeliest: the size of the second differences is taken as unknown, with its
+The reference scans around the path tell mean and height of the fringes, which may drift and bow between them. Near an
+extreme of a fringe the irradiance does not tell whether the cavity length goes on or turns, so several curves are
+fitted and compared: those that a Kalman filter follows, and each of them turned at the extremes that it meets. The
+smoothest of curves that fit as well is the likeliest: the size of the second differences is taken as unknown, with its
 scale-free prior.
 """
 
@@ -22,40 +23,37 @@ from fpcal_bayes.fringes.reference import FringeFit
 STABILITY = 5e-3
 #: Their relative drift where there is no second scan.
 _UNKNOWN_DRIFT = 1e-2
+#: Spline pieces along a path.
+_PIECES = 24
+#: Standard deviation of the spline's second differences, in um: at first, and at the least.
+_ROUGH, _SMOOTH = 0.1, 1e-3
+#: The path starts where the reference scan stood, up to the error of the small step to half height, in um.
+_START = 2e-4
+#: What the error may do along a path, for the filter: speed at the start in rad a path, acceleration in rad a path^2.
+_SPEED, _ACCELERATION = 30.0, 160.0
+_STEPS = 40
+#: A second curve counts if it leaves the first by a share of a fringe and its objective is higher by less than this.
+_APART, _RIVAL = 0.03, 12.0
+#: At most so many extremes are tried as turning points; an extreme is where the sine of the phase is below this.
+_TURNS, _EXTREME = 4, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Mean and height of the fringes, between a reference scan before a path and, where there is one, one after it.
+    """Mean and height of the fringes, between a reference scan before a path and, where there is one, one after it."""
 
-    Attributes
-    ----------
-    first, last
-        The reference scans; `last` may be None.
-    share
-        How far the samples of the path stand between the scans in time, shape (n,).
-    lift
-        By how much the mean rises for a volt of amplitude, since the mirror moves and tilts, shape (n,).
-    ratio
-        Amplitude relative to that of the first scan's place, shape (n,).
-    stability
-        How mean and amplitude may bow between the scans, relative, one standard deviation.
-    """
-
+    #: first, last: The reference scans; `last` may be None.
     first: FringeFit
     last: FringeFit | None
-    share: Floats
-    lift: Floats
-    ratio: Floats
-    stability: float = STABILITY
+    share: Floats  # how far the samples of the path stand between the scans in time, shape (n,)
+    lift: Floats  # by how much the mean rises for a volt of amplitude, since the mirror moves and tilts, shape (n,)
+    ratio: Floats  # amplitude relative to that of the first scan's place, shape (n,)
+    stability: float = STABILITY  # how mean and amplitude may bow between the scans, relative, one standard deviation
 
     def prior(self) -> tuple[Floats, Floats]:
         """Expected nuisances and their covariance: mean and amplitude at either end, phase, bows of mean and amplitude.
 
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (7,) and (7, 7), in V and rad.
+        Returns shapes (7,) and (7, 7), in V and rad.
         """
         first, last = self.first, self.last
         turn = np.array(
@@ -88,47 +86,18 @@ class Levels:
         return mean + self.lift[:, None] * amplitude, self.ratio[:, None] * amplitude
 
 
-#: Spline pieces along a path.
-_PIECES = 24
-#: Standard deviation of the spline's second differences, in um: at first, and at the least.
-_ROUGH, _SMOOTH = 0.1, 1e-3
-#: The path starts where the reference scan stood, up to the error of the small step to half height, in um.
-_START = 2e-4
-#: What the error may do along a path, for the filter: speed at the start in rad a path, acceleration in rad a path^2.
-_SPEED, _ACCELERATION = 30.0, 160.0
-_STEPS = 40
-#: A second curve counts if it leaves the first by a share of a fringe and its objective is higher by less than this.
-_APART, _RIVAL = 0.03, 12.0
-#: At most so many extremes are tried as turning points; an extreme is where the sine of the phase is below this.
-_TURNS, _EXTREME = 4, 0.3
-
-
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A fitted error along a path.
+    """A fitted error along a path."""
 
-    Attributes
-    ----------
-    error
-        In um, shape (n,).
-    coefficients, covariance
-        Of spline and nuisances, shapes (n_splines + 7,) and (n_splines + 7, n_splines + 7).
-    basis
-        Splines at the samples, shape (n, n_splines).
-    residual
-        Standard deviation of the irradiance around the curve, in V.
-    objective
-        Sum of squares over data, roughness and prior of the levels.
-    rival
-        Error of another curve that fits nearly as well and differs by a tenth of a fringe somewhere, or None.
-    """
-
-    error: Floats
+    error: Floats  # in um, shape (n,)
+    #: coefficients, covariance: Of spline and nuisances, shapes (n_splines + 7,) and (n_splines + 7, n_splines + 7).
     coefficients: Floats
     covariance: Floats
-    basis: Floats
-    residual: float
-    objective: float
+    basis: Floats  # splines at the samples, shape (n, n_splines)
+    residual: float  # standard deviation of the irradiance around the curve, in V
+    objective: float  # sum of squares over data, roughness and prior of the levels
+    #: Error of another curve that fits nearly as well and differs by a tenth of a fringe somewhere, or None.
     rival: Floats | None = field(default=None)
 
     def draws(self, random: np.random.Generator, n: int, places: NDArray[np.int64]) -> Floats:
@@ -142,19 +111,10 @@ class Curve:
 def fit_curve(irradiance: Floats, expected: Floats, levels: Levels) -> Curve:
     """Fit the error along a path.
 
-    Parameters
-    ----------
-    irradiance
-        In V, shape (n,).
-    expected
-        Phase that the estimate expects beyond that of the first reference scan, in rad, shape (n,).
-    levels
-        What the reference scans tell.
-
-    Returns
-    -------
-    Curve
-        The best of those found from several starts.
+    irradiance: in V, shape (n,).
+    expected: phase that the estimate expects beyond that of the first reference scan, in rad, shape (n,).
+    levels: what the reference scans tell.
+    Returns the best of those found from several starts.
     """
     fit = _Fit.of(irradiance, expected, levels)
     curves = [fit.minimise(start) for start in fit.starts()]
@@ -228,8 +188,8 @@ class _Fit:
     def phase(self, unknowns: Floats) -> Floats:
         """Phase of the fringes at each sample."""
         count = self.basis.shape[1]
-        result: Floats = self.expected + unknowns[count + 4] + self.first.wave_number * (self.basis @ unknowns[:count])
-        return result
+        phase = self.expected + unknowns[count + 4] + self.first.wave_number * (self.basis @ unknowns[:count])
+        return np.asarray(phase)
 
     def minimise(self, start: Floats) -> Curve:
         """The minimum near a curve `start` (n,), in um: first with room for bends, then with as much as it takes."""

@@ -27,14 +27,9 @@ _NODES = 15
 
 @dataclass(frozen=True)
 class Course:
-    """What is known of the coefficients of a sweep's course, in um.
+    """What is known of the coefficients of a sweep's course, in um."""
 
-    Attributes
-    ----------
-    mean, covariance
-        Shapes (DEGREE,) and (DEGREE, DEGREE).
-    """
-
+    #: mean, covariance: Shapes (DEGREE,) and (DEGREE, DEGREE).
     mean: Floats
     covariance: Floats
 

@@ -32,36 +32,18 @@ _POOL_WEIGHT = 60.0
 
 @dataclass(frozen=True)
 class Recorded:
-    """One sweep as the reader takes it.
+    """One sweep as the reader takes it."""
 
-    Attributes
-    ----------
-    label
-        Of the sweep.
-    samples
-        Laid along it.
-    start, end
-        Of the joint that moves, in um or rad.
-    course
-        What the cell's priors know of it.
-    wavelength
-        In the air of the cavity, in um.
-    wavelength_share
-        Its relative standard deviation.
-    fading
-        How visibility may fade along it.
-    witnesses
-        Changes that others expect, the most trustworthy first; the cell's priors need not be named.
-    """
-
-    label: str
-    samples: Samples
+    label: str  # of the sweep
+    samples: Samples  # laid along it
+    #: start, end: Of the joint that moves, in um or rad.
     start: float
     end: float
-    course: Course
-    wavelength: float
-    wavelength_share: float = 0.0
-    fading: Nuisance = LIVELY
+    course: Course  # what the cell's priors know of it
+    wavelength: float  # in the air of the cavity, in um
+    wavelength_share: float = 0.0  # its relative standard deviation
+    fading: Nuisance = LIVELY  # how visibility may fade along it
+    #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
     witnesses: tuple[Witness, ...] = ()
 
     @property
@@ -79,19 +61,10 @@ def read_traces(
 ) -> list[Reading]:
     """Read the traces of a campaign.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one reading in V to begin with; the traces' residuals correct it.
-    full_scale
-        Voltage at which the converter is at its end.
-    mirror_light
-        Light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
-
-    Returns
-    -------
-    list of Reading
-        One a trace.
+    noise: standard deviation of one reading in V to begin with; the traces' residuals correct it.
+    full_scale: voltage at which the converter is at its end.
+    mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
+    Returns one a trace.
     """
     faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
     solutions = [

@@ -13,24 +13,12 @@ _CLEAR = 10.0
 
 @dataclass(frozen=True)
 class FringeFit:
-    """Irradiance A + C cos(k x) - S sin(k x) = A + B cos(k x + phase) against a change x of the cavity length.
+    """Irradiance A + C cos(k x) - S sin(k x) = A + B cos(k x + phase) against a change x of the cavity length."""
 
-    Attributes
-    ----------
-    wave_number
-        k = 4 pi n / lambda, in rad per um of cavity length.
-    coefficients
-        A, C and S in V, shape (3,).
-    covariance
-        Of these, shape (3, 3).
-    noise
-        Standard deviation of a sample, in V.
-    """
-
-    wave_number: float
-    coefficients: Floats
-    covariance: Floats
-    noise: float
+    wave_number: float  # k = 4 pi n / lambda, in rad per um of cavity length
+    coefficients: Floats  # A, C and S in V, shape (3,)
+    covariance: Floats  # of these, shape (3, 3)
+    noise: float  # standard deviation of a sample, in V
 
     @property
     def mean(self) -> float:
@@ -54,15 +42,7 @@ class FringeFit:
     def to_quadrature(self, low: float = -np.inf, high: float = np.inf) -> float:
         """The smallest change of cavity length, in um, that leads to half fringe height.
 
-        Parameters
-        ----------
-        low, high
-            Changes that the rig can make.
-
-        Raises
-        ------
-        InputError
-            If there is none between them.
+        low, high: changes that the rig can make.
         """
         around = np.arange(-4, 5) + np.round(self.phase / np.pi)
         places = ((around + 0.5) * np.pi - self.phase) / self.wave_number
@@ -75,19 +55,9 @@ class FringeFit:
 def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeFit:
     """Fit mean, amplitude and phase by linear least squares.
 
-    Parameters
-    ----------
-    change
-        Of the cavity length from where the phase is counted, in um, shape (n,), n at least 4.
-    irradiance
-        In V, shape (n,).
-    wavelength
-        Of the light in air, in um.
-
-    Raises
-    ------
-    InputError
-        If the scan spans less than three quarters of a fringe, or shows no fringe beyond its noise.
+    change: of the cavity length from where the phase is counted, in um, shape (n,), n at least 4.
+    irradiance: in V, shape (n,).
+    wavelength: of the light in air, in um.
     """
     wave_number = 4.0 * np.pi / wavelength
     if len(change) < 4 or np.ptp(change) < 0.75 * wavelength / 2.0:

@@ -21,24 +21,12 @@ _FLAT_RUN, _FLAT_SHARE = 3, 0.004
 
 @dataclass(frozen=True)
 class Samples:
-    """Irradiance along a sweep.
+    """Irradiance along a sweep."""
 
-    Attributes
-    ----------
-    s
-        Place on the sweep: -1 where the index says that it starts, 1 where it ends, shape (n,).
-    time
-        From -1 at the first sample to 1 at the last, shape (n,).
-    signal
-        In V, shape (n,).
-    count
-        Readings averaged in each, shape (n,).
-    """
-
-    s: Floats
-    time: Floats
-    signal: Floats
-    count: Floats
+    s: Floats  # place on the sweep: -1 where the index says that it starts, 1 where it ends, shape (n,)
+    time: Floats  # from -1 at the first sample to 1 at the last, shape (n,)
+    signal: Floats  # in V, shape (n,)
+    count: Floats  # readings averaged in each, shape (n,)
 
     def __len__(self) -> int:
         return len(self.signal)
@@ -59,19 +47,9 @@ class Samples:
 def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:
     """Lay a trace along its sweep.
 
-    Parameters
-    ----------
-    start, end
-        Of the joint that moves, in um or rad, as the index says.
-    unit, scale
-        Of that joint as a person reads it, and internal units per shown unit; for messages.
-    place
-        What the message begins with where the trace has no file.
-
-    Raises
-    ------
-    InputError
-        If the joint readings do not begin and end where the sweep does.
+    start, end: of the joint that moves, in um or rad, as the index says.
+    unit, scale: of that joint as a person reads it, and internal units per shown unit; for messages.
+    place: what the message begins with where the trace has no file.
     """
     travel = end - start
     s = (2.0 * trace.joint - start - end) / travel
@@ -101,10 +79,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
 def fault(samples: Samples, full_scale: float | None = None) -> str:
     """Why a trace cannot be read at all, as a phrase; empty if it can.
 
-    Parameters
-    ----------
-    full_scale
-        Voltage at which the converter is at its end; None: unknown.
+    full_scale: voltage at which the converter is at its end; None: unknown.
     """
     n = len(samples)
     if n < FEWEST:

@@ -57,21 +57,11 @@ def split_course(course: Course) -> Split:
 def find_courses(samples: Samples, course: Course, phase_per_um: float, most: int = 8) -> Floats:
     """Coefficients of courses that may have made the signal, best first.
 
-    Parameters
-    ----------
-    samples
-        Of one sweep.
-    course
-        What is known of its course.
-    phase_per_um
-        4 pi n / wavelength.
-    most
-        How many are returned at most.
-
-    Returns
-    -------
-    ndarray
-        Shape (m, DEGREE), in um; a course and its mirror image, which make the same signal, count as one.
+    samples: of one sweep.
+    course: what is known of its course.
+    phase_per_um: 4 pi n / wavelength.
+    most: how many are returned at most.
+    Returns shape (m, DEGREE), in um; a course and its mirror image, which make the same signal, count as one.
     """
     split = split_course(course)
     used = samples.binned(_MOST_BINS)

@@ -22,18 +22,10 @@ _GRID = np.linspace(-1.0, 1.0, 129)
 
 @dataclass(frozen=True)
 class Solution:
-    """What explains a signal.
+    """What explains a signal."""
 
-    Attributes
-    ----------
-    fits
-        Distinct courses, the most likely first; at least one.
-    samples
-        What the first was fitted to.
-    """
-
-    fits: tuple[Fit, ...]
-    samples: Samples
+    fits: tuple[Fit, ...]  # distinct courses, the most likely first; at least one
+    samples: Samples  # what the first was fitted to
 
     @property
     def best(self) -> Fit:
@@ -51,19 +43,10 @@ def solve(
 ) -> Solution | None:
     """Find the courses that explain a signal.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
-    mirror_light
-        As in `fit_course`.
-    fading
-        What the signal may do beside its fringes where it does not stay calm.
-
-    Returns
-    -------
-    Solution or None
-        None where nothing resembles a fringe.
+    noise: standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
+    mirror_light: as in `fit_course`.
+    fading: what the signal may do beside its fringes where it does not stay calm.
+    Returns none where nothing resembles a fringe.
     """
     found = find_courses(samples, course, phase_per_um)
     if len(found) == 0:

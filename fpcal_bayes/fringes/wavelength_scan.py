@@ -29,25 +29,14 @@ _WIDENED, _LEAST_SHARE = 2.0, 0.2
 
 @dataclass(frozen=True)
 class ScanReading:
-    """What a wavelength scan says.
+    """What a wavelength scan says."""
 
-    Attributes
-    ----------
-    length, sigma
-        Cavity length and its standard deviation, in um; NaN where the scan was refused.
-    fringes
-        Within the scan.
-    refused
-        Why it gives no number; empty where it does.
-    doubt
-        Why the number is not to be relied on; empty where it is.
-    """
-
+    #: length, sigma: Cavity length and its standard deviation, in um; NaN where the scan was refused.
     length: float = np.nan
     sigma: float = np.nan
-    fringes: float = np.nan
-    refused: str = ""
-    doubt: str = ""
+    fringes: float = np.nan  # within the scan
+    refused: str = ""  # why it gives no number; empty where it does
+    doubt: str = ""  # why the number is not to be relied on; empty where it is
 
     @property
     def good(self) -> bool:
@@ -78,18 +67,11 @@ def read_wavelength_scan(
 ) -> ScanReading:
     """Read the absolute cavity length.
 
-    Parameters
-    ----------
-    expected, expected_sd
-        Length in um to search around and its standard deviation, both widened.
-    temperature_c, pressure_hpa, humidity_pct
-        Of the air; without all three the index is 1.
-    noise
-        Standard deviation of one sample in V to begin with.
-    full_scale
-        Voltage at which the converter is at its end.
-    wavelength_share
-        Relative standard deviation of the laser's wavelength, which scales the length.
+    expected, expected_sd: length in um to search around and its standard deviation, both widened.
+    temperature_c, pressure_hpa, humidity_pct: of the air; without all three the index is 1.
+    noise: standard deviation of one sample in V to begin with.
+    full_scale: voltage at which the converter is at its end.
+    wavelength_share: relative standard deviation of the laser's wavelength, which scales the length.
     """
     index = air_index(scan.wavelength, temperature_c, pressure_hpa, humidity_pct)
     wave_number = index / scan.wavelength

@@ -1,5 +1,6 @@
-"""Campaign files: sweeps with the cell, the program and the truth or estimates that belong to them, in HDF5."""
+"""Campaign files in HDF5: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any, get_args
@@ -8,18 +9,29 @@ from urllib.parse import quote
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import replacing
-from fpcal_bayes.io.columns import TEXTS, Column, check_names, from_columns, joint_columns, to_columns
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
+from fpcal_bayes.io.columns import from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
-from fpcal_bayes.measure.campaign import _NUMBERS, _TEXTS, Campaign, DoubtfulRecord, TrackRecord
+from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell.cell import Cell, Opd
 
 SCHEMA = "fpcal-campaign"
 SCHEMA_VERSION = 1
 
-_UNITS = ("um", "deg", "h", "c")
+#: Arrays of a track record and their number of axes.
+_TRACK_ARRAYS = {
+    "mean": 2,
+    "covariance": 3,
+    "jump": 2,
+    "onset_response": 3,
+    "onset_information": 3,
+    "onset_score": 2,
+}
+#: Texts and numbers of a doubtful record, the numbers with their units.
+_DOUBTFUL_TEXTS = ("session", "label", "reason")
+_DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}
 
 
 def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
@@ -42,10 +54,7 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
         root.attrs["schema_version"] = SCHEMA_VERSION
         if campaign.seed is not None:
             root.attrs["seed"] = campaign.seed
-        sweeps = root.create_group("sweeps")
-        for name, values in table.items():
-            unit = name.rpartition("_")[2]
-            put_array(sweeps, name, values, unit if unit in _UNITS else "")
+        put_columns(root.create_group("sweeps"), table)
         if campaign.truth is not None:
             truth = root.create_group("truth")
             put_array(truth, "names", campaign.truth.names)
@@ -100,17 +109,16 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         opd = _opd(path, reader.text_attribute(root, "opd"))
         seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
         _require_cell(path, name, sha256, opd, cell)
-        table = _table(reader, cell, plan)
+        table = get_columns(reader, reader.group(root, "sweeps"), cell, plan=plan)
         truth = _truth(reader) if reader.has(root, "truth") else None
         texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
         track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
-        recordings = (
-            get_index(reader, reader.group(root, "recordings"), cell) if reader.has(root, "recordings") else None
-        )
+        recorded = reader.has(root, "recordings")
+        recordings = get_index(reader, reader.group(root, "recordings"), cell) if recorded else None
         doubtful = get_doubtful(reader, reader.group(root, "doubtful")) if reader.has(root, "doubtful") else None
     if truth is not None:
         truth.check(cell, f"{path}: /truth")
-    rows = np.arange(1, len(table[joint_columns(cell)[0]]) + 1)
+    rows = np.arange(1, len(next(iter(table.values()))) + 1)
     return Campaign(
         sweeps=from_columns(table, cell, str(path), rows, plan=plan),
         cell_name=name,
@@ -143,23 +151,6 @@ def _require_cell(path: Path, name: str, sha256: str, opd: Opd, cell: Cell) -> N
         )
 
 
-def _table(reader: Reader, cell: Cell, plan: bool) -> dict[str, Column]:
-    group = reader.group(reader.root, "sweeps")
-    names = list(group)
-    check_names(names, cell, f"{reader.path}: /sweeps", plan=plan)
-    table: dict[str, Column] = {}
-    for name in names:
-        table[name] = reader.texts(group, name) if name in TEXTS else reader.numbers(group, name)
-    joint = joint_columns(cell)[0]
-    expected = len(table[joint])
-    for name, values in table.items():
-        if len(values) != expected:
-            raise InputError(
-                f"{reader.path}: /sweeps/{name}: expected {expected} values as in {joint}, found {len(values)}"
-            )
-    return table
-
-
 def _truth(reader: Reader) -> TruthRecord:
     group = reader.group(reader.root, "truth")
     names, units = reader.texts(group, "names").tolist(), reader.texts(group, "units").tolist()
@@ -171,11 +162,16 @@ def _estimate_texts(reader: Reader) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in group:
         estimate = reader.group(group, name)
-        text = reader.texts(estimate, "json")
-        if len(text) != 1:
-            raise InputError(f"{reader.path}: {estimate.name}/json: expected one text, found {len(text)}")
-        found[reader.text_attribute(estimate, "session")] = str(text[0])
+        text = _one_text(reader, estimate, "json")
+        found[reader.text_attribute(estimate, "session")] = text
     return found
+
+
+def _one_text(reader: Reader, group: Any, name: str) -> str:
+    texts = reader.texts(group, name)
+    if len(texts) != 1:
+        raise InputError(f"{reader.path}: {group.name}/{name}: expected one text, found {len(texts)}")
+    return str(texts[0])
 
 
 def _estimate(path: Path, session: str, text: str) -> dict[str, Any]:
@@ -217,74 +213,60 @@ def _put_estimate(group: Any, estimate: dict[str, Any]) -> None:
         put_array(group, "covariance", np.array(covariance["matrix"], dtype=float))
 
 
-#: Arrays of a record and their number of axes.
-_ARRAYS = {
-    "mean": 2,
-    "covariance": 3,
-    "jump": 2,
-    "onset_response": 3,
-    "onset_information": 3,
-    "onset_score": 2,
-}
-
-
 def put_track(group: Any, record: TrackRecord) -> None:
     """Store a record in an HDF5 group."""
     put_text(group, "cell_sha256", record.cell_sha256)
     put_text(group, "settings_sha256", record.settings_sha256)
     put_array(group, "names", record.names)
     put_array(group, "json", [record.summary])
-    for name in _ARRAYS:
+    for name in _TRACK_ARRAYS:
         put_array(group, name, getattr(record, name))
+    put_text(group, CONTENT_HASH, _track_sha256(record))
+
+
+def _track_sha256(record: TrackRecord) -> str:
+    """Hash of all that a record holds."""
+    arrays = {name: hashlib.sha256(np.ascontiguousarray(getattr(record, name))).hexdigest() for name in _TRACK_ARRAYS}
+    return content_sha256([record.cell_sha256, record.settings_sha256, list(record.names), record.summary, arrays])
 
 
 def get_track(reader: Reader, group: Any) -> TrackRecord:
-    """Read a record from an HDF5 group.
-
-    Raises
-    ------
-    InputError
-        If anything in it is not as `put_track` writes it.
-    """
-    summary = reader.texts(group, "json")
-    if len(summary) != 1:
-        raise InputError(f"{reader.path}: {group.name}/json: expected one text, found {len(summary)}")
-    arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _ARRAYS.items()}
+    """Read a record from an HDF5 group; `InputError` if anything in it is not as `put_track` writes it."""
+    summary = _one_text(reader, group, "json")
+    arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _TRACK_ARRAYS.items()}
     sessions, states = arrays["mean"].shape
     if arrays["covariance"].shape != (sessions, states, states) or arrays["jump"].shape != (sessions, states):
         raise InputError(f"{reader.path}: {group.name}/covariance: expected the shape that mean has")
     if not all(np.isfinite(values).all() for values in arrays.values()):
         raise InputError(f"{reader.path}: {group.name}: expected finite numbers")
-    return TrackRecord(
+    record = TrackRecord(
         cell_sha256=reader.text_attribute(group, "cell_sha256"),
         settings_sha256=reader.text_attribute(group, "settings_sha256"),
         names=tuple(reader.texts(group, "names").tolist()),
-        summary=str(summary[0]),
+        summary=summary,
         **arrays,
     )
+    # Older programs wrote none.
+    if CONTENT_HASH in group.attrs and reader.text_attribute(group, CONTENT_HASH) != _track_sha256(record):
+        raise InputError(f"{reader.path}: {group.name}: the saved track is not what the program wrote")
+    return record
 
 
 def put_doubtful(group: Any, record: DoubtfulRecord) -> None:
     """Store a record in an HDF5 group; alternatives lie one after the other, ``alternatives_end`` cuts them."""
-    for name in _TEXTS:
+    for name in _DOUBTFUL_TEXTS:
         put_array(group, name, getattr(record, name))
     values = (record.recording, record.dl, record.sigma, record.signed.astype(np.uint8))
-    for (name, unit), array in zip(_NUMBERS.items(), values, strict=True):
+    for (name, unit), array in zip(_DOUBTFUL_NUMBERS.items(), values, strict=True):
         put_array(group, name, array, unit)
     put_array(group, "alternatives_um", np.array([x for each in record.alternatives for x in each]), "um")
     put_array(group, "alternatives_end", np.cumsum([len(each) for each in record.alternatives], dtype=np.int64))
 
 
 def get_doubtful(reader: Reader, group: Any) -> DoubtfulRecord:
-    """Read a record from an HDF5 group.
-
-    Raises
-    ------
-    InputError
-        If anything in it is not as `put_doubtful` writes it.
-    """
-    session, label, reason = (reader.texts(group, name) for name in _TEXTS)
-    recording, dl, sigma, signed = (reader.numbers(group, name) for name in _NUMBERS)
+    """Read a record from an HDF5 group; `InputError` if anything in it is not as `put_doubtful` writes it."""
+    session, label, reason = (reader.texts(group, name) for name in _DOUBTFUL_TEXTS)
+    recording, dl, sigma, signed = (reader.numbers(group, name) for name in _DOUBTFUL_NUMBERS)
     values, ends = reader.numbers(group, "alternatives_um"), reader.numbers(group, "alternatives_end")
     n = len(dl)
     place = f"{reader.path}: {group.name}"
@@ -294,13 +276,5 @@ def get_doubtful(reader: Reader, group: Any) -> DoubtfulRecord:
     if not whole or (n and ends[-1] != len(values)) or not np.isfinite(recording).all():
         raise InputError(f"{place}/alternatives_end: expected whole numbers that rise to {len(values)}")
     pieces = np.split(values, ends[:-1].astype(np.int64)) if n else []
-    return DoubtfulRecord(
-        session,
-        label,
-        reason,
-        recording.astype(np.int64),
-        dl,
-        sigma,
-        signed == 1,
-        tuple(tuple(piece.tolist()) for piece in pieces),
-    )
+    alternatives = tuple(tuple(piece.tolist()) for piece in pieces)
+    return DoubtfulRecord(session, label, reason, recording.astype(np.int64), dl, sigma, signed == 1, alternatives)

@@ -1,4 +1,4 @@
-"""Read a cell from its TOML description, with a message for everything that can be wrong in it."""
+"""A cell from its TOML description, with a message for everything that can be wrong in it."""
 
 import math
 import tomllib
@@ -10,6 +10,7 @@ from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_envelope import read_envelope
 from fpcal_bayes.io.cell_tasks import read_tasks
+from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
@@ -18,30 +19,10 @@ from fpcal_bayes.model.cell.optics import Beams, Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
 from fpcal_bayes.model.priors import LogNormal, Marginal, TruncatedNormal, Uniform
 
-
-def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cell:
-    """Read a cell by the name of a built-in one or from a TOML file.
-
-    Parameters
-    ----------
-    source
-        ``femto-st`` or the path of a TOML file.
-    opd
-        Overrides the path model of the file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
-    """
-    cell = read_cell(source)
-    return cell.with_opd(opd) if opd is not None else cell
-
-
 SCHEMA = "fpcal-cell/1"
 
 #: Units a motion controller may count in: um or rad per unit.
-_CONTROLLER_UNITS = {
+CONTROLLER_UNITS = {
     "prismatic": {"pm": 1e-6, "nm": 1e-3, "um": 1.0, "mm": 1e3, "m": 1e6},
     "revolute": {
         "udeg": math.radians(1e-6),
@@ -53,41 +34,6 @@ _CONTROLLER_UNITS = {
     },
 }
 
-
-def read_cell(source: str | Path, *, check: bool = True) -> Cell:
-    """Read the cell `source`: the name of a built-in one or the path of a TOML file.
-
-    Parameters
-    ----------
-    check
-        Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
-
-    Raises
-    ------
-    InputError
-        If the file is missing or anything in it is not as documented.
-    """
-    path = data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
-    try:
-        text = read_text(path)
-    except InputError as error:
-        raise InputError(f"{error}; built-in cells: {', '.join(built_in_cells())}") from error
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:
-        # Beside TOMLDecodeError: an integer of more digits than Python converts.
-        raise InputError(f"{source}: not a TOML file: {error}") from error
-    except RecursionError as error:
-        raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
-    reader = _Reader(str(source))
-    cell = reader.cell(table)
-    for key, what in impossible(cell) if check else ():
-        raise reader.error(key, what)
-    if text[-1:].isdigit():
-        require_line_end(path, text)
-    return cell
-
-
 #: Keys of a parameter's table by its kind of prior, beside `prior`, `nominal` and `optional`.
 _PRIOR_KEYS = {
     "normal": ("prior_sd_{unit}",),
@@ -96,7 +42,6 @@ _PRIOR_KEYS = {
     "uniform": ("low_{unit}", "high_{unit}"),
     "log-normal": ("prior_factor",),
 }
-
 
 #: Keys of [optics] that are numbers: field of `Interferometer`, lowest and highest value.
 _OPTICS_KEYS = {
@@ -110,16 +55,51 @@ _OPTICS_KEYS = {
 }
 
 
-class _Reader:
-    """Turns the tables of one file into a cell; every refusal names the file and the key."""
+def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None, check: bool = True) -> Cell:
+    """Read a cell by the name of a built-in one or from a TOML file.
 
-    def __init__(self, file: str) -> None:
-        self.file = file
+    Parameters
+    ----------
+    source
+        ``femto-st`` or the path of a TOML file.
+    opd
+        Overrides the path model of the file.
+    check
+        Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
+    """
+    path = data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"{error}; built-in cells: {', '.join(built_in_cells())}") from error
+    try:
+        table = tomllib.loads(text)
+    except ValueError as error:
+        # Beside TOMLDecodeError: an integer of more digits than Python converts.
+        raise InputError(f"{source}: not a TOML file: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
+    reader = _Reader(source)
+    cell = reader.cell(table)
+    for key, what in impossible(cell) if check else ():
+        raise reader.error(key, what)
+    if text[-1:].isdigit():
+        require_line_end(path, text)
+    return cell if opd is None else cell.with_opd(opd)
+
+
+class _Reader(Tables):
+    """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
         self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "task"})
         if table.get("schema") != SCHEMA:
-            raise self.error("schema", f"expected {SCHEMA!r}, found {_shown(table.get('schema'))}")
+            raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
@@ -168,7 +148,7 @@ class _Reader:
     def interferometer(self, optics: dict[str, Any], wavelength: float) -> Interferometer:
         bits = optics.get("bits", Interferometer.bits)
         if isinstance(bits, bool) or not isinstance(bits, int) or not 1 <= bits <= 32:
-            raise self.error("optics.bits", f"expected a whole number from 1 to 32, found {_shown(bits)}")
+            raise self.error("optics.bits", f"expected a whole number from 1 to 32, found {literal(bits)}")
         numbers = {
             field: self.number(optics, "optics", key, low=low, high=high, default=getattr(Interferometer, field))
             for key, (field, low, high) in _OPTICS_KEYS.items()
@@ -180,30 +160,33 @@ class _Reader:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
         speed_key = f"speed_{unit}_per_s"
-        known = {"kind", f"limits_{unit}", f"repeatability_{unit}", speed_key, "controller", "drift", *LINK_SLOTS}
-        self.keys(table, place, known)
+        own = {speed_key, *(f"{key}_{unit}" for key in ("limits", "repeatability", "resolution"))}
+        self.keys(table, place, {"kind", "controller", "drift", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
-            if not (isinstance(limits, list) and len(limits) == 2 and all(map(_is_number, limits))):
-                raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {_shown(limits)}")
+            if not (isinstance(limits, list) and len(limits) == 2 and all(map(is_number, limits))):
+                raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {literal(limits)}")
             low, high = (float(x) * SCALES[unit] for x in limits)
             if not low < high:
-                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {_shown(limits)}")
-        repeatability = self.number(table, place, f"repeatability_{unit}", low=0.0, default=0.0) * SCALES[unit]
+                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {literal(limits)}")
+        repeatability, resolution = (
+            self.number(table, place, f"{key}_{unit}", low=0.0, default=0.0) * SCALES[unit]
+            for key in ("repeatability", "resolution")
+        )
         controller = self.controller(table, place, kind) if "controller" in table else None
         speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
-        return Joint(kind, low, high, repeatability, controller, speed)
+        return Joint(kind, low, high, repeatability, controller, resolution, speed)
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")
         place = f"{place}.controller"
         self.keys(axis, place, {"name", "channel", "sign", "zero", "unit"})
-        units = _CONTROLLER_UNITS[kind]
+        units = CONTROLLER_UNITS[kind]
         unit = self.choice(axis, place, "unit", tuple(units), JOINT_UNITS[kind])  # type: ignore[index]
         sign = axis.get("sign", 1)
         if sign not in (1, -1) or isinstance(sign, bool):
-            raise self.error(f"{place}.sign", f"expected 1 or -1, found {_shown(sign)}")
+            raise self.error(f"{place}.sign", f"expected 1 or -1, found {literal(sign)}")
         return ControllerAxis(
             name=self.text(axis, place, "name"),
             channel=self.text(axis, place, "channel"),
@@ -225,7 +208,7 @@ class _Reader:
 
         flag = table.get("optional", optional)
         if not isinstance(flag, bool):
-            raise self.error(f"{place}.optional", f"expected true or false, found {_shown(flag)}")
+            raise self.error(f"{place}.optional", f"expected true or false, found {literal(flag)}")
         if kind == "normal":
             return ParameterEntry(length("nominal", default=0.0), length("prior_sd", low=0.0, default=0.0), flag)
         ends = [length(end) if f"{end}_{unit}" in table else None for end in ("low", "high")]
@@ -279,68 +262,3 @@ class _Reader:
         if (sizes["bounded_sd"] > 0) != (hours > 0):
             raise self.error(f"{place}.bounded_hours", f"expected bounded_hours and bounded_sd_{unit} together")
         return DriftSize(name, bounded_hours=hours, **sizes)
-
-    def error(self, key: str, expected: str) -> InputError:
-        return InputError(f"{self.file}: key {key}: {expected}")
-
-    def keys(self, table: dict[str, Any], place: str, known: set[str]) -> None:
-        for key in table:
-            if key not in known:
-                at = f"{place}.{key}" if place else key
-                raise self.error(at, f"unknown key, expected one of {', '.join(sorted(known))}")
-
-    def table(self, parent: dict[str, Any], place: str, key: str) -> dict[str, Any]:
-        value = parent.get(key)
-        if not isinstance(value, dict):
-            raise self.error(f"{place}.{key}" if place else key, "expected a table")
-        return value
-
-    def text(self, table: dict[str, Any], place: str, key: str) -> str:
-        value = table.get(key)
-        if not isinstance(value, str) or not 0 < len(value.strip()) <= 1000 or not value.isprintable():
-            raise self.error(f"{place}.{key}" if place else key, "expected a line of text in quotes")
-        return value
-
-    def choice[T: str](
-        self, table: dict[str, Any], place: str, key: str, choices: tuple[T, ...], default: T | None
-    ) -> T:
-        value = table.get(key, default)
-        for choice in choices:
-            if value == choice:
-                return choice
-        raise self.error(f"{place}.{key}", f"expected one of {', '.join(choices)}, found {_shown(value)}")
-
-    def number(
-        self,
-        table: dict[str, Any],
-        place: str,
-        key: str,
-        *,
-        low: float = -math.inf,
-        high: float = math.inf,
-        default: float | None = None,
-    ) -> float:
-        value = table.get(key, default)
-        if value is None or not _is_number(value):
-            raise self.error(f"{place}.{key}", f"expected a finite number, found {_shown(value)}")
-        if not low <= value <= high:
-            raise self.error(f"{place}.{key}", f"expected a number from {low:g} to {high:g}, found {_shown(value)}")
-        return float(value)
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
-
-
-def _shown(value: Any) -> str:
-    """Value as a message shows it: short, and also for an integer of more digits than Python prints."""
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a number out of range"
-    return text if len(text) <= 60 else f"{text[:57]}..."

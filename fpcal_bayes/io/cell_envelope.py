@@ -1,9 +1,9 @@
 """The tables of a cell that say how it may move: [envelope], and the speed of each joint."""
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.model.cell.envelope import Envelope
 
 #: Largest tilt that a table may state, in deg.
@@ -20,32 +20,7 @@ _KEYS = {
 }
 
 
-class Validator(Protocol):
-    """What a reader of tables offers: numbers and keys that are refused by the place they stand at."""
-
-    def error(self, key: str, expected: str) -> InputError:
-        """The refusal that names file and key."""
-        ...
-
-    def keys(self, table: dict[str, Any], place: str, known: set[str]) -> None:
-        """Refuse unknown keys."""
-        ...
-
-    def number(
-        self,
-        table: dict[str, Any],
-        place: str,
-        key: str,
-        *,
-        low: float = -math.inf,
-        high: float = math.inf,
-        default: float | None = None,
-    ) -> float:
-        """A finite number within bounds."""
-        ...
-
-
-def read_envelope(reader: Validator, table: Any, n_joints: int) -> Envelope | None:
+def read_envelope(reader: Tables, table: Any, n_joints: int) -> Envelope | None:
     """The envelope that a cell's table states, or None where it states none."""
     if table is None:
         return None
@@ -77,7 +52,7 @@ def read_envelope(reader: Validator, table: Any, n_joints: int) -> Envelope | No
     )
 
 
-def _groups(reader: Validator, stated: Any, n_joints: int) -> tuple[tuple[int, ...], ...]:
+def _groups(reader: Tables, stated: Any, n_joints: int) -> tuple[tuple[int, ...], ...]:
     """Groups of joints by position, from names such as ``[["q1", "q2"]]``."""
     names = {f"q{i + 1}": i for i in range(n_joints)}
     groups: list[list[str]] = []

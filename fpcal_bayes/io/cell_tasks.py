@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from fpcal_bayes.io.cell_envelope import Validator
+from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
 
 #: Keys of a tolerance: name of the degree of freedom and um or rad per unit.
@@ -19,7 +19,7 @@ _TOLERANCES = {
 _TAKEN = ("circle", "line-x", "line-z", "tilt-x", "tilt-z", "spin", "all")
 
 
-def read_tasks(reader: Validator, tables: Any) -> tuple[OwnTask, ...]:
+def read_tasks(reader: Tables, tables: Any) -> tuple[OwnTask, ...]:
     """The tasks that a cell's tables state."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise reader.error("task", "expected one [[task]] table for each task")
@@ -32,7 +32,7 @@ def read_tasks(reader: Validator, tables: Any) -> tuple[OwnTask, ...]:
     return tuple(found)
 
 
-def _task(reader: Validator, table: dict[str, Any], place: str) -> OwnTask:
+def _task(reader: Tables, table: dict[str, Any], place: str) -> OwnTask:
     kind, name = table.get("kind"), table.get("name")
     if kind not in OWN_KINDS:
         raise reader.error(f"{place}.kind", f"expected one of {', '.join(OWN_KINDS)}, found {kind!r:.40}")
@@ -64,7 +64,7 @@ def _task(reader: Validator, table: dict[str, Any], place: str) -> OwnTask:
     return OwnTask(name, kind, radius, low, high, (x, y, z), known)
 
 
-def _numbers(reader: Validator, table: dict[str, Any], place: str, key: str, n: int) -> list[float]:
+def _numbers(reader: Tables, table: dict[str, Any], place: str, key: str, n: int) -> list[float]:
     values = table.get(key)
     if not isinstance(values, list) or len(values) != n:
         raise reader.error(f"{place}.{key}", f"expected {n} numbers")

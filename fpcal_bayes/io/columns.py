@@ -1,28 +1,95 @@
-"""The columns of a sweep file: their names, and sweeps as columns in um and deg and back."""
+"""The columns of sweep, plan and index files: one table of what each holds, and sweeps as columns and back.
+
+CSV, HDF5 and MATLAB readers and writers all work from `COLUMNS`. A column that is *reserved* belongs to the contract
+but is not read by this version: a file that has it is refused, never silently read without it.
+"""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.typing import Bools, Ints
+from fpcal_bayes.io.csv import Records
+from fpcal_bayes.io.hdf5 import Reader, put_array
+from fpcal_bayes.io.validate import shown
 from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps, check_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
 Column = NDArray[Any]
 
-LEADING = ("session", "time_h", "label")
-MEASUREMENT = ("dl_um", "sigma_um", "signed")
-OPTIONAL = ("group", "kind", "trace", "utc", "temperature_c")
-TEXTS = ("session", "label", "group", "kind", "trace", "utc")
 
+@dataclass(frozen=True)
+class ColumnSpec:
+    """What a column holds, beside those of the joints, whose names depend on the cell and which hold numbers."""
+
+    name: str
+    #: Every sweep file has the leading columns and the measurement, which a plan may leave out; then come optional
+    #: ones. Those of a plan say how it is to be measured and stand beside no measurement. Those of an index are
+    #: no columns of sweeps.
+    place: Literal["leading", "measurement", "optional", "plan", "index"]
+    text: bool = False
+    default: str = ""  # of a text: what an empty field means; a column that says nothing else is not written
+    may_be_empty: bool = False  # a number that may be missing, NaN
+    reserved: bool = False
+
+
+COLUMNS = {
+    spec.name: spec
+    for spec in (
+        ColumnSpec("session", "leading", text=True),
+        ColumnSpec("time_h", "leading"),
+        ColumnSpec("label", "leading", text=True),
+        ColumnSpec("dl_um", "measurement"),
+        ColumnSpec("sigma_um", "measurement"),
+        ColumnSpec("signed", "measurement"),
+        ColumnSpec("group", "optional", text=True),
+        ColumnSpec("kind", "optional", text=True, default="sweep"),
+        ColumnSpec("trace", "optional", text=True),
+        ColumnSpec("utc", "optional", text=True),
+        ColumnSpec("temperature_c", "optional", may_be_empty=True),
+        ColumnSpec("t_start_h", "optional", may_be_empty=True, reserved=True),
+        ColumnSpec("t_end_h", "optional", may_be_empty=True, reserved=True),
+        ColumnSpec("approach", "optional", text=True, reserved=True),
+        ColumnSpec("beam", "optional", text=True, reserved=True),
+        ColumnSpec("shot", "optional", text=True, reserved=True),
+        ColumnSpec("readings", "plan", may_be_empty=True, reserved=True),
+        ColumnSpec("expires_h", "plan", may_be_empty=True, reserved=True),
+        ColumnSpec("expires_utc", "plan", text=True, reserved=True),
+        ColumnSpec("ticket", "plan", text=True, reserved=True),
+        ColumnSpec("wavelength_nm", "index", may_be_empty=True),
+        ColumnSpec("pressure_hpa", "index", may_be_empty=True),
+        ColumnSpec("humidity_pct", "index", may_be_empty=True),
+        ColumnSpec("scan_before", "index", text=True),
+        ColumnSpec("scan_after", "index", text=True),
+    )
+}
+
+
+def _named(place: str) -> tuple[str, ...]:
+    return tuple(spec.name for spec in COLUMNS.values() if spec.place == place and not spec.reserved)
+
+
+LEADING, MEASUREMENT, OPTIONAL, INDEX = map(_named, ("leading", "measurement", "optional", "index"))
+#: Of an index: the light and the air, in the order of `TraceIndex`, and the files of wavelength scans.
+CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
+SCANS = ("scan_before", "scan_after")
+
+_UNITS = ("um", "deg", "h", "c", "nm", "hpa", "pct", "s", "v")
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _JOINT = re.compile(r"q\d+_(start|end)_(um|deg)")
 # Python also reads dates alone and any letter between date and time; a file says both, the usual way.
 _UTC = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d(:?\d\d){0,2}([.,]\d+)?(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII)
+
+
+def is_text(name: str) -> bool:
+    """Whether a column holds texts; the others hold numbers."""
+    return name in COLUMNS and COLUMNS[name].text
 
 
 def joint_columns(cell: Cell) -> tuple[str, ...]:
@@ -36,28 +103,13 @@ def required_columns(cell: Cell) -> tuple[str, ...]:
     return (*LEADING, *joint_columns(cell), *MEASUREMENT)
 
 
-def shown(value: object) -> str:
-    """A value as it stands in a message: quoted and no longer than a line."""
-    text = str(value)
-    return repr(text if len(text) <= 40 else text[:40] + "...")
+def check_names(
+    names: Sequence[str], cell: Cell, file: object, *, plan: bool, row: int | None = None, also: Collection[str] = ()
+) -> None:
+    """Hold the names of a file's columns to those of the cell, and to those that may stand there `also`.
 
-
-def check_names(names: Sequence[str], cell: Cell, file: object, *, plan: bool, row: int | None = None) -> None:
-    """Hold the names of a file's columns to those of the cell.
-
-    Parameters
-    ----------
-    names
-        As found in the file.
-    file, row
-        For the message.
-    plan
-        Whether the columns of a measurement, session, time and label may be missing.
-
-    Raises
-    ------
-    InputError
-        If a column repeats, is unknown, is missing, or belongs to a cell with other joints.
+    Raises `InputError` if a column repeats, is unknown, reserved or missing, or belongs to a cell with other joints.
+    In a plan, columns other than the joints' may be missing. `file` and `row` are for the message.
     """
     required, joints = required_columns(cell), joint_columns(cell)
     owns = f"cell {cell.name!r} has {len(cell.joints)} joints, {', '.join(cell.joint_columns)}"
@@ -66,10 +118,15 @@ def check_names(names: Sequence[str], cell: Cell, file: object, *, plan: bool, r
         if name in seen:
             raise located(file, f"the column {shown(name)} stands twice", row=row)
         seen.add(name)
-        if name in required or name in OPTIONAL:
+        if name in required or name in OPTIONAL or name in also:
             continue
         if _JOINT.fullmatch(name):
             raise located(file, f"column {name} does not fit: {owns}", row=row)
+        spec = COLUMNS.get(name)
+        if spec is not None and spec.place == "plan" and "dl_um" in names:
+            raise located(file, f"the column {name} belongs to a plan, expected no column dl_um beside it", row=row)
+        if spec is not None and spec.reserved:
+            raise located(file, f"the column {name} is reserved and not read by this version of fpcal", row=row)
         expected = f"expected {','.join(required)}, then any of {','.join(OPTIONAL)}"
         raise located(file, f"unknown column {shown(name)}, {expected}", row=row)
     for name in joints if plan else required:
@@ -78,25 +135,46 @@ def check_names(names: Sequence[str], cell: Cell, file: object, *, plan: bool, r
             raise located(file, f"the column {name} is missing{hint}", row=row)
 
 
+def parsed(records: Records) -> dict[str, Column]:
+    """The columns of a CSV file whose names `check_names` has passed: texts, or numbers, NaN where one may miss."""
+    table: dict[str, Column] = {}
+    for name, texts in records.columns().items():
+        if is_text(name):
+            # A text too long for its column is refused later; cut here, it does not widen every row of the array.
+            table[name] = np.array([text[: MAX_TEXT + 1] for text in texts], dtype=np.str_)
+        elif name in COLUMNS and COLUMNS[name].may_be_empty:
+            known = np.array([text != "" for text in texts])
+            table[name] = np.where(known, records.numbers(name, [text or "0" for text in texts]), np.nan)
+        else:
+            table[name] = records.numbers(name, texts)
+    return table
+
+
+def put_columns(group: Any, table: Mapping[str, Column]) -> None:
+    """Store columns in an HDF5 group, with the unit that a name ends in as an attribute."""
+    for name, values in table.items():
+        unit = name.rpartition("_")[2]
+        put_array(group, name, values, unit if unit in _UNITS else "")
+
+
+def get_columns(reader: Reader, group: Any, cell: Cell, *, plan: bool) -> dict[str, Column]:
+    """The columns of sweeps in an HDF5 group; `InputError` if their names or lengths do not fit."""
+    names = list(group)
+    check_names(names, cell, f"{reader.path}: {group.name}", plan=plan)
+    table = {name: reader.texts(group, name) if is_text(name) else reader.numbers(group, name) for name in names}
+    joint = joint_columns(cell)[0]
+    expected = len(table[joint])
+    for name, values in table.items():
+        if len(values) != expected:
+            where = f"{reader.path}: {group.name}/{name}"
+            raise InputError(f"{where}: expected {expected} values as in {joint}, found {len(values)}")
+    return table
+
+
 def to_columns(sweeps: Sweeps, cell: Cell, file: object) -> dict[str, Column]:
-    """Sweeps as columns in file order, joints in um and deg; optional columns only where they say something.
+    """Sweeps, or a plan, as columns (n,) in file order, joints in um and deg; optional ones only if they say something.
 
-    Parameters
-    ----------
-    sweeps
-        Measured sweeps or a plan; a plan has no ``dl_um`` and ``sigma_um``.
-    file
-        Where the columns go, for the message.
-
-    Returns
-    -------
-    dict
-        Arrays of shape (n,): text, float, and for ``signed`` 0 or 1.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are such that the file could not be read back.
+    Raises `InputError`, which names `file`, if the sweeps are such that the file could not be read back.
     """
     q = np.hstack([sweeps.q_start, sweeps.q_end]) / np.tile(cell.joint_scales, 2)
     table: dict[str, Column] = {name: getattr(sweeps, name) for name in LEADING}
@@ -111,46 +189,35 @@ def to_columns(sweeps: Sweeps, cell: Cell, file: object) -> dict[str, Column]:
             table[name] = values
     if "dl_um" in table or not sweeps.signed.all():
         table["signed"] = sweeps.signed.astype(np.uint8)
-    for name, plain in (("group", ""), ("kind", "sweep"), ("trace", ""), ("utc", "")):
-        if (getattr(sweeps, name) != plain).any():
-            table[name] = getattr(sweeps, name)
-    if not np.isnan(sweeps.temperature_c).all():
-        table["temperature_c"] = sweeps.temperature_c
+    for name in OPTIONAL:
+        values = getattr(sweeps, name)
+        if (values != COLUMNS[name].default if is_text(name) else ~np.isnan(values)).any():
+            table[name] = values
     from_columns(table, cell, str(file), rows, plan=not sweeps.measured)
     return table
 
 
-def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: NDArray[np.int64], *, plan: bool) -> Sweeps:
-    """Sweeps from columns in um and deg whose names `check_names` has passed.
+def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: Ints, *, plan: bool) -> Sweeps:
+    """Sweeps from columns (n,) in um and deg whose names `check_names` has passed; those of an index are left aside.
 
-    Parameters
-    ----------
-    table
-        Arrays of shape (n,): text for `TEXTS`, numbers for the others; ``temperature_c`` may be NaN.
-    file, rows
-        Where the columns come from: name and line of each row, shape (n,).
-    plan
-        Whether columns other than the joints' may be missing.
-
-    Raises
-    ------
-    InputError
-        If a value is not what its column holds, or the sweeps break a rule of `check_sweeps`.
+    Raises `InputError`, which names `file` and one of its `rows` (n,), if a value is not what its column holds, or the
+    sweeps break a rule of `check_sweeps`. In a plan, columns other than the joints' may be missing.
     """
     if len(rows) == 0:
         raise InputError(f"{file}: no rows, expected at least one sweep")
 
-    def refuse(bad: NDArray[np.bool_], name: str, expected: str) -> None:
+    def refuse(bad: Bools, name: str, expected: str) -> None:
         if bad.any():
             first = int(np.argmax(bad))
-            found = shown(table[name][first])
-            raise located(file, f"{expected}, found {found}", row=int(rows[first]), column=name)
+            raise located(file, f"{expected}, found {shown(table[name][first])}", row=int(rows[first]), column=name)
 
     for name, values in table.items():
-        if name in TEXTS:
+        if name in INDEX:
+            continue
+        if is_text(name):
             refuse(_flags(values, lambda text: len(text) > MAX_TEXT), name, f"expected at most {MAX_TEXT} characters")
             refuse(_flags(values, _CONTROL.search), name, "expected text without control characters")
-        elif name == "temperature_c":
+        elif name in COLUMNS and COLUMNS[name].may_be_empty:
             refuse(np.isinf(values), name, "expected a finite number or nothing")
         else:
             refuse(~np.isfinite(values), name, "expected a finite number")
@@ -166,10 +233,11 @@ def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: NDArr
 
     q = np.column_stack([table[name] for name in joint_columns(cell)]) * np.tile(cell.joint_scales, 2)
     q_start, q_end = np.hsplit(q, 2)
-    optional: dict[str, Any] = {name: table[name] for name in (*LEADING, *OPTIONAL) if name in table}
-    optional.setdefault("label", [f"row {row}" for row in rows])
-    if "kind" in optional:
-        optional["kind"] = np.where(optional["kind"] == "", "sweep", optional["kind"])
+    others: dict[str, Any] = {name: table[name] for name in (*LEADING, *OPTIONAL) if name in table}
+    others.setdefault("label", [f"row {row}" for row in rows])
+    for name, values in others.items():
+        if is_text(name) and COLUMNS[name].default:
+            others[name] = np.where(values == "", COLUMNS[name].default, values)
     sweeps = Sweeps.make(
         q_start,
         q_end,
@@ -178,13 +246,13 @@ def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: NDArr
         signed=np.asarray(table["signed"]) == 1 if "signed" in table else True,
         file=file,
         rows=rows,
-        **optional,
+        **others,
     )
     check_sweeps(sweeps, cell)
     return sweeps
 
 
-def _flags(column: Column, test: Callable[[str], object]) -> NDArray[np.bool_]:
+def _flags(column: Column, test: Callable[[str], object]) -> Bools:
     # Most texts repeat (sessions, kinds, groups), so each is looked at once.
     texts: list[str] = column.tolist()
     bad = {text for text in set(texts) if test(text)}

@@ -1,19 +1,21 @@
-"""Sweeps in CSV files."""
+"""CSV files: records of named columns, plain tables of numbers, and writing."""
 
 import csv
 import io
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import read_text, require_line_end, write_text
-from fpcal_bayes.io.columns import TEXTS, Column, check_names, from_columns, required_columns, shown, to_columns
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.io.validate import shown
 
 # float() reads more than a file should hold (1_000, infinity, digits of other scripts). Of texts made of these
 # characters it reads decimal and scientific notation only.
@@ -23,87 +25,60 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 #: Digits written: 1e-9 um of a cavity length and 1e-12 of an angle survive, the noise of deg to rad and back does not.
 _DIGITS = 13
 
-
-def read_csv(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
-    """Read sweeps from a CSV file.
-
-    Parameters
-    ----------
-    path
-        UTF-8 text; lengths in um, angles in deg. A byte order mark, CRLF line ends and blank lines are accepted.
-    cell
-        Gives the joint columns and the limits.
-    plan
-        Accept a file without measurement too: columns other than the joints' may be missing, in any order.
-
-    Returns
-    -------
-    Sweeps
-        In um and rad; `rows` are lines of the file, the header being line 1.
-
-    Raises
-    ------
-    InputError
-        If anything in the file is not as documented; the message names the line and the column.
-    """
-    path = Path(path)
-    records, lines = read_records(path)
-    if not records:
-        raise InputError(f"{path}: the file holds no text, expected a header and sweeps")
-    header = records.pop(0)
-    if len(header) == 1 and len(re.split("[;\t]", header[0])) > 1:
-        raise located(path, "expected fields separated by commas", row=lines[0])
-    check_names(header, cell, path, plan=plan, row=lines[0])
-    required = list(required_columns(cell))
-    if not plan and header[: len(required)] != required:
-        place = next(i for i, name in enumerate(required) if header[i] != name)
-        raise located(path, f"expected the column {required[place]}, found {header[place]}", row=lines[0])
-    rows = np.array(lines[1:], dtype=np.int64)
-    counts = np.array([len(record) for record in records])
-    if (counts != len(header)).any():
-        first = int(np.argmax(counts != len(header)))
-        raise located(path, f"expected {len(header)} fields, found {counts[first]}", row=int(rows[first]))
-
-    table: dict[str, Column] = {}
-    for name, cells in zip(header, zip(*records, strict=True), strict=False):
-        if name in TEXTS:
-            # A text too long for its column is refused later; cut here, it does not widen every row of the array.
-            table[name] = np.array([text[:1001] for text in cells], dtype=np.str_)
-        elif name == "temperature_c":
-            known = np.array([text != "" for text in cells])
-            table[name] = np.where(known, column_numbers([text or "0" for text in cells], rows, path, name), np.nan)
-        else:
-            table[name] = column_numbers(cells, rows, path, name)
-    return from_columns(table, cell, str(path), rows, plan=plan)
+#: Samples of one file of numbers; a longer one is no sweep.
+MAX_SAMPLES = 20_000_000
 
 
-def write_csv(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
-    """Write sweeps to a CSV file, whole or not at all.
+@dataclass(frozen=True)
+class Records:
+    """The lines of a CSV file that are not blank: a header, which is empty where there is none, and rows of texts."""
 
-    Parameters
-    ----------
-    path
-        Replaced if it exists.
-    sweeps
-        Measured or a plan; a plan's file has no columns ``dl_um``, ``sigma_um``.
+    path: Path
+    header: list[str]
+    header_row: int
+    texts: list[list[str]]
+    rows: Ints  # line of each row, shape (n,)
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or the sweeps break a rule that a reader holds them to.
-    """
-    path = Path(path)
-    table = to_columns(sweeps, cell, path)
-    columns = [formatted(values) if values.dtype.kind == "f" else values.tolist() for values in table.values()]
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*columns, strict=True))
-    write_text(path, text.getvalue())
+    def require_header(self, names: Sequence[str], others: Sequence[str] = ()) -> None:
+        """Raise `InputError` unless the header is `names`, then any of `others`."""
+        rest = self.header[len(names) :]
+        if self.header[: len(names)] != list(names) or not set(rest) <= set(others):
+            then = f", then any of {','.join(others)}" if others else ""
+            raise located(self.path, f"expected the header {','.join(names)}{then}", row=self.header_row)
+
+    def columns(self) -> dict[str, tuple[str, ...]]:
+        """The texts of each column; `InputError` if a row has more or fewer fields than the header."""
+        for fields, row in zip(self.texts, self.rows.tolist(), strict=True):
+            if len(fields) != len(self.header):
+                raise located(self.path, f"expected {len(self.header)} fields, found {len(fields)}", row=row)
+        columns = zip(*self.texts, strict=True) if self.texts else [()] * len(self.header)
+        return dict(zip(self.header, columns, strict=True))
+
+    def numbers(
+        self, name: str, texts: Sequence[str], *, finite: bool = False, expected: str = "expected a number"
+    ) -> Floats:
+        """The numbers of column `name`; `InputError` that names the line of the first text that is none."""
+        if _NUMBER_CHARACTERS.issuperset("".join(texts)) and "" not in texts:
+            try:
+                numbers = np.array(list(map(float, texts)))
+            except ValueError:
+                pass
+            else:
+                if not finite or np.isfinite(numbers).all():
+                    return numbers
+        first = next(i for i, text in enumerate(texts) if not _is_number(text, finite))
+        if _NUMBER.fullmatch(texts[first]):
+            expected = "expected a finite number"
+        found = f"found {shown(texts[first])}" if texts[first] else "found nothing"
+        raise located(self.path, f"{expected}, {found}", row=int(self.rows[first]), column=name)
 
 
-def read_records(path: Path) -> tuple[list[list[str]], list[int]]:
-    """The fields of every line of a CSV file that is not blank, and its number."""
+def _is_number(text: str, finite: bool) -> bool:
+    return _NUMBER.fullmatch(text) is not None and not (finite and np.isinf(float(text)))
+
+
+def read_records(path: Path, expected: str = "") -> Records:
+    """The records of a CSV file; `InputError` if a line is not CSV, or says what was `expected` where none has text."""
     text = read_text(path)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records, lines = [], []
@@ -114,32 +89,85 @@ def read_records(path: Path) -> tuple[list[list[str]], list[int]]:
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise located(path, f"not a line of CSV ({error})", row=max(reader.line_num, 1)) from error
-    # Of 0 and 1 nothing can be cut off; any other last field may be a part of what was written.
+    if expected and not records:
+        raise InputError(f"{path}: the file holds no text, expected {expected}")
+    # Nothing can be cut off from a 0 or a 1; any other last field may be a part of what was written.
     if len(records) > 1 and records[0][-1] != "signed":
         require_line_end(path, text)
-    return records, lines
+    header, header_row = (records[0], lines[0]) if records else ([], 1)
+    return Records(path, header, header_row, records[1:], np.array(lines[1:], dtype=np.int64))
 
 
-def column_numbers(cells: Sequence[str], rows: NDArray[np.int64], path: Path, name: str) -> NDArray[np.float64]:
-    """The numbers of a column; `InputError` that names line and column if one is none."""
-    if not _NUMBER_CHARACTERS.issuperset("".join(cells)) or "" in cells:
-        _refuse(cells, rows, path, name)
+def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
+    """The columns of a CSV file that holds nothing but finite numbers, shape (n_columns, n).
+
+    Millions of samples are read; their text becomes numbers in one call, and is looked at line by line only when
+    something is wrong with it.
+    """
+    text = read_text(path)
+    head, _, body = text.lstrip("\r\n").partition("\n")
+    if tuple(head.strip().split(",")) != names:
+        raise located(path, f"expected the header {','.join(names)}", row=1)
+    if not body.strip():
+        raise InputError(f"{path}: no samples under the header")
+    if body.count("\n") > MAX_SAMPLES:
+        raise InputError(f"{path}: more than {MAX_SAMPLES} samples")
+    lines = body.strip().replace("\r\n", "\n").encode()
+    marks = np.frombuffer(lines, dtype=np.uint8)
+    breaks = np.flatnonzero(marks == ord("\n"))
+    commas = np.searchsorted(np.flatnonzero(marks == ord(",")), np.append(breaks, len(marks)))
+    if (np.diff(commas, prepend=0) != len(names) - 1).any():
+        # Blank lines are let through; everything else is a fault.
+        filled = [line for line in lines.decode().split("\n") if line.strip()]
+        if any(line.count(",") != len(names) - 1 for line in filled):
+            raise _first_fault(path, text, names)
+        lines = "\n".join(filled).encode()
     try:
-        return np.array(list(map(float, cells)))
-    except ValueError:
-        _refuse(cells, rows, path, name)
-        raise
+        with warnings.catch_warnings():
+            # The text reader warns, and stops, at what is not a number.
+            warnings.simplefilter("error")
+            table = np.fromstring(lines.replace(b"\n", b","), sep=",")
+    except (DeprecationWarning, ValueError) as error:
+        raise _first_fault(path, text, names) from error
+    if len(table) % len(names) or not np.isfinite(table).all():
+        raise _first_fault(path, text, names)
+    require_line_end(path, text)
+    return np.ascontiguousarray(table.reshape(-1, len(names)).T)
 
 
-def _refuse(cells: Sequence[str], rows: NDArray[np.int64], path: Path, name: str) -> None:
-    """Name the first cell that is not a number; looked for only when there is one."""
-    for cell, row in zip(cells, rows.tolist(), strict=True):
-        if not _NUMBER.fullmatch(cell):
-            found = f"found {shown(cell)}" if cell else "found nothing"
-            raise located(path, f"expected a number, {found}", row=row, column=name)
+def _first_fault(path: Path, text: str, names: tuple[str, ...]) -> InputError:
+    """The message for the first field that is no number, or the first line with too many or too few fields."""
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    for number, line in lines[1:]:
+        fields = line.split(",")
+        if len(fields) != len(names):
+            return located(path, f"expected {len(names)} fields, found {len(fields)}", row=number)
+        for name, field in zip(names, fields, strict=True):
+            if not _NUMBER.fullmatch(field.strip()):
+                found = f"found {shown(field)}" if field.strip() else "found nothing"
+                return located(path, f"expected a number, {found}", row=number, column=name)
+    return InputError(f"{path}: expected lines of {len(names)} numbers")
 
 
-def formatted(values: NDArray[np.float64]) -> list[str]:
+def write_table(path: Path, table: Mapping[str, NDArray[Any]]) -> None:
+    """Write columns of numbers, whole numbers or texts, each of shape (n,), whole or not at all; NaN as nothing."""
+    columns = [formatted(values) if values.dtype.kind == "f" else values.tolist() for values in table.values()]
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*columns, strict=True))
+    write_text(path, text.getvalue())
+
+
+def write_numbers(path: Path, names: tuple[str, ...], columns: Iterable[Floats]) -> None:
+    """Write columns of numbers such that the same numbers are read back, whole or not at all."""
+    # repr gives the shortest text that reads back as the same number; adding zero turns -0 into 0.
+    texts = [map(repr, (column + 0.0).tolist()) for column in columns]
+    lines = "\n".join(map(",".join, zip(*texts, strict=True)))
+    write_text(path, f"{','.join(names)}\n{lines}\n")
+
+
+def formatted(values: Floats) -> list[str]:
     """Numbers as they stand in a file, NaN as nothing."""
     # Adding zero turns -0 into 0.
     return ["" if value != value else f"{value:.{_DIGITS}g}" for value in (values + 0.0).tolist()]

@@ -1,4 +1,4 @@
-"""An estimate: values, covariance and provenance of a cell's parameters, and its JSON file."""
+"""Estimates from the JSON that ``fpcal identify``, ``track`` and ``sample`` write."""
 
 import json
 from collections.abc import Sequence
@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.validate import Tables, shown
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import _LARGEST, _SMALLEST, SCHEMA, STATUSES, Estimate
+from fpcal_bayes.model.estimate import SCHEMA, STATUSES, Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust, trust_of
+
+#: Numbers of this size are no lengths or angles, and their squares still fit a double.
+_LARGEST = 1e100
+_SMALLEST = 1e-100
 
 
 def read_estimate(path: str | Path, cell: Cell) -> Estimate:
@@ -44,16 +50,23 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
         raise InputError(
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
         )
+    if CONTENT_HASH in content:
+        rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
+        if content[CONTENT_HASH] != content_sha256(rest):
+            raise InputError(
+                f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
+            )
     return _Reader(str(path), cell).estimate(content)
 
 
-class _Reader:
+class _Reader(Tables):
     def __init__(self, path: str, cell: Cell) -> None:
-        self.path, self.cell = path, cell
+        super().__init__(path, shown)
+        self.cell = cell
 
     def estimate(self, content: dict[str, Any]) -> Estimate:
-        stated = content.get("parameters")
-        if not isinstance(stated, dict) or not stated:
+        stated = self.table(content, "", "parameters", "expected a table of parameters")
+        if not stated:
             raise self.error("parameters", "expected a table of parameters")
         for name in stated:
             if name not in self.cell.parameters or self.cell.parameters[name].prior_sd == 0:
@@ -66,9 +79,9 @@ class _Reader:
                 raise self.error(f"parameters.{p.name}.unit", f"expected {p.unit!r}")
             if entry.get("status") not in STATUSES:
                 raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
-            values.append(self.number(entry.get("value"), f"parameters.{p.name}.value") * p.scale)
+            values.append(self.number(entry, f"parameters.{p.name}", "value", largest=_LARGEST) * p.scale)
             status.append(entry["status"])
-        time_h = self.number(content.get("time_h", 0.0), "time_h")
+        time_h = self.number(content, "", "time_h", largest=_LARGEST, default=0.0)
         until = content.get("valid_until_h")
         return Estimate(
             cell=self.cell,
@@ -77,9 +90,16 @@ class _Reader:
             covariance=self.covariance(content.get("covariance"), parameters, status),
             status=tuple(status),
             time_h=time_h,
-            valid_until_h=None if until is None else self.number(until, "valid_until_h"),
+            valid_until_h=None if until is None else self.number(content, "", "valid_until_h", largest=_LARGEST),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
+            trust=self.trust(content.get("trust")),
         )
+
+    def trust(self, stated: Any) -> Trust:
+        try:
+            return trust_of(stated)
+        except ValueError as error:
+            raise self.error("trust", str(error)) from error
 
     def covariance(self, stated: Any, parameters: ParameterSet, status: Sequence[str]) -> Floats:
         if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):
@@ -109,17 +129,6 @@ class _Reader:
         scales = parameters.scales[chosen]
         full[np.ix_(chosen, chosen)] = matrix * np.outer(scales, scales)
         return full
-
-    def number(self, value: Any, key: str) -> float:
-        try:
-            if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(float(value)) < _LARGEST:
-                return float(value)
-        except OverflowError:
-            pass
-        raise self.error(key, f"expected a finite number, found {str(value)[:40]!r}")
-
-    def error(self, key: str, expected: str) -> InputError:
-        return InputError(f"{self.path}: key {key}: {expected}")
 
 
 def _lowest_eigenvalue(correlation: Floats) -> float:

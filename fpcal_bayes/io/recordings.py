@@ -1,4 +1,4 @@
-"""An index of recorded sweeps: what moved, and the files of the irradiance that belongs to each."""
+"""Recorded sweeps from and to files: an index as CSV that names its traces, or HDF5 or MATLAB that holds them."""
 
 from pathlib import Path
 
@@ -8,31 +8,22 @@ from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.io.recordings_csv import read_csv_index, write_csv_index
 from fpcal_bayes.io.recordings_hdf5 import read_hdf5_index, write_hdf5_index
 from fpcal_bayes.io.recordings_mat import read_mat_index
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 from fpcal_bayes.measure.recordings import TraceIndex, check_index
 from fpcal_bayes.model.cell.cell import Cell
 
-_HDF5_SUFFIXES = (".h5", ".hdf5")
 _MAT_SUFFIX = ".mat"
 
 
 def read_index(path: str | Path, cell: Cell) -> TraceIndex:
     """Read recorded sweeps with their traces and scans.
 
-    Parameters
-    ----------
-    path
-        A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
-
-    Raises
-    ------
-    InputError
-        If anything in the index or in a file that it names is not as documented, or a named file lies outside the
-        folder of the index.
+    path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
     """
     path = Path(path)
     require_readable(path)
     suffix = path.suffix.lower()
-    if suffix in _HDF5_SUFFIXES or (suffix != _MAT_SUFFIX and is_hdf5(path)):
+    if suffix in HDF5_SUFFIXES or (suffix != _MAT_SUFFIX and is_hdf5(path)):
         index = read_hdf5_index(path, cell)
     elif suffix == _MAT_SUFFIX:
         index = read_mat_index(path, cell)
@@ -46,18 +37,13 @@ def write_index(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     """Write recorded sweeps in the format that the suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
 
     A CSV gets a folder for its traces and scans beside it: ``INDEX_traces`` for ``INDEX.csv``.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another one, a file cannot be written, or `read_index` would refuse what was written.
     """
     path = Path(path)
     check_index(index, cell)
     suffix = path.suffix.lower()
-    if suffix in _HDF5_SUFFIXES:
+    if suffix in HDF5_SUFFIXES:
         write_hdf5_index(path, index, cell)
     elif suffix == ".csv":
         write_csv_index(path, index, cell)
     else:
-        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(_HDF5_SUFFIXES)}")
+        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")

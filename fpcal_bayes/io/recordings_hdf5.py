@@ -14,17 +14,15 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import replacing
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.columns import TEXTS, check_names, from_columns, joint_columns, to_columns
-from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
+from fpcal_bayes.io.columns import CONDITIONS, SCANS, from_columns, get_columns, put_columns, to_columns
+from fpcal_bayes.io.hdf5 import Reader, put_text, reading, writing
 from fpcal_bayes.io.traces import unscaled
-from fpcal_bayes.measure.recordings import CONDITIONS, SCANS, TraceIndex, moving_joint
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.measure.traces import Trace, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 SCHEMA = "fpcal-trace-index"
 SCHEMA_VERSION = 1
-
-_UNITS = ("um", "deg", "h", "c", "nm", "hpa", "pct", "s", "v")
 
 
 def write_hdf5_index(path: Path, index: TraceIndex, cell: Cell) -> None:
@@ -36,13 +34,7 @@ def write_hdf5_index(path: Path, index: TraceIndex, cell: Cell) -> None:
 
 
 def read_hdf5_index(path: Path, cell: Cell) -> TraceIndex:
-    """Read an index from a file that `write_hdf5_index` made, or the recordings of a campaign file.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, of another schema, or not as documented.
-    """
+    """Read an index from a file that `write_hdf5_index` made, or the recordings of a campaign file."""
     with reading(path) as reader:
         root = reader.root
         schema = reader.text_attribute(root, "schema")
@@ -57,60 +49,45 @@ def read_hdf5_index(path: Path, cell: Cell) -> TraceIndex:
 
 
 def put_index(group: Any, index: TraceIndex, cell: Cell, file: object) -> None:
-    """Store recorded sweeps in an HDF5 group.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are such that they could not be read back.
-    """
-    sweeps = group.create_group("sweeps")
-    for name, values in to_columns(index.sweeps, cell, file).items():
-        _put(sweeps, name, values)
-    conditions = group.create_group("conditions")
-    wavelength_nm = unscaled(index.wavelength, 1e-3)
-    parts = (wavelength_nm, index.temperature_c, index.pressure_hpa, index.humidity_pct)
-    for name, numbers in zip(CONDITIONS, parts, strict=True):
-        _put(conditions, name, numbers)
+    """Store recorded sweeps in an HDF5 group; `InputError` names `file` if they could not be read back."""
+    put_columns(group.create_group("sweeps"), to_columns(index.sweeps, cell, file))
+    parts = (unscaled(index.wavelength, 1e-3), index.temperature_c, index.pressure_hpa, index.humidity_pct)
+    put_columns(group.create_group("conditions"), dict(zip(CONDITIONS, parts, strict=True)))
     traces = group.create_group("traces")
-    _put(traces, "trace_end", _ends(index.traces))
-    _put(traces, "t_s", _chain([trace.time_s for trace in index.traces]))
     scales = [cell.joint_scales[moving_joint(index.sweeps, i)] for i in range(len(index))]
     joints = [unscaled(trace.joint, scale) for trace, scale in zip(index.traces, scales, strict=True)]
-    _put(traces, "joint", _chain(joints))
-    _put(traces, "irradiance_v", _chain([trace.irradiance for trace in index.traces]))
+    columns = {
+        "trace_end": _ends(index.traces),
+        "t_s": _chain([trace.time_s for trace in index.traces]),
+        "joint": _chain(joints),
+        "irradiance_v": _chain([trace.irradiance for trace in index.traces]),
+    }
+    put_columns(traces, columns)
     put_text(traces["joint"], "unit", "um or deg, as the joint that moves")
     for name, scans in zip(SCANS, (index.scans_before, index.scans_after), strict=True):
         if any(scan is not None for scan in scans):
-            part = group.create_group(name)
             given = [scan or WavelengthScan(np.zeros(0), np.zeros(0)) for scan in scans]
-            _put(part, "scan_end", _ends(given))
-            _put(part, "wavelength_nm", _chain([unscaled(scan.wavelength, 1e-3) for scan in given]))
-            _put(part, "irradiance_v", _chain([scan.irradiance for scan in given]))
+            columns = {
+                "scan_end": _ends(given),
+                "wavelength_nm": _chain([unscaled(scan.wavelength, 1e-3) for scan in given]),
+                "irradiance_v": _chain([scan.irradiance for scan in given]),
+            }
+            put_columns(group.create_group(name), columns)
 
 
 def get_index(reader: Reader, group: Any, cell: Cell) -> TraceIndex:
-    """Read recorded sweeps from an HDF5 group.
-
-    Raises
-    ------
-    InputError
-        If anything in it is not as `put_index` writes it.
-    """
+    """Read recorded sweeps from an HDF5 group; `InputError` if anything is not as `put_index` writes it."""
     part = reader.group(group, "sweeps")
     place = f"{reader.path}: {part.name}"
-    names = list(part)
-    check_names(names, cell, place, plan=True)
-    table = {name: reader.texts(part, name) if name in TEXTS else reader.numbers(part, name) for name in names}
-    n = len(table[joint_columns(cell)[0]])
-    if any(len(values) != n for values in table.values()):
-        raise InputError(f"{place}: expected {n} values in every column")
+    table = get_columns(reader, part, cell, plan=True)
+    n = len(next(iter(table.values())))
     sweeps = from_columns(table, cell, str(reader.path), np.arange(1, n + 1), plan=True)
 
     conditions = reader.group(group, "conditions")
     numbers = [reader.numbers(conditions, name) for name in CONDITIONS]
     if any(len(values) != n for values in numbers):
         raise InputError(f"{reader.path}: {conditions.name}: expected {n} values in every column")
+    wavelength_nm, celsius, pressure, humidity = numbers
 
     part = reader.group(group, "traces")
     columns = [reader.numbers(part, name) for name in ("t_s", "joint", "irradiance_v")]
@@ -120,7 +97,7 @@ def get_index(reader: Reader, group: Any, cell: Cell) -> TraceIndex:
         for i, (time_s, joint, irradiance) in enumerate(parts)
     ]
     before, after = (_scans(reader, group, name, n) for name in SCANS)
-    return TraceIndex(sweeps, numbers[0] * 1e-3, numbers[1], numbers[2], numbers[3], traces, before, after)
+    return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, traces, before, after)
 
 
 def _scans(reader: Reader, group: Any, name: str, n: int) -> list[WavelengthScan | None]:
@@ -147,11 +124,6 @@ def _split(reader: Reader, part: Any, name: str, columns: list[Floats], n: int) 
         raise InputError(f"{place}: expected ends that rise to the number of samples of every column")
     cuts = ends[:-1].astype(np.int64)
     return [list(pieces) for pieces in zip(*(np.split(column, cuts) for column in columns), strict=True)]
-
-
-def _put(group: Any, name: str, values: NDArray[Any]) -> None:
-    unit = name.rpartition("_")[2]
-    put_array(group, name, values, unit if unit in _UNITS else "")
 
 
 def _ends(parts: Sequence[Trace | WavelengthScan]) -> NDArray[np.int64]:

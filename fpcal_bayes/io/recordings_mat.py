@@ -5,64 +5,59 @@ char. ``t_s``, ``joint`` and ``irradiance_v`` are cell arrays (n by 1) of vector
 ``scan_before_wavelength_nm``, ``scan_before_irradiance_v`` and those of ``scan_after``, with ``[]`` where none is.
 """
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.io import loadmat
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.columns import TEXTS, check_names, from_columns, joint_columns
+from fpcal_bayes.io.columns import CONDITIONS, INDEX, SCANS, check_names, from_columns, is_text, joint_columns
 from fpcal_bayes.io.hdf5 import is_hdf5
-from fpcal_bayes.measure.recordings import CONDITIONS, SCANS, TraceIndex, moving_joint
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS, Trace, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
-    """Read an index from a MATLAB file of version 7 or older.
-
-    Raises
-    ------
-    InputError
-        If the file is no MATLAB file, a variable is missing, or is not as the module says.
-    """
+    """Read an index from a MATLAB file of version 7 or older, whose variables are as the module says."""
     if is_hdf5(path) or b"MATLAB 7.3" in path.read_bytes()[:128]:
         raise InputError(f"{path}: a MATLAB file of version 7.3: expected version 7, as save(..., '-v7') makes it")
     content = _load_apart(path)
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     scan_names = [f"{scan}_{column}" for scan in SCANS for column in SCAN_COLUMNS]
-    apart = {*TRACE_COLUMNS, *scan_names, *CONDITIONS} - {"temperature_c"}
+    apart = {*TRACE_COLUMNS, *scan_names, *INDEX}.difference(SCANS)
     for name in (*joint_columns(cell), *TRACE_COLUMNS):
         if name not in variables:
             raise InputError(f"{path}: the variable {name} is missing")
-    check_names([name for name in variables if name not in apart], cell, f"{path}: variables", plan=True)
+    check_names(list(variables), cell, f"{path}: variables", plan=True, also=apart)
     n = np.size(variables[joint_columns(cell)[0]])
-    table: dict[str, Any] = {}
-    for name, value in variables.items():
-        if name in TEXTS:
-            table[name] = _texts(path, name, value, n)
-        elif name not in apart:
-            table[name] = _numbers(path, name, value, n)
+    table = {
+        name: _texts(path, name, value, n) if is_text(name) else _numbers(path, name, value, n)
+        for name, value in variables.items()
+        if name not in apart
+    }
     sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True)
     unknown = np.full(n, np.nan)
-    conditions = [_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS]
+    wavelength_nm, celsius, pressure, humidity = (
+        _numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS
+    )
     parts = [_vectors(path, name, variables[name], n) for name in TRACE_COLUMNS]
     traces = [
         Trace(time_s, joint * cell.joint_scales[moving_joint(sweeps, i)], irradiance, f"{path}: trace {i + 1}")
         for i, (time_s, joint, irradiance) in enumerate(zip(*parts, strict=True))
     ]
     before, after = (_scans(path, name, variables, n) for name in SCANS)
-    return TraceIndex(sweeps, conditions[0] * 1e-3, conditions[1], conditions[2], conditions[3], traces, before, after)
+    return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, traces, before, after)
 
 
 def _load_apart(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file, read by a process of its own: some damaged files end the one that reads them."""
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
             return pool.submit(_load, str(path)).result()
@@ -71,8 +66,6 @@ def _load_apart(path: Path) -> dict[str, Any]:
 
 
 def _load(path: str) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     try:
         return dict(loadmat(path, squeeze_me=False, chars_as_strings=True))
     except Exception as error:  # scipy raises whatever a damaged file leads to

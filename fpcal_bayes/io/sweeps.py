@@ -1,11 +1,13 @@
 """Sweeps from and to a file of either format: CSV or HDF5."""
 
+import re
 from pathlib import Path
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import require_readable
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
-from fpcal_bayes.io.csv import read_csv, write_csv
+from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
+from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -15,13 +17,7 @@ HDF5_SUFFIXES = (".h5", ".hdf5")
 
 
 def is_campaign_file(path: str | Path) -> bool:
-    """Whether a file is to be read as HDF5: it begins like one or is called ``.h5`` or ``.hdf5``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, a folder, empty or not readable.
-    """
+    """Whether a file is to be read as HDF5: it begins like one or is called ``.h5`` or ``.hdf5``."""
     path = Path(path)
     require_readable(path)
     return path.suffix.lower() in HDF5_SUFFIXES or is_hdf5(path)
@@ -65,3 +61,28 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str =
         write_csv(path, sweeps, cell)
     else:
         raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+
+
+def read_csv(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
+    """Read sweeps from a CSV file; their `rows` are lines of the file, the header being line 1.
+
+    UTF-8 text; lengths in um, angles in deg. A byte order mark, CRLF line ends and blank lines are accepted. In a plan,
+    columns other than the joints' may be missing and stand in any order. Whatever is not as documented raises
+    `InputError`, which names the line and the column.
+    """
+    path = Path(path)
+    records = read_records(path, "a header and sweeps")
+    header, row = records.header, records.header_row
+    if len(header) == 1 and len(re.split("[;\t]", header[0])) > 1:
+        raise located(path, "expected fields separated by commas", row=row)
+    check_names(header, cell, path, plan=plan, row=row)
+    required = list(required_columns(cell))
+    if not plan and header[: len(required)] != required:
+        place = next(i for i, name in enumerate(required) if header[i] != name)
+        raise located(path, f"expected the column {required[place]}, found {header[place]}", row=row)
+    return from_columns(parsed(records), cell, str(path), records.rows, plan=plan)
+
+
+def write_csv(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
+    """Write sweeps to a CSV file, whole or not at all; a plan's file has no columns ``dl_um``, ``sigma_um``."""
+    write_table(Path(path), to_columns(sweeps, cell, path))

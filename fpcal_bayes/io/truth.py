@@ -1,13 +1,13 @@
-"""Write a truth as the TOML that `truth.read_truth` reads."""
+"""True parameters of a simulated cell as TOML, in the units that a person reads."""
 
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end, write_text
-from fpcal_bayes.measure.truth import Truth, _truth
+from fpcal_bayes.io.validate import Tables, shown
+from fpcal_bayes.measure.truth import Truth, truth_of
 from fpcal_bayes.model.cell.cell import Cell
 
 
@@ -35,71 +35,42 @@ def read_truth(path: str | Path, cell: Cell) -> Truth:
     except (RecursionError, ValueError) as error:
         # A ValueError that is not an InputError: a number with thousands of digits.
         raise error if isinstance(error, InputError) else InputError(f"{path}: not a truth ({error})") from error
-    _check_keys(path, table, "", {"parameters", "epoch"})
+    tables = Tables(path, shown)
+    tables.keys(table, "", ("parameters", "epoch"), unknown="unknown")
     if ("parameters" in table) == ("epoch" in table):
-        raise InputError(f"{path}: key parameters: expected either a table [parameters] or several [[epoch]]")
-    if "parameters" in table:
-        epochs = [(0.0, _values(path, table["parameters"], "parameters", cell))]
-    else:
-        epochs = _epochs(path, table, cell)
+        raise tables.error("parameters", "expected either a table [parameters] or several [[epoch]]")
+    epochs = _epochs(tables, table, cell) if "epoch" in table else [(0.0, _values(tables, table, "", cell))]
     if text[-1:].isdigit():
         require_line_end(path, text)
-    return _truth(cell, epochs, str(path))
+    return truth_of(cell, epochs, str(path))
 
 
-def _epochs(path: Path, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
+def _epochs(tables: Tables, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
     """Time in hours and values of each epoch."""
     epochs: list[tuple[float, dict[str, float]]] = []
     if not isinstance(table["epoch"], list) or not table["epoch"]:
-        raise InputError(f"{path}: key epoch: expected one or more tables [[epoch]]")
+        raise tables.error("epoch", "expected one or more tables [[epoch]]")
     for number, entry in enumerate(table["epoch"], 1):
         place = f"epoch {number}"
         if not isinstance(entry, dict):
-            raise InputError(f"{path}: key {place}: expected a table")
-        _check_keys(path, entry, place, {"time_h", "parameters"})
-        time = _number(path, entry.get("time_h"), f"{place}.time_h")
+            raise tables.error(place, "expected a table")
+        tables.keys(entry, place, ("time_h", "parameters"), unknown="unknown")
+        time = tables.number(entry, place, "time_h")
         if epochs and time <= epochs[-1][0]:
-            raise InputError(f"{path}: key {place}.time_h: expected more than {epochs[-1][0]:g} h, found {time:g}")
-        epochs.append((time, _values(path, entry.get("parameters"), f"{place}.parameters", cell)))
+            raise tables.error(f"{place}.time_h", f"expected more than {epochs[-1][0]:g} h, found {time:g}")
+        epochs.append((time, _values(tables, entry, place, cell)))
     return epochs
 
 
-def _values(path: Path, table: Any, place: str, cell: Cell) -> dict[str, float]:
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: key {place}: expected a table of values by parameter name")
-    _check_keys(path, table, place, set(cell.parameters.names), shown=set(cell.free.names))
-    return {name: _number(path, value, f"{place}.{name}") for name, value in table.items()}
-
-
-def _check_keys(path: Path, table: dict[str, Any], place: str, known: set[str], shown: set[str] | None = None) -> None:
-    for key in table:
-        if key not in known:
-            at = f"{place}.{key}" if place else key
-            raise InputError(f"{path}: key {at}: unknown, expected one of {', '.join(sorted(shown or known))}")
-
-
-def _number(path: Path, value: Any, place: str) -> float:
-    try:
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
-            return float(value)
-    except OverflowError:
-        pass
-    raise InputError(f"{path}: key {place}: expected a finite number, found {str(value)[:40]!r}")
+def _values(tables: Tables, parent: dict[str, Any], place: str, cell: Cell) -> dict[str, float]:
+    table = tables.table(parent, place, "parameters", "expected a table of values by parameter name")
+    place = f"{place}.parameters" if place else "parameters"
+    tables.keys(table, place, cell.parameters.names, named=cell.free.names, unknown="unknown")
+    return {name: tables.number(table, place, name) for name in table}
 
 
 def write_truth(path: str | Path, truth: Truth) -> None:
-    """Write a truth to a TOML file, whole or not at all: a table ``[[epoch]]`` for each of its times.
-
-    Parameters
-    ----------
-    path
-        Replaced if it exists.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write a truth to a TOML file, whole or not at all: a table ``[[epoch]]`` for each of its times."""
     record = truth.record()
     lines = []
     for time_h, values in zip(record.times_h.tolist(), record.values.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Campaign files: sweeps with the cell, the program and the truth or estimates that belong to them, in HDF5."""
+"""A campaign in memory: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,64 +17,38 @@ from fpcal_bayes.model.cell.cell import Cell, Opd
 
 @dataclass(frozen=True)
 class TrackRecord:
-    """States after each session, in scaled units, and what the tests remember.
+    """States after each session, in scaled units, and what the tests remember."""
 
-    Attributes
-    ----------
-    cell_sha256, settings_sha256
-        Hashes of the cell with its path model, and of drift sizes and limits of the tests.
-    names
-        Of the parameters, which stand first in each state.
-    summary
-        All that is not an array, as JSON.
-    mean, covariance, jump
-        Shapes (n_sessions, n_states), (n_sessions, n_states, n_states), (n_sessions, n_states).
-    onset_response, onset_information, onset_score
-        Of all sessions' regressions, one after the other, as `summary` counts them.
-    """
-
+    #: cell_sha256, settings_sha256: Hashes of the cell with its path model, and of drift sizes and limits of the tests.
     cell_sha256: str
     settings_sha256: str
-    names: tuple[str, ...]
-    summary: str
+    names: tuple[str, ...]  # of the parameters, which stand first in each state
+    summary: str  # all that is not an array, as JSON
+    #: mean, covariance, jump: Shapes (n_sessions, n_states), (n_sessions, n_states, n_states), (n_sessions, n_states).
     mean: Floats
     covariance: Floats
     jump: Floats
+    #: onset_response, onset_information, onset_score: Of all sessions' regressions, one after the other, as `summary`
+    #: counts them.
     onset_response: Floats
     onset_information: Floats
     onset_score: Floats
 
 
-_TEXTS = ("session", "label", "reason")
-_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}
-
-
 @dataclass(frozen=True)
 class DoubtfulRecord:
-    """Doubtful sweeps, n of them.
+    """Doubtful sweeps, n of them."""
 
-    Attributes
-    ----------
-    session, label, reason
-        Which sweep, and what is wrong with it, shape (n,).
-    recording
-        Its position among the campaign's recordings, from 0, shape (n,).
-    dl, sigma
-        The most likely change and its standard deviation, in um; NaN where there is none, shape (n,).
-    signed
-        Whether the sign of `dl` is known, shape (n,).
-    alternatives
-        Other changes that are possible, in um, a tuple each.
-    """
-
+    #: session, label, reason: Which sweep, and what is wrong with it, shape (n,).
     session: NDArray[np.str_]
     label: NDArray[np.str_]
     reason: NDArray[np.str_]
-    recording: NDArray[np.int64]
+    recording: NDArray[np.int64]  # its position among the campaign's recordings, from 0, shape (n,)
+    #: dl, sigma: The most likely change and its standard deviation, in um; NaN where there is none, shape (n,).
     dl: Floats
     sigma: Floats
-    signed: NDArray[np.bool_]
-    alternatives: tuple[tuple[float, ...], ...]
+    signed: NDArray[np.bool_]  # whether the sign of `dl` is known, shape (n,)
+    alternatives: tuple[tuple[float, ...], ...]  # other changes that are possible, in um, a tuple each
 
     def __len__(self) -> int:
         return len(self.label)

@@ -96,19 +96,9 @@ def single_sweep(
 ) -> Sweeps:
     """A plan of one sweep: one joint moves, the others stand still.
 
-    Parameters
-    ----------
-    joint
-        Number of the joint, 1 for ``q1``.
-    start, end
-        Of that joint, in um or rad.
-    pose
-        Joint vector at which the others stand, in um and rad, shape (n_joints,); by default zero.
-
-    Raises
-    ------
-    InputError
-        If there is no such joint, it does not move, or a joint leaves its limits.
+    joint: number of the joint, 1 for ``q1``.
+    start, end: of that joint, in um or rad.
+    pose: joint vector at which the others stand, in um and rad, shape (n_joints,); by default zero.
     """
     n_joints = len(cell.joints)
     if not 1 <= joint <= n_joints:
@@ -138,19 +128,10 @@ def protocol_by_name(name: str, cell: Cell) -> Sweeps:
 def mark_signs(sweeps: Sweeps, signs: str) -> Sweeps:
     """Mark which rows know the sign of their change of length.
 
-    Parameters
-    ----------
-    sweeps
-        A plan or measured; where the sign is unknown, a measured change becomes its size. A sign that was lost
-        before stays lost.
-    signs
-        ``all``, or ``paper``: only X and Z translations (labels that end in ``-tx``, ``-tz``, their midpoints
-        included) and absolute lengths, which have no sign to lose.
-
-    Raises
-    ------
-    InputError
-        If `signs` is another word.
+    sweeps: a plan or measured; where the sign is unknown, a measured change becomes its size. A sign that was lost
+    before stays lost.
+    signs: ``all``, or ``paper``: only X and Z translations (labels that end in ``-tx``, ``-tz``, their midpoints
+    included) and absolute lengths, which have no sign to lose.
     """
     if signs not in ("all", "paper"):
         raise InputError(f"unknown signs {signs!r}: expected all or paper")

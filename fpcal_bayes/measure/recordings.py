@@ -1,4 +1,4 @@
-"""An index of recorded sweeps: what moved, and the files of the irradiance that belongs to each."""
+"""Recorded sweeps in memory: what moved, with the trace, the wavelength scans and the air of each."""
 
 from dataclasses import dataclass
 
@@ -11,35 +11,19 @@ from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.traces import Trace, WavelengthScan, check_scan, check_trace
 from fpcal_bayes.model.cell.cell import Cell
 
-#: Columns of an index beside those of a plan of sweeps, and what an empty field means in `TraceIndex`: NaN or none.
-CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
-SCANS = ("scan_before", "scan_after")
-
 
 @dataclass(frozen=True, eq=False)
 class TraceIndex:
-    """Recorded sweeps, row by row.
+    """Recorded sweeps, row by row."""
 
-    Attributes
-    ----------
-    sweeps
-        A plan: what moved from where to where. The temperature of the air stands in `temperature_c` below.
-    wavelength
-        Of the laser in vacuum, in um; NaN: the cell's, shape (n,).
-    temperature_c, pressure_hpa, humidity_pct
-        Of the air; NaN: unknown, shape (n,).
-    traces
-        One a row; without samples in rows of kind ``absolute``, whose length is in `scans_after`.
-    scans_before, scans_after
-        Wavelength scans at the start and at the end of each row, or None.
-    """
-
-    sweeps: Sweeps
-    wavelength: Floats
+    sweeps: Sweeps  # A plan: what moved from where to where. The temperature of the air stands in `temperature_c` below
+    wavelength: Floats  # of the laser in vacuum, in um; NaN: the cell's, shape (n,)
+    #: temperature_c, pressure_hpa, humidity_pct: Of the air; NaN: unknown, shape (n,).
     temperature_c: Floats
     pressure_hpa: Floats
     humidity_pct: Floats
-    traces: list[Trace]
+    traces: list[Trace]  # one a row; without samples in rows of kind ``absolute``, whose length is in `scans_after`
+    #: scans_before, scans_after: Wavelength scans at the start and at the end of each row, or None.
     scans_before: list[WavelengthScan | None]
     scans_after: list[WavelengthScan | None]
 
@@ -68,14 +52,7 @@ def no_trace() -> Trace:
 
 
 def check_index(index: TraceIndex, cell: Cell) -> None:
-    """Hold an index to its rules.
-
-    Raises
-    ------
-    InputError
-        If the sweeps break a rule of `check_sweeps`, a wavelength, a pressure or a humidity cannot be, the parts
-        differ in length, a trace is missing, or a row of kind ``absolute`` lacks the scan after it.
-    """
+    """Hold an index to its rules."""
     sweeps = index.sweeps
     check_sweeps(sweeps, cell)
     parts = (index.wavelength, index.temperature_c, index.pressure_hpa, index.humidity_pct)

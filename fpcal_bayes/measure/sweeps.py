@@ -176,14 +176,7 @@ def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
 
 
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
-    """Hold sweeps to the rules that no single field shows.
-
-    Raises
-    ------
-    InputError
-        If there is no row, a joint leaves the cell's limits, a sweep goes nowhere, a standard deviation is not
-        positive, a kind is unknown, or the rows of a group do not share their start and their standard deviation.
-    """
+    """Hold sweeps to the rules that no single field shows."""
     if len(sweeps) == 0:
         raise InputError(f"{sweeps.file}: no rows, expected at least one sweep")
 

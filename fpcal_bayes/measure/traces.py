@@ -1,9 +1,8 @@
-"""The photodiode along a path of several joints, with the reference scans that go before and after it.
+"""What the photodiode recorded: traces along sweeps, wavelength scans at rest, and paths of several joints.
 
-In a file: CSV with the columns ``part,t_s`` and the joints, ``q1_um`` .. ``q6_deg``, then ``irradiance_v``. Lines whose
-part is ``reference`` come first: one joint moves through a few fringes, which tells the height of the fringes and where
-on a fringe the path starts. Lines whose part is ``path`` follow. A second reference scan may come after them; it tells
-how gain and offset drifted meanwhile.
+A path goes with the reference scans around it: in the first, one joint moves through a few fringes, which tells the
+height of the fringes and where on a fringe the path starts. A second one may come after the path; it tells how gain
+and offset drifted meanwhile.
 """
 
 from collections.abc import Callable
@@ -20,28 +19,19 @@ LineOf = Callable[[int], int]
 
 TRACE_COLUMNS = ("t_s", "joint", "irradiance_v")
 SCAN_COLUMNS = ("wavelength_nm", "irradiance_v")
+PARTS = ("reference", "path")
+#: Samples of either part that a check needs.
+FEWEST = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The photodiode during one sweep.
+    """The photodiode during one sweep."""
 
-    Attributes
-    ----------
-    time_s
-        Increasing, shape (n,).
-    joint
-        Position of the joint that moves, in um or rad, shape (n,).
-    irradiance
-        In V, shape (n,).
-    file
-        Where it was read, or empty.
-    """
-
-    time_s: Floats
-    joint: Floats
-    irradiance: Floats
-    file: str = ""
+    time_s: Floats  # increasing, shape (n,)
+    joint: Floats  # position of the joint that moves, in um or rad, shape (n,)
+    irradiance: Floats  # in V, shape (n,)
+    file: str = ""  # where it was read, or empty
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -52,21 +42,11 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class WavelengthScan:
-    """The photodiode while the laser's wavelength is swept and the robot stands still.
+    """The photodiode while the laser's wavelength is swept and the robot stands still."""
 
-    Attributes
-    ----------
-    wavelength
-        In vacuum, in um, rising or falling throughout, shape (n,).
-    irradiance
-        In V, shape (n,).
-    file
-        Where it was read, or empty.
-    """
-
-    wavelength: Floats
-    irradiance: Floats
-    file: str = ""
+    wavelength: Floats  # in vacuum, in um, rising or falling throughout, shape (n,)
+    irradiance: Floats  # in V, shape (n,)
+    file: str = ""  # where it was read, or empty
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -78,10 +58,7 @@ class WavelengthScan:
 def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a trace holds finite numbers and its time runs forwards.
 
-    Parameters
-    ----------
-    line_of
-        Tells the line of a sample, for the message; by default its number, from 1.
+    line_of: tells the line of a sample, for the message; by default its number, from 1.
     """
     columns = dict(zip(TRACE_COLUMNS, (trace.time_s, trace.joint, trace.irradiance), strict=True))
     _require_finite(trace.file or "trace", columns, line_of)
@@ -98,10 +75,7 @@ def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
 def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way.
 
-    Parameters
-    ----------
-    line_of
-        Tells the line of a sample, for the message; by default its number, from 1.
+    line_of: tells the line of a sample, for the message; by default its number, from 1.
     """
     file = scan.file or "scan"
     _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
@@ -139,40 +113,18 @@ def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | Non
         raise InputError(f"{file}: {len(values)} samples, expected two or more")
 
 
-PARTS = ("reference", "path")
-#: Samples of either part that a check needs.
-FEWEST = 8
-
-
 @dataclass(frozen=True, eq=False)
 class PathTrace:
-    """A recorded path.
+    """A recorded path."""
 
-    Attributes
-    ----------
-    time_s
-        Increasing, shape (n,).
-    q
-        Joint vectors, shape (n, n_joints), in um and rad.
-    irradiance
-        In V, shape (n,).
-    reference
-        Whether a sample belongs to a reference scan, shape (n,); the others to the path, all in one piece.
-    time_h
-        Hours since the campaign began.
-    file
-        Where it was read, or empty.
-    length
-        True cavity length of a simulated recording, in um, shape (n,); else None.
-    """
-
-    time_s: Floats
-    q: Floats
-    irradiance: Floats
+    time_s: Floats  # increasing, shape (n,)
+    q: Floats  # joint vectors, shape (n, n_joints), in um and rad
+    irradiance: Floats  # in V, shape (n,)
+    #: Whether a sample belongs to a reference scan, shape (n,); the others to the path, all in one piece.
     reference: NDArray[np.bool_]
-    time_h: float = 0.0
-    file: str = ""
-    length: Floats | None = None
+    time_h: float = 0.0  # hours since the campaign began
+    file: str = ""  # where it was read, or empty
+    length: Floats | None = None  # true cavity length of a simulated recording, in um, shape (n,); else None
 
     def __len__(self) -> int:
         return len(self.irradiance)
@@ -204,15 +156,7 @@ class PathTrace:
 def check_parts(trace: PathTrace, rows: list[int] | None = None) -> None:
     """Hold a recording to the order of its parts and to samples enough in each.
 
-    Parameters
-    ----------
-    rows
-        Line of each sample, for the message; by default its number, from 1.
-
-    Raises
-    ------
-    InputError
-        If the path is not in one piece after a reference scan, or a part has fewer than 8 samples.
+    rows: line of each sample, for the message; by default its number, from 1.
     """
     file, back = trace.file or "recording", np.flatnonzero(np.diff(trace.reference.astype(int)) < 0)
     if not trace.reference[:1].any():

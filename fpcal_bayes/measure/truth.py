@@ -14,30 +14,18 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class TruthRecord:
-    """A truth as files hold it, in the units a person reads.
+    """A truth as files hold it, in the units a person reads."""
 
-    Attributes
-    ----------
-    names, units
-        Of the parameters, n of each.
-    times_h
-        Epochs in hours, shape (t,).
-    values
-        In `units`, shape (t, n).
-    """
-
+    #: names, units: Of the parameters, n of each.
     names: tuple[str, ...]
     units: tuple[str, ...]
-    times_h: Floats
-    values: Floats
+    times_h: Floats  # epochs in hours, shape (t,)
+    values: Floats  # in `units`, shape (t, n)
 
     def check(self, cell: Cell, place: str) -> None:
         """Raise `InputError` unless the record is one of parameters of `cell`, at epochs in order.
 
-        Parameters
-        ----------
-        place
-            Where the record comes from, for the message.
+        place: where the record comes from, for the message.
         """
         shape = (len(self.times_h), len(self.names))
         if self.values.shape != shape or len(self.units) != len(self.names) or not self.names:
@@ -59,21 +47,11 @@ class TruthRecord:
 
 @dataclass(frozen=True)
 class Truth:
-    """True parameter values at epochs: linear between two epochs, constant before the first and after the last.
+    """True parameter values at epochs: linear between two epochs, constant before the first and after the last."""
 
-    Attributes
-    ----------
-    parameters
-        The parameters that have a value; every other one of the cell is nominal.
-    times_h
-        Epochs in hours, increasing, shape (t,).
-    values
-        In um and rad, shape (t, n).
-    """
-
-    parameters: ParameterSet
-    times_h: Floats
-    values: Floats
+    parameters: ParameterSet  # the parameters that have a value; every other one of the cell is nominal
+    times_h: Floats  # epochs in hours, increasing, shape (t,)
+    values: Floats  # in um and rad, shape (t, n)
 
     def at(self, time_h: ArrayLike) -> Floats:
         """Values in um and rad at one time, shape (n,), or at m times, shape (m, n)."""
@@ -108,10 +86,11 @@ def paper_truth(cell: Cell) -> Truth:
     # Later tables list what they changed.
     first = full[0]["intrinsic"]
     epochs = [(24.0 * entry["day"], first | entry["intrinsic"] | entry["extrinsic"]) for entry in full]
-    return _truth(cell, epochs, "the paper's truth")
+    return truth_of(cell, epochs, "the paper's truth")
 
 
-def _truth(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:
+def truth_of(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:
+    """The truth with values by name, in um, deg and ppm, at epochs in hours; `place` is for the message."""
     named = {name for _, values in epochs for name in values}
     for name in sorted(named):
         if name not in cell.parameters.names:

@@ -1,4 +1,7 @@
-"""The cavity model: lengths, their changes and their derivatives, for one cell and one choice of free parameters."""
+"""The cavity model: lengths, their changes and their derivatives, for one cell and one choice of free parameters.
+
+Poses are laid out for the kernels once: those that differ in prismatic joints alone share their rotations.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,30 +19,17 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class PoseGroups:
-    """Distinct poses, sorted by group.
+    """Distinct poses, sorted by group."""
 
-    Attributes
-    ----------
-    q
-        Distinct joint vectors, shape (n_poses, n_joints), in um and rad.
-    group_q, group_cos, group_sin
-        Joint values of each group and their cosines and sines, shape (n_groups, n_joints); zero, one, zero at
-        prismatic joints.
-    group_start
-        Poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,).
-    prismatic_q
-        Values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic).
-    inverse
-        Where each joint vector that was given stands among the distinct ones, shape (n_given,).
-    """
-
-    q: Floats
+    q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
+    #: group_q, group_cos, group_sin: Joint values of each group and their cosines and sines, shape (n_groups,
+    #: n_joints); zero, one, zero at prismatic joints.
     group_q: Floats
     group_cos: Floats
     group_sin: Floats
-    group_start: Ints
-    prismatic_q: Floats
-    inverse: Ints
+    group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
+    prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
+    inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
 
     @property
     def n_groups(self) -> int:
@@ -84,21 +74,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class CavityModel:
-    """Cavity length of a cell as a function of its free parameters.
+    """Cavity length of a cell as a function of its free parameters."""
 
-    Attributes
-    ----------
-    cell
-        The cell, which also says along which path light is counted.
-    free
-        Parameters that `values` hold, in this order.
-    held
-        Model vector of the parameters that are not free, shape (model size,), in um and rad.
-    """
-
-    cell: Cell
-    free: ParameterSet
-    held: Floats
+    cell: Cell  # the cell, which also says along which path light is counted
+    free: ParameterSet  # parameters that `values` hold, in this order
+    held: Floats  # model vector of the parameters that are not free, shape (model size,), in um and rad
 
     @classmethod
     def of(cls, cell: Cell, free: ParameterSet | None = None, held: Floats | None = None) -> "CavityModel":
@@ -126,12 +106,8 @@ class CavityModel:
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None) -> Rows:
         """Lay out sweeps for the kernels.
 
-        Parameters
-        ----------
-        q_start, q_end
-            Joint vectors, shape (n_rows, n_joints), in um and rad.
-        absolute
-            Rows that give L(end) itself, shape (n_rows,).
+        q_start, q_end: joint vectors, shape (n_rows, n_joints), in um and rad.
+        absolute: rows that give L(end) itself, shape (n_rows,).
         """
         poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
         starts, ends = np.split(poses.inverse, 2)
@@ -147,17 +123,9 @@ class CavityModel:
     def predict(self, values: Floats, rows: Rows) -> Floats:
         """Predict rows for one or many parameter vectors.
 
-        Parameters
-        ----------
-        values
-            Free parameters in um and rad, shape (n,) or (n_vectors, n).
-        rows
-            From `rows` or `pose_rows`.
-
-        Returns
-        -------
-        ndarray
-            Shape (n_rows,) or (n_vectors, n_rows), in um.
+        values: free parameters in um and rad, shape (n,) or (n_vectors, n).
+        rows: from `rows` or `pose_rows`.
+        Returns shape (n_rows,) or (n_vectors, n_rows), in um.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         result = batch_lengths(*self._arguments(many, rows))
@@ -166,11 +134,8 @@ class CavityModel:
     def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
         """Predict rows with their derivatives by the free parameters.
 
-        Returns
-        -------
-        tuple of ndarray
-            Predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
-            one; in um, and um per um or rad.
+        Returns predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
+        one; in um, and um per um or rad.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         result, jacobian = batch_jacobians(*self._arguments(many, rows), self._columns)
@@ -179,17 +144,9 @@ class CavityModel:
     def joint_jacobian(self, values: Floats, q: Floats) -> Floats:
         """Derivatives of the cavity length by the joints.
 
-        Parameters
-        ----------
-        values
-            Free parameters, shape (n,).
-        q
-            Joint vectors, shape (n_poses, n_joints).
-
-        Returns
-        -------
-        ndarray
-            Shape (n_poses, n_joints), in um per um or rad.
+        values: free parameters, shape (n,).
+        q: joint vectors, shape (n_poses, n_joints).
+        Returns shape (n_poses, n_joints), in um per um or rad.
         """
         n_joints = len(self.cell.joints)
         links = np.arange(n_joints) * STRIDE
@@ -202,23 +159,14 @@ class CavityModel:
         gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
         turned = q * (1.0 + gain)
         climb = np.where(self.cell.revolute, runout_sin * np.cos(turned) - runout_cos * np.sin(turned), 0.0)
-        derivative: Floats = (moved + climb * along) * (1.0 + gain)
-        return derivative
+        return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Mirror normals and origins in the world frame, columns three and four of wTt.
 
-        Parameters
-        ----------
-        values
-            Free parameters, shape (n,) or (n_vectors, n).
-        q
-            Joint vectors, shape (n_poses, n_joints).
-
-        Returns
-        -------
-        tuple of ndarray
-            Normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        values: free parameters, shape (n,) or (n_vectors, n).
+        q: joint vectors, shape (n_poses, n_joints).
+        Returns normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         joints = np.ascontiguousarray(q, dtype=float)
@@ -234,17 +182,9 @@ class CavityModel:
     def reflection_sd(self, values: Floats, covariance: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Standard deviations of the coordinates of wPr and tPr, to first order.
 
-        Parameters
-        ----------
-        values, covariance
-            Free parameters and their covariance in um and rad, shapes (n,) and (n, n).
-        q
-            One joint vector, shape (n_joints,).
-
-        Returns
-        -------
-        tuple of ndarray
-            Each of shape (3,), in um.
+        values, covariance: free parameters and their covariance in um and rad, shapes (n,) and (n, n).
+        q: one joint vector, shape (n_joints,).
+        Returns each of shape (3,), in um.
         """
         vector = self.vector(values).astype(complex)
         step = 1e-30

@@ -43,14 +43,9 @@ def translation(x: complex, y: complex, z: complex) -> Matrix:
 def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
     """Transform i-1Ti of one link at joint value `q`, paper equation (4).
 
-    Parameters
-    ----------
-    link
-        The link's eight numbers in `LINK_SLOTS` order.
-    q
-        Joint variable in um or rad.
-    prismatic
-        Whether `q` adds to r (else to theta).
+    link: the link's eight numbers in `LINK_SLOTS` order.
+    q: joint variable in um or rad.
+    prismatic: whether `q` adds to r (else to theta).
     """
     beta, alpha, d, theta, r, gain, runout_cos, runout_sin = link
     travel = q * (1 + gain)
@@ -66,17 +61,9 @@ def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
 def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
     """DGM: wTe, the end-effector frame in the world frame, paper equation (12).
 
-    Parameters
-    ----------
-    vector
-        Model vector, shape (8 n_joints + 8,), in um and rad.
-    q
-        Joint vector, shape (n_joints,), in um and rad.
-
-    Returns
-    -------
-    ndarray
-        Transform, shape (4, 4).
+    vector: model vector, shape (8 n_joints + 8,), in um and rad.
+    q: joint vector, shape (n_joints,), in um and rad.
+    Returns transform, shape (4, 4).
     """
     pose = np.eye(4)
     for i, joint in enumerate(cell.joints):
@@ -127,10 +114,7 @@ def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Mat
 
     On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane.
 
-    Returns
-    -------
-    tuple of ndarray
-        wPr and tPr, each of shape (3,), in um.
+    Returns wPr and tPr, each of shape (3,), in um.
     """
     mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
     normal, origin = mirror[:3, 2], fibre[:3, 3]

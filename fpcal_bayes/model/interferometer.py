@@ -1,14 +1,14 @@
-"""The interferometer forwards: from a cavity length to the share of light that comes back, and to a voltage.
+"""The interferometer forwards: from where the mirror stands to the light that comes back, and to a voltage.
 
 The fibre end reflects a part r1 of the field; the mirror returns the rest, of which the fibre takes back the part that
-`fibre_coupling` tells. With s = (coupled amplitude) x sqrt(mirror reflectivity) and d = 4 pi n L / lambda
+`mirror_coupling` tells. With s = (coupled amplitude) x sqrt(mirror reflectivity) and d = 4 pi n L / lambda
 
     two-beam   |r1 + (1 - r1^2) s exp(i d)|^2                        = A + B cos(d)
     airy       |r1 + (1 - r1^2) s exp(i d) / (1 + r1 s exp(i d))|^2     (M. Born, E. Wolf, Principles of Optics, 7.6)
 
 As the mirror tilts or moves away s falls, and the visibility B / A with it. The second harmonic of the airy form is
 r1 s of the first: 1 % for a bare fibre at 0.9 mm. L is the length of the cell's path model; the small further phase of
-the coupling (see `fibre_coupling.mirror_coupling`) is left out, as everywhere in the project.
+the coupling (see `mirror_coupling`) is left out, as everywhere in the project.
 """
 
 import numpy as np
@@ -27,24 +27,13 @@ def coupling(
 ) -> Complexes:
     """Amplitude of the fibre mode that a beam excites.
 
-    Parameters
-    ----------
-    distance
-        From the beam's waist to the fibre end, along the beam, in um.
-    tilt
-        Angle between the beam and the fibre's axis, in rad, in the plane of the offset.
-    offset
-        Of the fibre's centre from the beam's axis, across the beam, in um; positive to the side to which the fibre
-        plane's X axis points, along which a positive tilt makes the light arrive later.
-    mode_field_radius
-        Of fibre mode and beam waist, in um.
-    wavelength
-        In the medium, in um. All array arguments broadcast.
-
-    Returns
-    -------
-    ndarray
-        Complex; its size is at most one (for small tilts), its square the share of power.
+    distance: from the beam's waist to the fibre end, along the beam, in um.
+    tilt: angle between the beam and the fibre's axis, in rad, in the plane of the offset.
+    offset: of the fibre's centre from the beam's axis, across the beam, in um; positive to the side to which the fibre
+    plane's X axis points, along which a positive tilt makes the light arrive later.
+    mode_field_radius: of fibre mode and beam waist, in um.
+    wavelength: in the medium, in um. All array arguments broadcast.
+    Returns complex; its size is at most one (for small tilts), its square the share of power.
     """
     wave_number = 2.0 * np.pi / np.asarray(wavelength, dtype=float)
     angle, aside = np.asarray(tilt, dtype=float), np.asarray(offset, dtype=float)
@@ -56,8 +45,7 @@ def coupling(
     slope = 1j * wave_number * (np.sin(angle) + aside * np.cos(angle) / curve)
     start = 1j * wave_number * (np.asarray(distance, dtype=float) + aside**2 / (2.0 * curve))
     size = 2.0 / mode_field_radius**2 * 1j * rayleigh / (curve * np.sqrt(across * along))
-    result: Complexes = size * np.exp(slope**2 / (4.0 * along) - start)
-    return result
+    return np.asarray(size * np.exp(slope**2 / (4.0 * along) - start))
 
 
 def mirror_coupling(
@@ -65,22 +53,13 @@ def mirror_coupling(
 ) -> Complexes:
     """Amplitude of the fibre mode after one reflection at a plane mirror.
 
-    Parameters
-    ----------
-    distance
-        From the fibre end to the mirror plane, perpendicular to it, in um.
-    tilt
-        Angle between the mirror's normal and the fibre's axis, in rad.
-    mode_field_radius, wavelength
-        As in `coupling`.
-
-    Returns
-    -------
-    ndarray
-        Complex, without the mirror's own reflectivity and phase. Minus its phase over twice the wave number is the
-        length that an interferometer sees. As the mirror tilts it follows `distance`, whatever the mode's radius: the
-        field that comes back and the one that the fibre takes overlap around the foot of the perpendicular. As the
-        mirror moves away the Gouy phase adds 8e-6 of the motion (0.3 nm of 40 um at 920 um).
+    distance: from the fibre end to the mirror plane, perpendicular to it, in um.
+    tilt: angle between the mirror's normal and the fibre's axis, in rad.
+    mode_field_radius, wavelength: as in `coupling`.
+    Returns complex, without the mirror's own reflectivity and phase. Minus its phase over twice the wave number is the
+    length that an interferometer sees. As the mirror tilts it follows `distance`, whatever the mode's radius: the
+    field that comes back and the one that the fibre takes overlap around the foot of the perpendicular. As the
+    mirror moves away the Gouy phase adds 8e-6 of the motion (0.3 nm of 40 um at 920 um).
     """
     away, angle = np.asarray(distance, dtype=float), np.asarray(tilt, dtype=float)
     # Seen from the image of the fibre, twice the distance away along the normal and turned by twice the tilt.
@@ -96,16 +75,9 @@ def mirror_coupling(
 def mirror_views(model: CavityModel, values: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     """Where the mirror stands as the fibre sees it, for poses `q` (n, n_joints).
 
-    Parameters
-    ----------
-    model, values
-        Cavity model and its free parameters (n_free,), in um and rad.
-
-    Returns
-    -------
-    tuple of ndarray
-        Cavity length in the cell's own path model and distance perpendicular to the mirror, both in um, and the angle
-        between mirror normal and fibre axis, in rad; each of shape (n,).
+    model, values: cavity model and its free parameters (n_free,), in um and rad.
+    Returns cavity length in the cell's own path model and distance perpendicular to the mirror, both in um, and the
+    angle between mirror normal and fibre axis, in rad; each of shape (n,).
     """
     vector = model.vector(values)
     fibre, axis = fibre_in_world(vector)[:3, 3], optical_axis(model.cell, vector)
@@ -120,10 +92,7 @@ def mirror_views(model: CavityModel, values: Floats, q: Floats) -> tuple[Floats,
 def mirror_amplitude(optics: Interferometer, distance: ArrayLike, tilt: ArrayLike) -> Floats:
     """Amplitude s of the light that comes back from the mirror into the fibre, before it passes the fibre end.
 
-    Parameters
-    ----------
-    distance, tilt
-        Perpendicular distance in um and angle of the mirror in rad; they broadcast.
+    distance, tilt: perpendicular distance in um and angle of the mirror in rad; they broadcast.
     """
     taken = mirror_coupling(distance, tilt, mode_field_radius=optics.mode_field_radius, wavelength=optics.wavelength)
     return np.asarray(np.sqrt(optics.mirror_reflectivity) * np.abs(taken))
@@ -147,16 +116,10 @@ def reflected(
 ) -> Floats:
     """Share of the light that comes back.
 
-    Parameters
-    ----------
-    length
-        Cavity length L in um, in the path model that counts.
-    distance, tilt
-        Perpendicular distance to the mirror in um and its angle in rad; only the coupling depends on them.
-    wavelength
-        Of the laser in vacuum, in um; by default that of the cell. An error or drift of it multiplies L.
-    index
-        Refractive index of the air. All arguments broadcast.
+    length: cavity length L in um, in the path model that counts.
+    distance, tilt: perpendicular distance to the mirror in um and its angle in rad; only the coupling depends on them.
+    wavelength: of the laser in vacuum, in um; by default that of the cell. An error or drift of it multiplies L.
+    index: refractive index of the air. All arguments broadcast.
     """
     light = optics.wavelength if wavelength is None else np.asarray(wavelength, dtype=float)
     phase = 4.0 * np.pi * np.asarray(index) * np.asarray(length, dtype=float) / light

@@ -5,10 +5,8 @@ solution is found; other chains of six joints are solved by damped Newton steps 
 as out of reach when none of them meets it.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +16,6 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse_few import FewJoints
 from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
-from fpcal_bayes.model.kernels.lengths import GAIN, STRIDE
 from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
 
 __all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
@@ -32,31 +29,20 @@ _FAR_TURN, _FAR_TRAVEL = np.pi, 1000.0
 
 @dataclass(frozen=True)
 class JointSolutions:
-    """Joint values of poses, and what became of each pose.
+    """Joint values of poses, and what became of each pose."""
 
-    Attributes
-    ----------
-    cell
-        Whose joints they are.
-    q
-        Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
-        saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
-    status
-        `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...).
-    joint
-        Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
-    """
-
-    cell: Cell
+    cell: Cell  # whose joints they are
+    #: Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
+    #: saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
     q: Floats
-    status: Ints
+    status: Ints  # `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...)
+    #: Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
     joint: Ints
 
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each pose can be driven to, shape (...)."""
-        good: NDArray[np.bool_] = self.status == OK
-        return good
+        return np.asarray(self.status == OK)
 
     def texts(self) -> NDArray[np.str_]:
         """The status of each pose in words, shape (...): ``ok``, or the reason why it cannot be driven to."""
@@ -79,20 +65,9 @@ class JointSolutions:
 
 @dataclass(frozen=True)
 class InverseModel:
-    """The inverse geometric model of a cell with six joints, or with fewer: then in the directions that exist.
+    """The inverse geometric model of a cell with six joints, or with fewer: in the directions that exist."""
 
-    Parameters
-    ----------
-    cell
-        Gives kinds and limits of the joints.
-
-    Raises
-    ------
-    InputError
-        If the cell has more than six joints, or so many prismatic ones that a pose is never fully reached.
-    """
-
-    cell: Cell
+    cell: Cell  # gives kinds and limits of the joints
 
     def __post_init__(self) -> None:
         n, n_prismatic = len(self.cell.joints), int(np.count_nonzero(~self.cell.revolute))
@@ -132,17 +107,9 @@ class InverseModel:
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
         """DGM: tool frames wTe of joint vectors.
 
-        Parameters
-        ----------
-        vectors
-            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        q
-            Joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
-
-        Returns
-        -------
-        ndarray
-            Shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
+        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        q: joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
+        Returns shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
         """
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         joints = np.ascontiguousarray(q if np.ndim(q) == 3 else q[None], dtype=float)
@@ -154,29 +121,13 @@ class InverseModel:
     ) -> JointSolutions:
         """IGM: joint values at which the tool frame takes `poses`.
 
-        Parameters
-        ----------
-        vectors
-            Model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        poses
-            wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
-        near
-            Of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
-            by default `home`.
-        follow
-            Poses are points of a path: each is solved near the one before it.
-        check
-            Whether to look whether `poses` are poses.
-
-        Returns
-        -------
-        JointSolutions
-            Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
-
-        Raises
-        ------
-        InputError
-            If a pose is not finite or its rotation is not orthonormal.
+        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
+        poses: wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
+        near: of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
+        by default `home`.
+        follow: poses are points of a path: each is solved near the one before it.
+        check: whether to look whether `poses` are poses.
+        Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
         if check:
             check_poses(poses)
@@ -225,57 +176,6 @@ class InverseModel:
             return np.zeros((len(poses), 6))
         return FewJoints.of(self.cell, vector).missed(poses, q)
 
-    def all_solutions(self, vector: Floats, pose: Floats) -> Floats:
-        """Every joint vector inside the limits at which the tool frame takes `pose`.
-
-        Whole turns of a joint without limits count once. For a chain without closed form these are the solutions that
-        Newton finds from its starts.
-
-        Parameters
-        ----------
-        vector
-            Model vector, shape (model size,).
-        pose
-            wTe, shape (4, 4).
-
-        Returns
-        -------
-        ndarray
-            Shape (n_solutions, n_joints), in um and rad, nearest to `home` first.
-        """
-        check_poses(pose)
-        found: list[Floats] = []
-        for branch in range(2 if self.closed_form else 1 + len(self._starts)):
-            q, status, _ = batch_inverse(
-                np.ascontiguousarray(vector, dtype=float)[None],
-                self.cell.revolute,
-                self.cell.low,
-                self.cell.high,
-                np.ascontiguousarray(pose, dtype=float)[None, None],
-                self.home,
-                False,
-                self._starts,
-                branch,
-            )
-            if status[0, 0] == OK:
-                found += [other for other in self._turned(vector, q[0, 0]) if not _among(other, found)]
-        found.sort(key=lambda q: float(np.abs((q - self.home) / np.where(self.cell.revolute, 1.0, 1e3)).max()))
-        return np.array(found).reshape(-1, len(self.cell.joints))
-
-    def _turned(self, vector: Floats, q: Floats) -> Iterator[Floats]:
-        """The same pose with whole turns added, inside the limits of joints that have both."""
-        choices = []
-        for i, joint in enumerate(self.cell.joints):
-            turns = np.zeros(1)
-            if joint.kind == "revolute" and np.isfinite(joint.low) and np.isfinite(joint.high):
-                period = 2.0 * np.pi / abs(1.0 + vector[STRIDE * i + GAIN])
-                slack = 1e-9 * (1.0 + abs(q[i]))
-                first = np.ceil((joint.low - slack - q[i]) / period)
-                turns = period * np.arange(first, np.floor((joint.high + slack - q[i]) / period) + 1)
-            choices.append(turns)
-        for combination in product(*choices):
-            yield q + np.array(combination)
-
 
 def check_poses(poses: ArrayLike) -> None:
     """Raise `InputError` at the first of `poses` (..., 4, 4) that is no pose, naming it by its number from 1."""
@@ -287,7 +187,3 @@ def check_poses(poses: ArrayLike) -> None:
         raise InputError(
             f"pose {bad + 1}: expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
         )
-
-
-def _among(q: Floats, others: list[Floats]) -> bool:
-    return any(bool((np.abs(q - other) < 1e-6).all()) for other in others)

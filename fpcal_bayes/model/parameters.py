@@ -35,34 +35,17 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One geometric parameter of a cell.
+    """One geometric parameter of a cell."""
 
-    Attributes
-    ----------
-    name
-        As in every file, table and plot: ``alpha_2``, ``beta_wf``.
-    unit
-        ``deg``, ``um`` or ``ppm``: the unit in which a person reads and writes it.
-    nominal, prior_sd
-        In internal units (rad, um, 1). ``prior_sd`` is zero where the parameter cannot be freed.
-    kind
-        ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit).
-    slot
-        Position in the model vector (see `model_size`).
-    optional
-        Freed only when it is asked for by name.
-    prior
-        The prior where it is not normal; `prior_sd` is its standard deviation.
-    """
-
-    name: str
-    unit: str
+    name: str  # as in every file, table and plot: ``alpha_2``, ``beta_wf``
+    unit: str  # ``deg``, ``um`` or ``ppm``: the unit in which a person reads and writes it
+    #: nominal, prior_sd: In internal units (rad, um, 1). ``prior_sd`` is zero where the parameter cannot be freed.
     nominal: float
     prior_sd: float
-    kind: Kind
-    slot: int
-    optional: bool = False
-    prior: Marginal | None = None
+    kind: Kind  # ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit)
+    slot: int  # position in the model vector: `LINK_SLOTS` of each link, then `EXTRINSICS`
+    optional: bool = False  # freed only when it is asked for by name
+    prior: Marginal | None = None  # the prior where it is not normal; `prior_sd` is its standard deviation
 
     @property
     def scale(self) -> float:
@@ -81,18 +64,10 @@ class Parameter:
         return internal / self.scale
 
 
-def model_size(n_links: int) -> int:
-    """Length of the model vector: eight numbers a link in `LINK_SLOTS` order, then `EXTRINSICS`."""
-    return len(LINK_SLOTS) * n_links + len(EXTRINSICS)
-
-
 class ParameterSet:
     """An ordered set of parameters, found by position or by name.
 
-    Parameters
-    ----------
-    parameters
-        With distinct names.
+    parameters: with distinct names.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
@@ -168,13 +143,7 @@ class ParameterSet:
         return np.asarray(shown, dtype=float) * self.scales
 
     def from_mapping(self, shown: dict[str, float]) -> NDArray[np.float64]:
-        """Internal values (n,) from shown values by name; the rest is nominal.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown.
-        """
+        """Internal values (n,) from shown values by name; the rest is nominal."""
         values = self.nominal.copy()
         for name, value in shown.items():
             position = self.position(name)

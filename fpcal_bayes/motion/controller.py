@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
@@ -230,8 +231,6 @@ class Controller:
 
 def interpolate(start: Floats, end: Floats, n_points: int) -> Floats:
     """Poses from `start` to `end` (4, 4): positions on a line, turns about one axis; shape (n_points, 4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     share = np.linspace(0.0, 1.0, n_points)
     turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
     poses = np.zeros((n_points, 4, 4))

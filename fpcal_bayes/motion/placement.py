@@ -17,21 +17,12 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class Placement:
-    """Frames of a model vector that a command in the fibre frame needs.
+    """Frames of a model vector that a command in the fibre frame needs."""
 
-    Attributes
-    ----------
-    fibre
-        wTf, shape (4, 4).
-    tool_in_point
-        (eTt tTPr)^-1: the tool in the mirror frame placed at the reflection point, shape (4, 4).
-    aligned
-        fX of the aligned pose, shape (4, 4): mirror normal against the light, Xt along Xf, the mirror point that
-        reflects at joint vector zero where it reflects there.
-    """
-
-    fibre: Floats
-    tool_in_point: Floats
+    fibre: Floats  # wTf, shape (4, 4)
+    tool_in_point: Floats  # (eTt tTPr)^-1: the tool in the mirror frame placed at the reflection point, shape (4, 4)
+    #: fX of the aligned pose, shape (4, 4): mirror normal against the light, Xt along Xf, the mirror point that
+    #: reflects at joint vector zero where it reflects there.
     aligned: Floats
 
     @classmethod
@@ -50,16 +41,9 @@ class Placement:
     def moved(self, offsets: Floats) -> Floats:
         """Poses fX away from the aligned one.
 
-        Parameters
-        ----------
-        offsets
-            Shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y, then
-            Z axis through the reflection point.
-
-        Returns
-        -------
-        ndarray
-            Shape (n, 4, 4).
+        offsets: shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y,
+        then Z axis through the reflection point.
+        Returns shape (n, 4, 4).
         """
         poses = np.zeros((len(offsets), 4, 4))
         poses[:, :3, :3] = turns(offsets[:, 3:]) @ self.aligned[:3, :3]
@@ -69,13 +53,11 @@ class Placement:
 
     def tool_poses(self, poses: Floats) -> Floats:
         """Tool frames wTe of poses fX (..., 4, 4); same shape."""
-        result: Floats = self.fibre @ poses @ self.tool_in_point
-        return result
+        return np.asarray(self.fibre @ poses @ self.tool_in_point)
 
     def mirror_poses(self, tools: Floats) -> Floats:
         """Poses fX of tool frames wTe (..., 4, 4); same shape."""
-        result: Floats = _inverse(self.fibre) @ tools @ _inverse(self.tool_in_point)
-        return result
+        return np.asarray(_inverse(self.fibre) @ tools @ _inverse(self.tool_in_point))
 
 
 def turns(angles: Floats) -> Floats:

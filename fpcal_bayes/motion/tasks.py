@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.model import chain
@@ -35,40 +35,22 @@ _LEFT_UNDONE, _UNSEEN = 0.1, 0.01
 
 @dataclass(frozen=True)
 class Task:
-    """A commanded path, and the joint path that a model vector makes of it.
+    """A commanded path, and the joint path that a model vector makes of it."""
 
-    Attributes
-    ----------
-    name
-        One of `TASKS`, or the name of a path file.
-    cell
-        Whose joints follow the path.
-    offsets
-        Commanded moves away from the aligned pose, shape (n_points, 6), in um and rad (see `Placement.moved`).
-    poses
-        Commanded poses fX of the mirror frame at the reflection point, in the fibre frame, shape (n_points, 4, 4).
-    q
-        Joint path, shape (n_points, n_joints), in um and rad; NaN where a pose is out of reach, beyond a limit where
-        it is saturated: drive to points whose status is ``ok`` only.
-    status
-        Of each point: ``ok`` or the reason why it cannot be driven to, shape (n_points,).
-    start
-        Joint vector of the aligned pose, from which the changes of cavity length are counted, shape (n_joints,).
-    along
-        Where each point stands on the path, shape (n_points,), in `unit`.
-    unit
-        ``um`` or ``deg``, or ``point`` for a user's path.
-    """
-
-    name: str
-    cell: Cell
+    name: str  # one of `TASKS`, or the name of a path file
+    cell: Cell  # whose joints follow the path
+    #: Commanded moves away from the aligned pose, shape (n_points, 6), in um and rad (see `Placement.moved`).
     offsets: Floats
+    #: Commanded poses fX of the mirror frame at the reflection point, in the fibre frame, shape (n_points, 4, 4).
     poses: Floats
+    #: Joint path, shape (n_points, n_joints), in um and rad; NaN where a pose is out of reach, beyond a limit where it
+    #: is saturated: drive to points whose status is ``ok`` only.
     q: Floats
-    status: NDArray[np.str_]
+    status: NDArray[np.str_]  # of each point: ``ok`` or the reason why it cannot be driven to, shape (n_points,)
+    #: Joint vector of the aligned pose, from which the changes of cavity length are counted, shape (n_joints,).
     start: Floats
-    along: Floats
-    unit: str
+    along: Floats  # where each point stands on the path, shape (n_points,), in `unit`
+    unit: str  # ``um`` or ``deg``, or ``point`` for a user's path
 
     def __len__(self) -> int:
         return len(self.q)
@@ -76,8 +58,7 @@ class Task:
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each point can be driven to, shape (n_points,)."""
-        good: NDArray[np.bool_] = self.status == "ok"
-        return good
+        return np.asarray(self.status == "ok")
 
     @property
     def finite(self) -> NDArray[np.bool_]:
@@ -85,13 +66,7 @@ class Task:
         return np.isfinite(self.q).all(axis=1)
 
     def driven(self) -> "Task":
-        """The same task at the points that can be driven to.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """The same task at the points that can be driven to."""
         if not self.ok.any():
             raise InputError(f"task {self.name!r}: no point can be driven to; point 1: {self.status[0]}")
         return self.take(self.ok)
@@ -117,24 +92,11 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     about Xf and Zf through wPr, less where the limits are narrower (see `half_line`, `half_tilt`); ``spin`` turns about
     Yf through wPr, to either side until a joint limit or 90 deg.
 
-    Parameters
-    ----------
-    cell
-        A cell with six joints, or with fewer: points that ask for a direction that it has not say so.
-    vector
-        Model vector that the joint path is found with, shape (model size,), in um and rad.
-    name
-        One of `TASKS`, or of the cell's own.
-    radius
-        Of the circle, in um; a circle of the cell's own has its own radius.
-    n_points
-        Points of the path, both ends included; the circle ends where it starts.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown, the radius is not above zero, there are fewer than two points, or the aligned pose
-        that a spin starts from cannot be reached.
+    cell: with six joints, or with fewer: points that ask for a direction that it has not say so.
+    vector: model vector that the joint path is found with, shape (model size,), in um and rad.
+    name: one of `TASKS`, or of the cell's own.
+    radius: of the circle, in um.
+    n_points: points of the path, both ends included; the circle ends where it starts.
     """
     own = {task.name: task for task in cell.tasks}
     if name not in TASKS and name not in own:
@@ -222,16 +184,8 @@ def possible_tasks(cell: Cell, names: Sequence[str] = TASKS, *, radius: float = 
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
     """A user's path as a task.
 
-    Parameters
-    ----------
-    path
-        CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
-        turns in the order x, y, z about axes through wPr.
-
-    Raises
-    ------
-    InputError
-        If the file is not as documented or has fewer than two rows.
+    path: CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
+    turns in the order x, y, z about axes through wPr.
     """
     offsets = read_path(path)
     placement = Placement.of(cell, vector)
@@ -292,7 +246,7 @@ def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> 
             good &= ~_beyond_directions(inverse, vector, placement, tools, found.q, found.q[np.argmin(angles)])
         if angles[0] == 0.0 and not good[0]:
             if not found.ok[0]:
-                raise InputError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
+                raise UnreachableError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")
             good[0] = True
         return good
 

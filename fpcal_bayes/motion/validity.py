@@ -1,10 +1,12 @@
 """Until when an estimate may be driven with: the horizon that the tracker wrote into it, against the time it is now."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.times import clock, read_time
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import Reason
 
 
 class StaleEstimateWarning(UserWarning):
@@ -14,12 +16,8 @@ class StaleEstimateWarning(UserWarning):
 def hours_of_estimate(estimate: Estimate, moment: datetime) -> float | None:
     """A moment in hours since the campaign began, or None where the estimate carries no clock time.
 
-    Parameters
-    ----------
-    estimate
-        Its `data` may hold ``utc``, the clock time (ISO 8601) at `time_h`, as the tracker writes it.
-    moment
-        With its time zone.
+    estimate: its `data` may hold ``utc``, the clock time (ISO 8601) at `time_h`, as the tracker writes it.
+    moment: with its time zone.
     """
     try:
         made = clock(str(estimate.data["utc"]))
@@ -31,15 +29,7 @@ def hours_of_estimate(estimate: Estimate, moment: datetime) -> float | None:
 def read_now(text: str | None, estimate: Estimate) -> float | None:
     """The time that a user gives, or this machine's clock, in hours since the campaign began; None if not known.
 
-    Parameters
-    ----------
-    text
-        Hours, a clock time as ISO 8601, or None for the clock.
-
-    Raises
-    ------
-    InputError
-        If the text is neither, or is a clock time while the estimate carries none.
+    text: hours, a clock time as ISO 8601, or None for the clock.
     """
     if text is None:
         return hours_of_estimate(estimate, datetime.now(UTC))
@@ -52,14 +42,17 @@ def read_now(text: str | None, estimate: Estimate) -> float | None:
     return found
 
 
+def judged_at(estimate: Estimate, now_h: float | None) -> Estimate:
+    """The estimate with what its age holds against it; `now_h` in hours since the campaign began, None if not known."""
+    stale = stale_text(estimate, now_h)
+    return estimate if stale is None else replace(estimate, trust=estimate.trust.because(Reason("stale", stale)))
+
+
 def stale_text(estimate: Estimate, now_h: float | None) -> str | None:
     """One sentence if an estimate is used after its horizon, else None.
 
-    Parameters
-    ----------
-    now_h
-        In hours since the campaign began, or None where that is not known: then only an estimate that never held its
-        tasks is spoken of.
+    now_h: in hours since the campaign began, or None where that is not known: then only an estimate that never held its
+    tasks is spoken of.
     """
     until = estimate.valid_until_h
     if until is None:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from fpcal_bayes.analysis.cell_view import AxisView, CellView
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.axes import direction_words
-from fpcal_bayes.report.svg import BLUE, GREEN, ORANGE, VERMILION, drawable
+from fpcal_bayes.report.pages import BLUE, GREEN, ORANGE, VERMILION, drawable
 
 #: Where x, y and z of the world point on the page: x towards the reader, y to the right, z up.
 _PAGE = np.array([[-0.56, 0.93, 0.0], [-0.42, -0.17, 0.98]])

@@ -1,18 +1,17 @@
 """A doubtful sweep drawn: its trace, the fringes found, where L turns, and what the fit leaves."""
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fpcal_bayes.analysis.traces import FittedSweep
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading
-from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.fringes.samples import Samples
+from fpcal_bayes.report.pages import BLUE, GREEN, VERMILION
 
-# Okabe and Ito's colours.
-_DATA, _FIT, _TURN, _FRINGE = "#777777", "#0072B2", "#D55E00", "#009E73"
-#: Points of a fitted curve, and samples drawn at most.
-_CURVE, _MOST = 4000, 20000
+_DATA = "#777777"
+#: Samples drawn at most.
+_MOST = 20000
 
 
 def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, name: str, reason: str) -> Figure:
@@ -22,10 +21,8 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
     ----------
     reading, samples
         What the trace said, and the trace along the sweep.
-    start, end
-        Of the joint that moves, as a person reads it.
-    name
-        Of that joint with its unit.
+    start, end, name
+        Of the joint that moves, as a person reads it; the name with its unit.
     reason
         Why the sweep is doubtful; part of the title.
     """
@@ -33,43 +30,36 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
     figure.suptitle(f"{reading.label}: {reason}", fontsize=10, wrap=True)
     step = max(1, len(samples) // _MOST)
     joint = (start + end) / 2.0 + samples.s[::step] * (end - start) / 2.0
-    if reading.fit is None:
+    fitted = FittedSweep.of(reading, samples)
+    if fitted is None:
         _trace_alone(figure.subplots(), joint, samples.signal[::step], name)
         return figure
     trace, course, left = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.2, 1.0))
-    s = np.linspace(-1.0, 1.0, _CURVE)
-    along = (start + end) / 2.0 + s * (end - start) / 2.0
-    order = np.argsort(samples.s, kind="stable")
-    time = np.interp(s, samples.s[order], samples.time[order])
-    fitted = reading.fit.signal(s, time, reading.phase_per_um)
+    along = (start + end) / 2.0 + fitted.s * (end - start) / 2.0
     _trace_alone(trace, joint, samples.signal[::step], "")
-    trace.plot(along, fitted, color=_FIT, linewidth=0.9, label="fit")
-    _fringes(trace, reading, s, along, fitted)
+    trace.plot(along, fitted.signal, color=BLUE, linewidth=0.9, label="fit")
+    tops, found = fitted.tops, f"{reading.fringes:.2f} fringes"
+    trace.plot(along[tops], fitted.signal[tops], "v", color=GREEN, markersize=4, label=found)
 
-    lengths = legendre(s)[:, 1:] @ (reading.course if len(reading.course) else reading.fit.course)
-    course.plot(along, lengths - lengths[0], color=_FIT, linewidth=1.2)
+    course.plot(along, fitted.lengths, color=BLUE, linewidth=1.2)
     course.set_ylabel("L - L(start) [um]")
     for other in reading.alternatives:
-        course.axhline(other, color=_TURN, linestyle=":", linewidth=1.0)
+        course.axhline(other, color=VERMILION, linestyle=":", linewidth=1.0)
     if reading.alternatives:
-        course.plot([], [], color=_TURN, linestyle=":", label="another dL that is possible")
+        course.plot([], [], color=VERMILION, linestyle=":", label="another dL that is possible")
         course.legend(loc="best", fontsize=7)
 
-    residual = samples.signal[::step] - reading.fit.signal(
-        samples.s[::step], samples.time[::step], reading.phase_per_um
-    )
-    left.plot(joint, residual, ".", color=_DATA, markersize=2 if len(joint) > 400 else 5)
-    left.axhspan(-reading.fit.noise, reading.fit.noise, color=_FIT, alpha=0.2, linewidth=0, label="noise, one sd")
+    left.plot(joint, fitted.residual[::step], ".", color=_DATA, markersize=2 if len(joint) > 400 else 5)
+    left.axhspan(-fitted.noise, fitted.noise, color=BLUE, alpha=0.2, linewidth=0, label="noise, one sd")
     left.set_ylabel("residual [V]")
     left.legend(loc="upper right", fontsize=7)
     left.set_xlabel(name)
-    turns = _turning_joints(reading, start, end)
     for axis in (trace, course, left):
-        for turn in turns:
-            axis.axvline(turn, color=_TURN, linewidth=1.0)
+        for turn in reading.turns:
+            axis.axvline((start + end) / 2.0 + turn * (end - start) / 2.0, color=VERMILION, linewidth=1.0)
         axis.grid(alpha=0.3)
-    if turns:
-        trace.plot([], [], color=_TURN, label="L turns")
+    if reading.turns:
+        trace.plot([], [], color=VERMILION, label="L turns")
     trace.legend(loc="upper right", fontsize=7, ncols=4)
     return figure
 
@@ -80,19 +70,3 @@ def _trace_alone(axis: Axes, joint: Floats, signal: Floats, name: str) -> None:
     if name:
         axis.set_xlabel(name)
         axis.grid(alpha=0.3)
-
-
-def _fringes(axis: Axes, reading: Reading, s: Floats, along: Floats, fitted: Floats) -> None:
-    """Mark the tops of the fringes that were found."""
-    if reading.fit is None:
-        return
-    turned = reading.fit.phase(s, reading.phase_per_um) / (2.0 * np.pi)
-    tops = np.flatnonzero(np.diff(np.floor(turned)) != 0)
-    axis.plot(along[tops], fitted[tops], "v", color=_FRINGE, markersize=4, label=f"{reading.fringes:.2f} fringes")
-
-
-def _turning_joints(reading: Reading, start: float, end: float) -> list[float]:
-    """Joint positions of the reversals in the unit of `start` and `end`."""
-    if not reading.turns:
-        return []
-    return [(start + end) / 2.0 + turn * (end - start) / 2.0 for turn in reading.turns]

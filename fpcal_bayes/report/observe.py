@@ -1,14 +1,11 @@
-"""An observability analysis as one page that needs nothing else."""
+"""An observability analysis in sentences and tables, on a terminal and as one page that needs nothing else."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from rich.console import Console
-from rich.markup import escape
 
 from fpcal_bayes.core.files import write_text
 from fpcal_bayes.core.version import __version__
@@ -17,23 +14,14 @@ from fpcal_bayes.infer.observability.gauges import Gauge
 from fpcal_bayes.infer.observability.information import REDUNDANT_BITS
 from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.observability.profile import Profile
-from fpcal_bayes.report import observe as words
 from fpcal_bayes.report import observe_figures as figures
-from fpcal_bayes.report.fit import STATUS_STYLES, number, plain_table
+from fpcal_bayes.report.pages import ENVIRONMENT
+from fpcal_bayes.report.table import Cell, Table, number, plain_table
 
 _MOST_NAMED = 10
 _MOST_CANDIDATES = 5
 _MOST_SWEEPS = 8
 _LEAST_CORRELATION = 0.3
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """Rows of text under column heads; the first `n_text` columns hold words, the others numbers."""
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    n_text: int = 1
 
 
 def headline(result: Observability) -> list[str]:
@@ -65,31 +53,29 @@ def headline(result: Observability) -> list[str]:
     ]
 
 
-def parameter_table(result: Observability) -> TextTable:
+def parameter_table(result: Observability) -> Table:
     """Each parameter: value if measured, standard deviations, contraction, status, strongest correlations."""
     measured = result.identification is not None
     parameters = result.parameters
     values = parameters.to_shown(result.values)
     sds = parameters.to_shown(np.sqrt(np.diag(result.covariance)) * parameters.prior_sd)
     prior = parameters.to_shown(parameters.prior_sd)
-    rows = []
+    heads = ["parameter", "unit", "status", *(["value", "sd"] if measured else ["expected sd"])]
+    heads += ["prior sd", "contraction", "strongest correlations"]
+    table = plain_table("Parameters", heads, words=(0, 1, 2, -1))
     for i, parameter in enumerate(parameters):
         strong = [(n, c) for n, c in result.strongest_correlations(parameter.name, 2) if abs(c) >= _LEAST_CORRELATION]
-        rows.append(
-            (
-                parameter.name,
-                parameter.unit,
-                result.status[i],
-                *([number(float(values[i]), float(sds[i]))] if measured else []),
-                number(float(sds[i]), float(sds[i])),
-                f"{prior[i]:g}",
-                percent(float(result.contraction[i])),
-                ", ".join(f"{name} {correlation:+.2f}" for name, correlation in strong),
-            )
+        table.add_row(
+            parameter.name,
+            parameter.unit,
+            Cell(result.status[i], style=result.status[i]),
+            *([number(float(values[i]), float(sds[i]))] if measured else []),
+            number(float(sds[i]), float(sds[i])),
+            f"{prior[i]:g}",
+            percent(float(result.contraction[i])),
+            ", ".join(f"{name} {correlation:+.2f}" for name, correlation in strong),
         )
-    sd = "sd" if measured else "expected sd"
-    columns = ("parameter", "unit", "status", *(["value"] if measured else []), sd, "prior sd", "contraction")
-    return TextTable((*columns, "strongest correlations"), tuple(rows), n_text=3)
+    return table
 
 
 def percent(share: float) -> str:
@@ -124,29 +110,32 @@ def base_sentence(result: Observability) -> str:
     )
 
 
-def block_table(result: Observability) -> TextTable:
+def block_table(result: Observability) -> Table:
     """Rank and observability indices of the sweeps, of their parts, and with additions."""
-    rows = []
+    heads = ["sweeps", "rows", "rank", "condition", "O1", "O2", "O3", "O4", "O5"]
+    table = plain_table("What parts of the sweeps tell, and what additions would", heads, words=[0])
     for block in result.blocks:
-        seen = block.spectrum.rank > 0
-        rows.append(
-            (
-                block.name,
-                str(block.n_rows),
-                str(block.spectrum.rank),
-                f"{block.indices.condition:.3g}" if seen else "-",
-                *(f"{value:.3g}" for value in block.indices.content().values()),
-            )
-        )
-    return TextTable(("sweeps", "rows", "rank", "condition", "O1", "O2", "O3", "O4", "O5"), tuple(rows))
+        condition = f"{block.indices.condition:.3g}" if block.spectrum.rank else "-"
+        indices = [f"{value:.3g}" for value in block.indices.content().values()]
+        table.add_row(block.name, *map(_sortable, [str(block.n_rows), str(block.spectrum.rank), condition, *indices]))
+    return table
 
 
-def sweep_table(result: Observability) -> TextTable:
+def _sortable(text: str) -> Cell:
+    """A number that sorts by what is shown of it."""
+    try:
+        return Cell(text, f"{float(text):.12g}")
+    except ValueError:
+        return Cell(text, text)
+
+
+def sweep_table(result: Observability) -> Table:
     """The sweeps that tell most."""
     information = result.information
-    order = np.argsort(-information.bits, kind="stable")[:_MOST_SWEEPS]
-    rows = tuple((information.labels[i], f"{information.bits[i]:.2f}", f"{information.leverage[i]:.2f}") for i in order)
-    return TextTable(("sweep", "bits lost without it", "leverage"), rows)
+    table = plain_table("Sweeps that tell most", ["sweep", "bits lost without it", "leverage"], words=[0])
+    for i in np.argsort(-information.bits, kind="stable")[:_MOST_SWEEPS]:
+        table.add_row(information.labels[i], f"{information.bits[i]:.2f}", f"{information.leverage[i]:.2f}")
+    return table
 
 
 def information_sentences(result: Observability) -> list[str]:
@@ -170,16 +159,12 @@ def information_sentences(result: Observability) -> list[str]:
     return sentences
 
 
-def bounds_table(result: Observability) -> TextTable:
+def bounds_table(result: Observability) -> Table:
     """Cramer-Rao bounds by what is identified; the others are taken as known exactly."""
-    columns, names = (
-        ["parameter", "unit"],
-        {"full": "all", "extrinsic": "extrinsic only", "intrinsic": "intrinsic only"},
-    )
+    names = {"full": "all", "extrinsic": "extrinsic only", "intrinsic": "intrinsic only"}
     chosen = [free for free in names if free in result.bounds]
-    for free in chosen:
-        columns += [names[free], "with prior"]
-    rows = []
+    heads = ["parameter", "unit", *(head for free in chosen for head in (names[free], "with prior"))]
+    table = plain_table("Cramer-Rao bounds: least standard deviations, by what is identified", heads)
     for parameter in result.parameters:
         cells = [parameter.name, parameter.unit]
         for free in chosen:
@@ -190,8 +175,8 @@ def bounds_table(result: Observability) -> TextTable:
             at, scale = parameters.position(parameter.name), parameter.shown(parameter.prior_sd)
             unbiased, with_prior = float(bounds.unbiased[at]) * scale, float(bounds.with_prior[at]) * scale
             cells += ["unbounded" if unbiased == np.inf else f"{unbiased:.3g}", f"{with_prior:.3g}"]
-        rows.append(tuple(cells))
-    return TextTable(tuple(columns), tuple(rows), n_text=2)
+        table.add_row(*cells)
+    return table
 
 
 def profile_sentence(profile: Profile, result: Observability) -> str:
@@ -225,74 +210,38 @@ def _capital(sentence: str) -> str:
 def print_observability(result: Observability, title: str, out: Console) -> None:
     """Print what sweeps can tell about a cell.
 
-    Parameters
-    ----------
-    title
-        What was analysed: file and session. Any text: nothing in it is taken as markup.
-    out
-        Where to print; a quiet console prints nothing.
+    The title says what was analysed: file and session. Nothing in it is taken as markup.
     """
 
     def lines(*sentences: str) -> None:
         for sentence in sentences:
             out.print(sentence, markup=False, soft_wrap=True)
 
-    def table(heading: str, content: words.TextTable) -> None:
-        made = plain_table(heading, content.columns)
-        for i, column in enumerate(made.columns):
-            # Correlations are words at the end of a row.
-            wordy = i < content.n_text or content.columns[i] == "strongest correlations"
-            column.justify = "left" if wordy else "right"
-        for row in content.rows:
-            made.add_row(*(_styled(cell) for cell in row))
-        out.print(made)
-
-    lines(title, *words.headline(result), "")
-    table("Parameters", words.parameter_table(result))
+    lines(title, *headline(result), "")
+    out.print(parameter_table(result))
     lines("Directions that the data do not see")
     for gauge in result.gauges:
-        lines(f"- {words.gauge_sentence(gauge)}", f"    moves: {words.gauge_direction(gauge, result)}")
+        lines(f"- {gauge_sentence(gauge)}", f"    moves: {gauge_direction(gauge, result)}")
     if not result.gauges:
         lines("- none")
-    lines("", "Base parameters", words.base_sentence(result))
+    lines("", "Base parameters", base_sentence(result))
     lines(*(f"- {base}" for base in result.base), "")
-    table("What parts of the sweeps tell, and what additions would", words.block_table(result))
-    table("Sweeps that tell most", words.sweep_table(result))
-    lines(*words.information_sentences(result), "")
-    table("Cramer-Rao bounds: least standard deviations, by what is identified", words.bounds_table(result))
+    out.print(block_table(result))
+    out.print(sweep_table(result))
+    lines(*information_sentences(result), "")
+    out.print(bounds_table(result))
     if result.profiles:
         lines("Profile likelihoods")
-        lines(*(f"- {words.profile_sentence(profile, result)}" for profile in result.profiles), "")
-
-
-def _styled(cell: str) -> str:
-    style = STATUS_STYLES.get(cell)
-    return f"[{style}]{cell}[/{style}]" if style else escape(cell)
+        lines(*(f"- {profile_sentence(profile, result)}" for profile in result.profiles), "")
 
 
 def write_observe_html(result: Observability, title: str, path: Path) -> None:
-    """Write a page with text, tables and figures; the same analysis gives the same bytes.
-
-    Parameters
-    ----------
-    title
-        What was analysed: file and session. Any text: it is escaped.
-    path
-        Of the HTML file.
-    """
+    """Write a page with text, tables and figures; the same analysis gives the same bytes."""
     write_text(path, observe_html(result, title))
 
 
 def observe_html(result: Observability, title: str) -> str:
     """The page as text."""
-    environment = Environment(
-        loader=PackageLoader("fpcal_bayes.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
     drawn = {
         "spectrum": figures.spectrum_figure(result),
         "contraction": figures.contraction_figure(result),
@@ -300,21 +249,21 @@ def observe_html(result: Observability, title: str) -> str:
         "information": figures.information_figure(result),
         "profiles": figures.profile_figure(result) if result.profiles else "",
     }
-    return environment.get_template("observe.html").render(
+    return ENVIRONMENT.get_template("observe.html").render(
         title=title,
         version=__version__,
         cell=result.cell,
-        headline=words.headline(result),
+        headline=headline(result),
         warnings=result.warnings,
-        parameters=words.parameter_table(result),
-        gauges=[(words.gauge_sentence(g), words.gauge_direction(g, result)) for g in result.gauges],
-        base=words.base_sentence(result),
+        parameters=parameter_table(result),
+        gauges=[(gauge_sentence(gauge), gauge_direction(gauge, result)) for gauge in result.gauges],
+        base=base_sentence(result),
         base_parameters=[str(base) for base in result.base],
-        blocks=words.block_table(result),
-        sweeps=words.sweep_table(result),
-        information=words.information_sentences(result),
-        bounds=words.bounds_table(result),
-        profiles=[words.profile_sentence(profile, result) for profile in result.profiles],
+        blocks=block_table(result),
+        sweeps=sweep_table(result),
+        information=information_sentences(result),
+        bounds=bounds_table(result),
+        profiles=[profile_sentence(profile, result) for profile in result.profiles],
         # Drawn here, and their texts escaped by the SVG writer.
         figures={name: Markup(svg) for name, svg in drawn.items()},
     )

@@ -7,7 +7,7 @@ from scipy import special
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Status
 from fpcal_bayes.infer.observability.observe import Observability
-from fpcal_bayes.report.svg import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
+from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
 # Hatches and markers tell the same as colours in grey print.
 _STATUS: dict[Status, tuple[str, str]] = {

@@ -1,6 +1,6 @@
-"""The table of a model comparison."""
+"""A posterior as a table and as figures (ranks, prior, pairs, residuals, Pareto k), and a model comparison."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -10,21 +10,26 @@ import numpy as np
 from cycler import cycler
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from rich.table import Table
 
+from fpcal_bayes.analysis.parameters import (
+    ensemble_draws,
+    most_correlated,
+    predictive_residuals,
+    sampled_parameters,
+    tree_draws,
+)
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut
-from fpcal_bayes.infer.posterior.netcdf import summarise
-from fpcal_bayes.infer.posterior.sample import Posterior
-from fpcal_bayes.report.fit import number, plain_table
-from fpcal_bayes.report.week import save_figure
+from fpcal_bayes.report.pages import BLUE, GREEN, GREY, ORANGE, VERMILION, save_figure
+from fpcal_bayes.report.table import Table, number, plain_table
 
-# Okabe and Ito's colours, told apart by colour-blind readers; posterior and prior differ in line style too.
-_BLUE, _ORANGE, _GREEN, _VERMILION, _GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#666666"
+# ArviZ, corner, xarray and pyplot are imported in functions: they take seconds, and only figures pay for them.
+
 _SETTINGS: dict[Any, Any] = {
-    "axes.prop_cycle": cycler(color=[_BLUE, _ORANGE, _GREEN, _VERMILION]),
+    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, VERMILION]),
     "axes.axisbelow": True,
     "font.size": 9,
 }
@@ -51,66 +56,32 @@ def write_posterior_figures(
         Made if it is not there; files of the same names are replaced.
     pairs
         Parameters of the pair plot; by default the most correlated ones.
-
-    Returns
-    -------
-    list of Path
-        The PNG files.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
     """
     make_folder(folder)
-    names = most_correlated(tree) if pairs is None else list(pairs)
-    drawn: dict[str, Callable[[], Figure]] = {
-        "ranks": lambda: rank_figure(tree),
-        "prior-posterior": lambda: prior_posterior_figure(tree),
-        "residuals": lambda: residual_figure(tree),
-        "pareto-k": lambda: pareto_k_figure(tree, loo),
-    }
-    if len(names) > 1:
-        drawn["pairs"] = lambda: pair_figure(tree, names)
-    written = []
-    for name, draw in drawn.items():
-        with _off_screen():
-            path = folder / f"{name}.png"
-            save_figure(draw(), path)
-            written.append(path)
-    return written
-
-
-def most_correlated(tree: Any, n: int = _CHOSEN_PAIRS) -> list[str]:
-    """Names of `n` parameters that take part in the largest correlations, in the order of the tree."""
-    names, draws = _draws(tree)
-    if len(names) <= n:
-        return names
-    size = np.abs(np.corrcoef(draws.reshape(len(names), -1)))
-    first, second = np.triu_indices(len(names), 1)
-    chosen: list[int] = []
-    for k in np.argsort(-size[first, second], kind="stable"):
-        new = [int(i) for i in (first[k], second[k]) if i not in chosen]
-        chosen += new[: n - len(chosen)]
-        if len(chosen) == n:
-            break
-    return [names[i] for i in sorted(chosen)]
+    names = most_correlated(tree, _CHOSEN_PAIRS) if pairs is None else list(pairs)
+    with _off_screen():
+        drawn = {
+            "ranks": rank_figure(tree),
+            "prior-posterior": prior_posterior_figure(tree),
+            "residuals": residual_figure(tree),
+            "pareto-k": pareto_k_figure(tree, loo),
+        }
+        if len(names) > 1:
+            drawn["pairs"] = pair_figure(tree, names)
+        for name, figure in drawn.items():
+            save_figure(figure, folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in drawn]
 
 
 def rank_figure(tree: Any) -> Figure:
     """Distribution of the ranks of each ensemble's draws among all draws, less the uniform one."""
     import arviz_plots as azp
-    from arviz_stats.base import array_stats
 
-    names, draws = _draws(tree)
-    n_ensembles = int(tree.attrs["n_ensembles"])
-    # The walkers of an ensemble together are one chain, as in the nested R-hat. The test in each panel is for
-    # independent draws: of each ensemble as many are ranked as it is worth.
-    ensembles = draws.reshape(len(names), n_ensembles, -1)
-    effective = float(np.min(array_stats.ess(draws, chain_axis=1, draw_axis=2))) / n_ensembles
-    every = -(-ensembles.shape[2] // int(np.clip(effective, _FEWEST_DRAWS, _SHOWN_DRAWS)))
+    # The test in each panel is for independent draws: of each ensemble as many are ranked as it is worth.
+    names, ensembles = ensemble_draws(tree, _FEWEST_DRAWS, _SHOWN_DRAWS)
+    n_ensembles = ensembles.shape[1]
     plot = azp.plot_rank(
-        _tree_of({"posterior": dict(zip(names, ensembles[:, :, ::every], strict=True))}),
+        _tree_of({"posterior": dict(zip(names, ensembles, strict=True))}),
         backend="matplotlib",
         visuals={"title": False, "xlabel": False, "remove_axis": False},
         **_layout(len(names), sharex=False, sharey=True),
@@ -119,7 +90,7 @@ def rank_figure(tree: Any) -> Figure:
     for i, name in enumerate(names):
         axis = plot.get_viz("plot", name)
         axis.set_title(name, fontsize=9)
-        axis.axhline(0.0, color=_GREY, linewidth=0.8)
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
         axis.tick_params(labelbottom=True)
         axis.set_xlabel("rank / number of draws [1]")
         if i % _N_COLUMNS == 0:
@@ -135,9 +106,9 @@ def prior_posterior_figure(tree: Any) -> Figure:
     """Distribution functions of prior and posterior, which stay legible where one is far narrower than the other."""
     import arviz_plots as azp
 
-    styles: dict[str, tuple[str, Literal["--", "-"]]] = {"prior": (_VERMILION, "--"), "posterior": (_BLUE, "-")}
-    names, draws = _draws(tree)
-    _, prior = _draws(tree, "prior")
+    styles: dict[str, tuple[str, Literal["--", "-"]]] = {"prior": (VERMILION, "--"), "posterior": (BLUE, "-")}
+    names, draws = tree_draws(tree)
+    _, prior = tree_draws(tree, "prior")
     flat, every = draws.reshape(len(names), 1, -1), -(-draws[0].size // (2 * _SHOWN_DRAWS))
     before = prior.reshape(len(names), 1, -1)
     plot = azp.plot_prior_posterior(
@@ -174,7 +145,7 @@ def pair_figure(tree: Any, names: Sequence[str]) -> Figure:
     """Draws of each pair of some parameters."""
     import corner
 
-    known, draws = _draws(tree)
+    known, draws = tree_draws(tree)
     flat = draws.reshape(len(known), -1)
     chosen = flat[[known.index(name) for name in names], :: -(-flat.shape[1] // _PAIR_DRAWS)]
     side = 1.0 + 1.7 * len(names)
@@ -183,7 +154,7 @@ def pair_figure(tree: Any, names: Sequence[str]) -> Figure:
         chosen.T,
         labels=[_label(tree, name) for name in names],
         fig=figure,
-        color=_BLUE,
+        color=BLUE,
         bins=30,
         max_n_ticks=4,
         # Of a two-dimensional normal distribution: 50 % and 90 % of the draws.
@@ -198,20 +169,18 @@ def pair_figure(tree: Any, names: Sequence[str]) -> Figure:
 
 def residual_figure(tree: Any) -> Figure:
     """What was measured of each row, against what the posterior predicts, in standard deviations of the prediction."""
-    observed = tree["observed_data"]["dl_um"]
-    predicted = tree["posterior_predictive"]["dl_um"]
-    residuals = ((observed - predicted.mean(("chain", "draw"))) / predicted.std(("chain", "draw"))).to_numpy()
-    labels, n = [str(label) for label in observed["sweep"].to_numpy()], len(residuals)
+    labels, residuals = predictive_residuals(tree)
+    n = len(residuals)
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     axis = figure.subplots()
-    axis.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.12, linewidth=0, label="95 % of what is predicted")
-    axis.axhspan(-0.674, 0.674, color=_BLUE, alpha=0.22, linewidth=0, label="50 %")
-    axis.axhline(0.0, color=_GREY, linewidth=0.8)
+    axis.axhspan(-1.96, 1.96, color=BLUE, alpha=0.12, linewidth=0, label="95 % of what is predicted")
+    axis.axhspan(-0.674, 0.674, color=BLUE, alpha=0.22, linewidth=0, label="50 %")
+    axis.axhline(0.0, color=GREY, linewidth=0.8)
     outside = np.abs(residuals) > 1.96
     place = np.arange(n)
     axis.plot(place[~outside], residuals[~outside], "o", color="black", markersize=3.5, label="measured")
     if outside.any():
-        axis.plot(place[outside], residuals[outside], "D", color=_VERMILION, markersize=4.5, label="measured, outside")
+        axis.plot(place[outside], residuals[outside], "D", color=VERMILION, markersize=4.5, label="measured, outside")
     axis.set_xlim(-1, n)
     _label_rows(axis, labels)
     axis.set_ylabel("measured less predicted\n[sd of the prediction]")
@@ -240,7 +209,7 @@ def pareto_k_figure(tree: Any, loo: LeaveOneOut) -> Figure:
     )
     plot = azp.plot_khat(
         data,
-        color=_BLUE,
+        color=BLUE,
         backend="matplotlib",
         visuals={"hlines": False, "bin_text": False, "xlabel": False, "ylabel": False, "title": False, "ticks": False},
         figure_kwargs={"figsize": (10.0, 4.2), "layout": "constrained"},
@@ -249,20 +218,13 @@ def pareto_k_figure(tree: Any, loo: LeaveOneOut) -> Figure:
     axis = figure.axes[0]
     for row in np.flatnonzero(loo.bad).tolist():
         axis.annotate(labels[row], (row, loo.pareto_k[row]), (3, 3), textcoords="offset points", fontsize=8)
-    axis.axhline(loo.good_k, color=_VERMILION, linestyle="--", linewidth=1.2, label=f"trusted up to {loo.good_k:.2f}")
+    axis.axhline(loo.good_k, color=VERMILION, linestyle="--", linewidth=1.2, label=f"trusted up to {loo.good_k:.2f}")
     axis.set_xlim(-1, n)
     axis.set_ylim(top=max(1.1 * loo.good_k, 1.1 * float(np.nanmax(loo.pareto_k))))
     _label_rows(axis, labels)
     axis.set_ylabel("Pareto k of leaving\nthe row out [1]")
     figure.legend(loc="outside upper center", frameon=False)
     return figure
-
-
-def _draws(tree: Any, group: str = "posterior") -> tuple[list[str], Floats]:
-    """Names and draws of the cell's parameters, shape (n, n_chains, n_draws)."""
-    # What belongs to the likelihood has no prior in the tree.
-    names = [str(name) for name in tree["prior"].data_vars]
-    return names, np.array([tree[group][name].transpose("chain", "draw").to_numpy() for name in names])
 
 
 def _tree_of(groups: dict[str, dict[str, Floats]]) -> Any:
@@ -310,10 +272,10 @@ def posterior_table(posterior: Posterior, title: str) -> Table:
     """Mean, standard deviation and interval of each parameter, with what the draws are worth."""
     columns = ["parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "ess bulk", "ess tail", "R-hat"]
     table = plain_table(title, columns)
-    for name, entry in summarise(posterior).items():
-        numbers = [number(entry[key], entry["sd"]) for key in ("mean", "sd", "q05", "q50", "q95")]
-        sizes = [f"{entry['ess_bulk']:.0f}", f"{entry['ess_tail']:.0f}", f"{entry['rhat']:.4f}"]
-        table.add_row(name, posterior.identification.free[name].unit, *numbers, *sizes)
+    for found in sampled_parameters(posterior):
+        shown = [number(value, found.sd) for value in (found.mean, found.sd, found.low, found.median, found.high)]
+        worth = [f"{found.ess_bulk:.0f}", f"{found.ess_tail:.0f}", f"{found.rhat:.4f}"]
+        table.add_row(found.name, found.unit, *shown, *worth)
     return table
 
 

@@ -1,88 +1,102 @@
-"""Tables of an HTML page that sort by what a cell means, not by how it is written."""
+"""The table of every report: one content that a terminal, a page and plain text show.
 
+A page shows it by the macro `table` of ``templates/macros.html``.
+"""
+
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from io import StringIO
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as TerminalTable
 
-from fpcal_bayes.report.observe import TextTable
+#: Colours of the terminal; on a page the style is a class of the style sheet.
+_COLOURS = {
+    "identified": "green",
+    "weak": "yellow",
+    "gauge": "red",
+    "fixed": "dim",
+    "good": "green",
+    "caution": "yellow",
+    "bad": "red",
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """Name and unit at the head of a column, and whether it holds words: numbers stand to the right."""
+
+    name: str
+    unit: str = ""
+    words: bool = False
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell.
-
-    Attributes
-    ----------
-    text
-        What stands in it; any text, it is escaped.
-    key
-        What the column sorts by; by default the text.
-    style
-        Name of a class of the style sheet, or empty.
-    """
+    """Any text, what the column sorts by on a page (the text, if empty), and a style such as ``good``, or none."""
 
     text: str
     key: str = ""
     style: str = ""
 
 
-@dataclass(frozen=True)
-class PageTable:
-    """A table.
+@dataclass
+class Table:
+    """Rows under a title and the heads of the columns; `rules` are the numbers of rows after which a gap stands."""
 
-    Attributes
-    ----------
-    caption
-        Above it.
-    columns
-        Heads.
-    rows
-        As many cells each.
-    words
-        Positions of the columns that hold words; the others hold numbers and stand to the right.
-    """
+    title: str
+    columns: list[Column]
+    rows: list[list[Cell]] = field(default_factory=list)
+    rules: list[int] = field(default_factory=list)
 
-    caption: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    words: tuple[int, ...] = (0,)
+    def add_row(self, *cells: str | Cell) -> None:
+        """Append a row of as many cells as there are columns."""
+        self.rows.append([cell if isinstance(cell, Cell) else Cell(cell) for cell in cells])
+
+    def add_rule(self) -> None:
+        """Set off what follows, in a terminal."""
+        self.rules.append(len(self.rows))
+
+    def __rich__(self) -> TerminalTable:
+        shown = TerminalTable(title=escape(self.title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        for column in self.columns:
+            head = f"{column.name} {column.unit}".rstrip()
+            shown.add_column(escape(head), justify="left" if column.words else "right", no_wrap=True)
+        for i, row in enumerate(self.rows, 1):
+            shown.add_row(*map(_coloured, row), end_section=i in self.rules)
+        return shown
+
+    def __str__(self) -> str:
+        text = StringIO()
+        Console(file=text, width=200, color_system=None).print(self)
+        return text.getvalue()
+
+
+def plain_table(title: str, heads: Sequence[str], words: Sequence[int] = (0, 1)) -> Table:
+    """An empty table under heads such as ``size [nm]``; `words` are the columns that hold no numbers."""
+    texts = {i % len(heads) for i in words}
+    parts = [head.removesuffix("]").partition(" [") for head in heads]
+    return Table(title, [Column(name, unit, i in texts) for i, (name, _, unit) in enumerate(parts)])
 
 
 def figure_of(value: float, text: str | None = None, style: str = "") -> Cell:
     """A number, which sorts by its value."""
-    return Cell(f"{value:.3g}" if text is None else text, f"{value:.12g}" if np.isfinite(value) else "", style)
+    return Cell(f"{value:.3g}" if text is None else text, f"{value:.12g}" if math.isfinite(value) else "", style)
 
 
-def table(
-    caption: str, columns: Sequence[str], rows: Sequence[Sequence[Cell]], words: Sequence[int] = (0,)
-) -> PageTable:
-    """A table of cells."""
-    return PageTable(caption, tuple(columns), tuple(tuple(row) for row in rows), tuple(words))
+def number(value: float, sd: float) -> str:
+    """Write a value with two significant digits of its standard deviation (at most six decimals)."""
+    if not np.isfinite(sd) or sd <= 0:
+        return f"{value:.6g}"
+    decimals = int(np.clip(1 - np.floor(np.log10(sd)), 0, 6))
+    # Adding zero turns -0 into 0.
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
-def of_text(content: TextTable, caption: str) -> PageTable:
-    """A table of plain text; cells that begin with a number sort by it, and a status is coloured."""
-    wordy = [i for i, name in enumerate(content.columns) if i < content.n_text or name == "strongest correlations"]
-    rows = [
-        [
-            Cell(text, "" if i in wordy else _leading_number(text), _style(content.columns[i], text))
-            for i, text in enumerate(row)
-        ]
-        for row in content.rows
-    ]
-    return table(caption, content.columns, rows, wordy)
-
-
-def _leading_number(text: str) -> str:
-    """The number of ``> 99.9 %`` and the like, or the text itself."""
-    for word in text.split():
-        try:
-            return f"{float(word):.12g}"
-        except ValueError:
-            continue
-    return text
-
-
-def _style(column: str, text: str) -> str:
-    return text if column == "status" else ""
+def _coloured(cell: Cell) -> str:
+    style = _COLOURS.get(cell.style)
+    return f"[{style}]{escape(cell.text)}[/{style}]" if style else escape(cell.text)

@@ -1,16 +1,15 @@
-"""Uncertainty budgets as tables and as JSON."""
+"""Task errors and uncertainty budgets as tables and as JSON."""
 
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
 
+from fpcal_bayes.analysis.tasks import TaskNumbers, correlated_inputs
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
 from fpcal_bayes.motion.tasks import Task
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import Table, plain_table
 
 
 def prediction_content(prediction: TaskPrediction, tolerance: float | None, task: Task) -> dict[str, Any]:
@@ -23,55 +22,56 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
     task
         The whole task, of which the points that are ok are predicted; the others have nulls.
     """
-    angles = prediction.angles
-    low, high = 1e3 * prediction.band()
-    ends = 1e3 * prediction.peak_to_peak_band()
+    found = TaskNumbers.of(prediction, tolerance)
     content: dict[str, Any] = {
-        "method": "linear" if prediction.linear else "draws",
-        "draws": len(prediction.errors),
+        "method": "linear" if found.linear else "draws",
+        "draws": found.n_draws,
         "points": len(task),
         "points_not_ok": int((~task.ok).sum()),
         "along": task.along.tolist(),
         "along_unit": task.unit,
         "status": task.status.tolist(),
-        "sd_nm": _whole(1e3 * prediction.sd, task),
-        "band_nm": {"share": BAND, "low": _whole(low, task), "high": _whole(high, task)},
-        "worst_sd_nm": float(1e3 * prediction.sd.max()),
+        "sd_nm": _whole(found.sd, task),
+        "band_nm": {"share": BAND, "low": _whole(found.low, task), "high": _whole(found.high, task)},
+        "worst_sd_nm": known(found.worst_sd),
         "peak_to_peak_nm": {
-            "median": float(1e3 * np.median(prediction.peak_to_peak)),
-            "low": float(ends[0]),
-            "high": float(ends[1]),
+            "median": known(found.median),
+            "low": known(found.least),
+            "high": known(found.most),
             "share": BAND,
         },
-        "normal_deg": _quantiles(angles.normal.max(axis=1)),
-        "turn_deg": _quantiles(angles.turn.max(axis=1)),
+        "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
+        "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
     }
     if tolerance is not None:
-        content["tolerance_nm"] = 1e3 * tolerance
-        content["exceeds_probability"] = prediction.exceeds(tolerance)
+        content["tolerance_nm"] = found.tolerance
+        content["exceeds_probability"] = found.exceeds
     return content
 
 
 def prediction_table(predictions: list[TaskPrediction], tolerance: float | None, title: str) -> Table:
-    """A line a task: worst standard deviation, peak to peak with its band, angles, probability of exceeding."""
-    columns = ["task", "path", "worst sd nm", "pk-pk nm", f"{BAND:.0%} band nm", "normal 95 % deg", "turn 95 % deg"]
-    if tolerance is not None:
-        columns.append(f"P(> {1e3 * tolerance:g} nm)")
-    table = plain_table(title, columns)
+    """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding."""
+    heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]
+    heads += ["normal 95 % [deg]", "turn 95 % [deg]", *([] if tolerance is None else [f"P(> {1e3 * tolerance:g} nm)"])]
+    table = plain_table(title, heads)
     for prediction in predictions:
-        task, (low, high) = prediction.task, 1e3 * prediction.peak_to_peak_band()
-        row = [
-            escape(task.name),
-            f"{task.along[0]:.4g} .. {task.along[-1]:.4g} {task.unit}",
-            f"{1e3 * prediction.sd.max():.2f}",
-            f"{1e3 * np.median(prediction.peak_to_peak):.2f}",
-            f"{low:.2f} .. {high:.2f}",
-            _angle(prediction.angles.normal),
-            _angle(prediction.angles.turn),
-        ]
-        if tolerance is not None:
-            row.append(f"{prediction.exceeds(tolerance):.3f}")
-        table.add_row(*row)
+        found = TaskNumbers.of(prediction, tolerance)
+        table.add_row(
+            found.task.name,
+            f"{found.task.along[0]:.4g} .. {found.task.along[-1]:.4g} {found.task.unit}",
+            *(
+                [
+                    f"{found.worst_sd:.2f}",
+                    f"{found.median:.2f}",
+                    f"{found.least:.2f} .. {found.most:.2f}",
+                    angle_text(found.normal[1]),
+                    angle_text(found.turn[1]),
+                ]
+                if prediction.trust.usable
+                else ["not to be used", *[""] * 4]
+            ),
+            *([] if tolerance is None else ["" if found.exceeds is None else f"{found.exceeds:.3f}"]),
+        )
     return table
 
 
@@ -86,21 +86,20 @@ def reach_warnings(task: Task) -> list[str]:
     ]
 
 
+def angle_text(angle: float) -> str:
+    """An angle in deg; what rounding leaves is nothing."""
+    return f"{angle:.2g}" if angle > 1e-9 else "0"
+
+
 def _whole(driven: Floats, task: Task) -> list[float | None]:
     """Numbers of the points that are ok, with nothing in the place of the others."""
     numbers = iter(driven.tolist())
-    return [next(numbers) if good else None for good in task.ok]
+    return [known(next(numbers)) if good else None for good in task.ok]
 
 
-def _angle(along: Floats) -> str:
-    """The 95 % quantile of the largest angle along the path; what rounding leaves is nothing."""
-    high = _quantiles(along.max(axis=1))["q95"]
-    return f"{high:.2g}" if high > 1e-9 else "0"
-
-
-def _quantiles(worst: Floats) -> dict[str, float]:
-    median, high = np.quantile(worst, [0.5, 0.95])
-    return {"median": float(median), "q95": float(high)}
+def known(value: float) -> float | None:
+    """A number as JSON has it: NaN is nothing."""
+    return None if value != value else value
 
 
 def budget_content(budget: Budget) -> dict[str, Any]:
@@ -127,15 +126,15 @@ def budget_content(budget: Budget) -> dict[str, Any]:
 
 
 def budget_table(budget: Budget) -> Table:
-    """A line an input, then what they combine to."""
+    """One line per input, then what they combine to."""
     place = f"{budget.along:.4g} {budget.unit}"
     table = plain_table(
         f"uncertainty budget of {budget.task} at {place}: change of cavity length since the aligned pose",
-        ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity nm", "contribution nm"],
+        ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"],
     )
     for line in budget.lines:
         table.add_row(
-            escape(line.name),
+            line.name,
             line.evaluation,
             line.distribution,
             f"{line.estimate:g}",
@@ -144,18 +143,12 @@ def budget_table(budget: Budget) -> Table:
             f"{1e3 * line.contribution:.3g}",
         )
     low, high = budget.interval
-    table.add_section()
+    table.add_rule()
     table.add_row("combined standard uncertainty", "", "", "", "", "", f"{1e3 * budget.combined:.3g}")
     table.add_row(f"{COVERAGE:.0%} coverage interval", "", "", "", "", "", f"{1e3 * low:.3g} .. {1e3 * high:.3g}")
     return table
 
 
 def correlation_lines(budget: Budget) -> list[str]:
-    """A line for each pair of inputs whose contributions are correlated by half a per cent or more."""
-    names = [line.name for line in budget.lines]
-    return [
-        f"correlation of {names[j]} with {names[i]}: {budget.correlation[i, j]:+.3f}"
-        for i in range(len(names))
-        for j in range(i)
-        if abs(budget.correlation[i, j]) >= 0.005
-    ]
+    """One line per pair of inputs whose contributions are correlated."""
+    return [f"correlation of {one} with {other}: {size:+.3f}" for one, other, size in correlated_inputs(budget)]

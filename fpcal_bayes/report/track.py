@@ -1,21 +1,22 @@
-"""A decision as a sentence, as tables and as JSON."""
+"""A track and a decision as sentences, as tables and as JSON."""
 
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
-
+from fpcal_bayes.analysis.history import session_bounds
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.forecast import Goal, Outlook
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.report.table import Cell as Entry
+from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.tracking.session import SessionOutcome
-from fpcal_bayes.tracking.tracker import Track, innovation_bounds
+from fpcal_bayes.tracking.tracker import Track
 
-VERDICT_STYLES = {"as-modelled": "green", "extrinsics-moved": "yellow", "intrinsics-moved": "red"}
+#: How good the verdict of a session is.
+VERDICT_STYLES = {"as-modelled": "good", "extrinsics-moved": "caution", "intrinsics-moved": "bad"}
 
 
 def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:
@@ -27,28 +28,23 @@ def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:
 
 
 def session_table(track: Track, title: str) -> Table:
-    """One line a session: when, how many sweeps, innovation with its 95 % bounds, verdict."""
+    """One line per session: when, how many sweeps, innovation with its 95 % bounds, verdict."""
     table = plain_table(title, ["session", "verdict", "time", "sweeps", "innovation", "95 % bounds"])
     for i, outcome in enumerate(track.outcomes):
-        style = VERDICT_STYLES[outcome.verdict]
-        if i == 0:
-            verdict, bounds = "calibration", ""
-        else:
-            verdict = f"[{style}]{outcome.verdict}[/{style}]"
-            bounds = "{:.1f} .. {:.1f}".format(*innovation_bounds(outcome.dof)) if outcome.dof else ""
+        bounds = session_bounds(outcome) if i else None
         table.add_row(
-            escape(outcome.session),
-            verdict,
+            outcome.session,
+            Entry(outcome.verdict, style=VERDICT_STYLES[outcome.verdict]) if i else "calibration",
             time_text(outcome.time_h, track.outcomes),
             str(outcome.n_sweeps),
             f"{outcome.nis:.1f}" if outcome.dof else "",
-            bounds,
+            "" if bounds is None else f"{bounds[0]:.1f} .. {bounds[1]:.1f}",
         )
     return table
 
 
 def verdict_lines(track: Track) -> list[str]:
-    """What was found, a sentence a session that was not as modelled, and what follows."""
+    """One sentence per session that was not as modelled, and what follows."""
     lines = [
         f"{outcome.session}: {outcome.verdict}: {outcome.evidence[0]}"
         for outcome in track.outcomes
@@ -61,12 +57,16 @@ def verdict_lines(track: Track) -> list[str]:
 
 def decision_sentence(decision: Decision, track: Track) -> str:
     """What to do, in one sentence."""
+    if not track.trust.usable and track.calibration_due is None:
+        return f"do not use this estimate: {track.trust.against}; fpcal doctor says what is wrong"
     if decision.action == "hold":
         until = time_text(decision.now_h + decision.hold_hours, track.outcomes)
         return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
     count = 0 if decision.sweeps is None else len(decision.sweeps)
     cost = f"about {decision.minutes:.0f} min"
     after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
+    if not track.trust.usable:
+        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}"
     if decision.action == "full":
         return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
@@ -75,10 +75,8 @@ def decision_sentence(decision: Decision, track: Track) -> str:
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
-    table = plain_table(
-        f"peak to peak of the worst of: {', '.join(goal.tasks)}",
-        ["when", "time", "median nm", "95 % band nm", f"P(> {1e3 * goal.tolerance:g} nm)"],
-    )
+    heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance:g} nm)"]
+    table = plain_table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", heads)
     after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),
@@ -86,31 +84,36 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
         ("at the horizon, nothing measured", decision.at_horizon),
     ):
         low, high = outlook.band()
-        table.add_row(
-            name,
-            time_text(outlook.time_h, track.outcomes),
-            f"{1e3 * outlook.median:.1f}",
-            f"{1e3 * low:.1f} .. {1e3 * high:.1f}",
-            f"{outlook.exceeds(goal.tolerance):.3f}",
-        )
+        numbers = [f"{1e3 * outlook.median:.1f}", f"{1e3 * low:.1f} .. {1e3 * high:.1f}"]
+        numbers.append(f"{outlook.exceeds(goal.tolerance):.3f}")
+        shown = numbers if track.trust.usable else ["not to be used", "", ""]
+        table.add_row(name, time_text(outlook.time_h, track.outcomes), *shown)
     return table
 
 
 def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
-    """A line a sweep: its start, and where the joints that move end; um and deg."""
+    """One line per sweep, the most useful first."""
     table = plain_table("sweeps, the most useful first", ["sweep", "moves", *cell.joint_columns])
-    scales = cell.joint_scales
-    for i in range(len(sweeps)):
-        start, end = sweeps.q_start[i] / scales, sweeps.q_end[i] / scales
-        moving = [column for column, a, b in zip(cell.joint_columns, start, end, strict=True) if a != b]
-        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
-        table.add_row(str(i + 1), " ".join(name.split("_")[0] for name in moving), *shown)
+    add_sweeps(table, sweeps, cell, [str(i) for i in range(1, len(sweeps) + 1)])
     return table
 
 
+def add_sweeps(table: Table, sweeps: Sweeps, cell: Cell, names: Sequence[str]) -> None:
+    """Add a row per sweep: which joints move, and where each stands or where it begins and ends; um and deg."""
+    starts, ends = sweeps.q_start / cell.joint_scales, sweeps.q_end / cell.joint_scales
+    for name, start, end in zip(names, starts.tolist(), ends.tolist(), strict=True):
+        moving = [f"q{i}" for i, (a, b) in enumerate(zip(start, end, strict=True), 1) if a != b]
+        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
+        table.add_row(name, " ".join(moving), *shown)
+
+
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:
-    """A decision as JSON; errors are medians of the worst task's peak to peak in nm."""
+    """A decision as JSON; errors are medians of the worst task's peak to peak in nm.
+
+    Errors and probabilities are null where the track is not to be used.
+    """
     outlooks = {"now": decision.now, "at_horizon": decision.at_horizon, "after": decision.after}
+    usable = track.trust.usable
     return {
         "action": decision.action,
         "sentence": decision_sentence(decision, track),
@@ -118,15 +121,17 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "now_h": decision.now_h,
         "hold_hours": decision.hold_hours,
         "hold_until": time_text(decision.now_h + decision.hold_hours, track.outcomes),
-        "then_hold_hours": decision.then_hours,
+        "then_hold_hours": decision.then_hours if usable else None,
         "minutes": decision.minutes,
         "level": decision.level,
         "tolerance_nm": 1e3 * goal.tolerance,
         "tasks": list(goal.tasks),
         "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
-        "task_error_nm": {name: 1e3 * outlook.median for name, outlook in outlooks.items()},
-        "task_error_band_nm": {name: _band(outlook) for name, outlook in outlooks.items()},
-        "probability_out": {name: outlook.exceeds(goal.tolerance) for name, outlook in outlooks.items()},
+        "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
+        "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
+        "probability_out": {
+            name: outlook.exceeds(goal.tolerance) if usable else None for name, outlook in outlooks.items()
+        },
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
 

@@ -1,28 +1,61 @@
-"""Error of the circle through the week and sweeps spent, by the paper's protocol, the filter and the policy."""
+"""The paper's week as tables and figures: parameters beside the truth, circles, and what each way through it costs."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from rich.table import Table
 
-from fpcal_bayes.core.files import replacing
-from fpcal_bayes.model.parameters import Parameter
-from fpcal_bayes.report.fit import plain_table
+from fpcal_bayes.analysis.history import parameter_band
+from fpcal_bayes.analysis.parameters import reflection_points
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.report.pages import BLACK, BLUE, GREEN, PURPLE, SKY, VERMILION
+from fpcal_bayes.report.table import Cell, Table, number, plain_table
 from fpcal_bayes.study.paper_scenarios import Course, Followed
 from fpcal_bayes.study.paper_week import SESSIONS, Circle, Week
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.session import SessionOutcome
+
+
+def truth_table(estimate: Estimate, truth: Floats, names: Sequence[str], title: str) -> Table:
+    """Identified values beside the truth of the parameters `names`, in um and rad, shape (n,)."""
+    table = plain_table(title, ["parameter", "unit", "truth", "identified", "sd", "error / sd", "status"])
+    shown = estimate.shown()
+    for name, true in zip(names, truth, strict=True):
+        parameter = estimate.cell.parameters[name]
+        value, sd = shown[name]["value"], shown[name]["sd"]
+        status = estimate.status[estimate.parameters.position(name)]
+        table.add_row(
+            name,
+            parameter.unit,
+            f"{parameter.shown(float(true)):.6g}",
+            number(value, sd),
+            number(sd, sd) if sd > 0 else "exact",
+            f"{(value - parameter.shown(float(true))) / sd:+.1f}" if sd > 0 else "",
+            Cell(status, style=status),
+        )
+    return table
+
+
+def reflection_lines(estimate: Estimate, true_parameters: ParameterSet, truth: Floats) -> list[str]:
+    """The reflection point at joint vector zero, in the world and in the mirror frame, beside the truth.
+
+    The truth holds values of `true_parameters` in um and rad, shape (n,).
+    """
+    lines = []
+    for name, columns in reflection_points(estimate, true_parameters, truth).items():
+        parts = (
+            f"{axis} {number(value, sd)} +- {number(sd, sd)} (truth {true:.1f})"
+            for axis, value, sd, true in zip("xyz", *columns, strict=False)
+        )
+        lines.append(f"reflection point {name} at q = 0 [um]: {', '.join(parts)}")
+    return lines
 
 
 def circle_table(title: str, circles: Sequence[Circle], tolerance: float) -> Table:
     """Peak to peak of the cavity length along each circle; `tolerance` in um."""
-    table = plain_table(title, ["circle", "estimate of", "time h", "peak to peak nm", "in tolerance"])
+    table = plain_table(title, ["circle", "estimate of", "time [h]", "peak to peak [nm]", "in tolerance"])
     for circle in circles:
         inside = "yes" if circle.peak_to_peak <= tolerance else "no"
         table.add_row(circle.name, circle.estimate, f"{circle.time_h:g}", f"{1e3 * circle.peak_to_peak:.1f}", inside)
@@ -46,21 +79,8 @@ def course_table(courses: Sequence[Course]) -> Table:
     return table
 
 
-# Okabe and Ito's colours, told apart by colour-blind readers and in grey print.
-_TRUTH, _FULL, _EXTRINSIC = "#000000", "#0072B2", "#D55E00"
-_POLICY, _FILTER = "#009E73", "#CC79A7"
-#: Times at which a band is drawn between two sessions, both included.
-_BETWEEN = 4
-
-
-def draw_week(week: Week, followed: Followed | None = None) -> Figure:
-    """Draw each extrinsic parameter against time: truth, estimates, and two standard deviations of each.
-
-    Parameters
-    ----------
-    followed
-        Filter and policy, whose bands are drawn too.
-    """
+def draw_week(week: Week, followed: Followed) -> Figure:
+    """Draw each extrinsic parameter against time: truth, estimates, filter, policy; two standard deviations of each."""
     parameters = [p for p in week.cell.free if p.kind == "extrinsic"]
     figure = Figure(figsize=(10, 7.5), layout="constrained")
     axes = figure.subplots(-(-len(parameters) // 2), 2, squeeze=False, sharex=True)
@@ -68,15 +88,14 @@ def draw_week(week: Week, followed: Followed | None = None) -> Figure:
     truth = week.truth.parameters.to_shown(week.truth.at(hours))
     for axis, parameter in zip(axes.flat, parameters, strict=False):
         true = truth[:, week.truth.parameters.position(parameter.name)]
-        if followed is not None:
-            drift = followed.track.drift
-            days, low, high = _band(drift, parameter, followed.loop.outcomes, hours[-1])
-            axis.fill_between(days, low, high, color=_POLICY, alpha=0.25, linewidth=0, label="policy")
-            days, low, high = _band(drift, parameter, followed.track.outcomes, hours[-1])
-            axis.plot(days, low, "--", color=_FILTER, linewidth=0.8, label="filter, the same sweeps")
-            axis.plot(days, high, "--", color=_FILTER, linewidth=0.8)
-        axis.plot(hours / 24.0, true, color=_TRUTH, linewidth=1, label="truth")
-        for kind, colour, marker in (("all", _FULL, "o"), ("extrinsic", _EXTRINSIC, "s")):
+        drift = followed.track.drift
+        days, low, high = parameter_band(drift, parameter, followed.loop.outcomes, hours[-1])
+        axis.fill_between(days, low, high, color=GREEN, alpha=0.25, linewidth=0, label="policy")
+        days, low, high = parameter_band(drift, parameter, followed.track.outcomes, hours[-1])
+        axis.plot(days, low, "--", color=PURPLE, linewidth=0.8, label="filter, the same sweeps")
+        axis.plot(days, high, "--", color=PURPLE, linewidth=0.8)
+        axis.plot(hours / 24.0, true, color=BLACK, linewidth=1, label="truth")
+        for kind, colour, marker in (("all", BLUE, "o"), ("extrinsic", VERMILION, "s")):
             chosen = [s for s in SESSIONS if s.free == kind]
             shown = [week.identifications[s.name].estimate.shown()[parameter.name] for s in chosen]
             axis.errorbar(
@@ -100,47 +119,16 @@ def draw_week(week: Week, followed: Followed | None = None) -> Figure:
     return figure
 
 
-def _band(
-    drift: DriftModel, parameter: Parameter, outcomes: Sequence[SessionOutcome], end_h: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Days, and two standard deviations to either side of what was known then, in the units a person reads."""
-    at = drift.parameters.position(parameter.name)
-    until = [outcome.time_h for outcome in outcomes[1:]] + [max(end_h, outcomes[-1].time_h)]
-    points = []
-    for outcome, end in zip(outcomes, until, strict=True):
-        for time_h in np.linspace(outcome.time_h, end, _BETWEEN):
-            state = predict(drift, outcome.state, float(time_h))
-            mean, variance = drift.values(state.mean)[at], drift.covariance(state.covariance)[at, at]
-            points.append((time_h / 24.0, mean, 2.0 * np.sqrt(variance)))
-    days, mean, width = np.array(points).T
-    return days, (mean - width) / parameter.scale, (mean + width) / parameter.scale
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG or PNG by the suffix of `path`; the same figure gives the same bytes."""
-    with matplotlib.rc_context({"svg.hashsalt": "fpcal"}), replacing(path) as temporary:
-        kind = path.suffix.lstrip(".")
-        # The date would make two runs differ.
-        metadata = {"Date": None} if kind == "svg" else {"Software": None}
-        figure.savefig(temporary, format=kind, dpi=130, metadata=metadata)
-
-
 #: From dark to light in any print and for any eye; its yellow end is too pale for a line.
 _SEQUENCE = colormaps["viridis"]
 _PALEST = 0.9
-#: Okabe and Ito's orange and blue.
-_STALE, _RENEWED = "#D55E00", "#0072B2"
 
 
 def draw_circles(checks: Sequence[Circle], renewed: Sequence[Circle]) -> Figure:
     """Draw the change of cavity length and the irradiance along each circle.
 
-    Parameters
-    ----------
-    checks
-        With the estimate of day 0, at one time after the other.
-    renewed
-        Before and after each identification; their names begin with ``before-`` or ``after-``.
+    `checks` are made with the estimate of day 0, one after the other; the names of those `renewed` at an identification
+    begin with ``before-`` or ``after-``.
     """
     figure = Figure(figsize=(10, 8.5), layout="constrained")
     halves = figure.subfigures(2, 1, squeeze=False)
@@ -155,11 +143,11 @@ def _draw_checks(figure: SubFigure, checks: Sequence[Circle]) -> None:
     colours = [_SEQUENCE(_PALEST * i / max(1, len(checks) - 1)) for i in range(len(checks))]
     recorded = [_along_path(check) for check in checks]
     step = 1.2 * max(float(np.ptp(irradiance)) for _, irradiance in recorded)
-    for number, (check, colour, (phase, irradiance)) in enumerate(zip(checks, colours, recorded, strict=True)):
+    for i, (check, colour, (phase, irradiance)) in enumerate(zip(checks, colours, recorded, strict=True)):
         name = f"{check.time_h:g} h: {1e3 * check.peak_to_peak:.0f} nm"
         length.plot(check.phase, 1e3 * check.change, color=colour, label=name)
         # Checks start on a rising or a falling flank of a fringe, whichever is nearer.
-        shifted = irradiance - irradiance[0] + number * step
+        shifted = irradiance - irradiance[0] + i * step
         light.plot(phase, shifted, color=colour, linewidth=0.6)
         light.annotate(f"{check.time_h:g} h", (362.0, shifted[-1]), va="center", fontsize=7, annotation_clip=False)
     _label(length, "change of cavity length [nm]")
@@ -173,7 +161,7 @@ def _draw_renewed(figure: SubFigure, renewed: Sequence[Circle]) -> None:
     axes = figure.subplots(1, len(sessions), sharey=True, squeeze=False)[0]
     for axis, session in zip(axes, sessions, strict=True):
         peaks = []
-        for when, colour, style in (("before", _STALE, "--"), ("after", _RENEWED, "-")):
+        for when, colour, style in (("before", VERMILION, "--"), ("after", BLUE, "-")):
             for circle in renewed:
                 if circle.name == f"{when}-{session}":
                     axis.plot(circle.phase, 1e3 * circle.change, style, color=colour, label=when)
@@ -186,7 +174,7 @@ def _draw_renewed(figure: SubFigure, renewed: Sequence[Circle]) -> None:
     figure.legend(lines, ["estimate before", "new estimate"], loc="outside lower center", ncols=2, frameon=False)
 
 
-def _along_path(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
+def _along_path(circle: Circle) -> tuple[Floats, Floats]:
     """Phase in deg and irradiance of the samples of the path itself."""
     path = circle.trace.path
     time = circle.trace.time_s[path]
@@ -199,8 +187,8 @@ def _label(axis: Axes, y: str) -> None:
     axis.grid(alpha=0.3)
 
 
-#: Okabe and Ito's vermilion, sky blue and black-blue, with line styles that tell them apart in grey print.
-_STYLES = (("#D55E00", "-"), ("#56B4E9", "--"), ("#0072B2", "-"))
+#: Line styles tell them apart in grey print.
+_STYLES = ((VERMILION, "-"), (SKY, "--"), (BLUE, "-"))
 
 
 def draw_courses(courses: Sequence[Course]) -> Figure:

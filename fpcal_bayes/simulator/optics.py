@@ -1,4 +1,4 @@
-"""The simulated rig's optics: from joint positions to the voltages that its photodiode shows."""
+"""The simulated rig: how it moves and what disturbs it, and the voltages that its photodiode then shows."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +14,9 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views, read_out, reflected
 
+#: Points at which the speed of a sweep is looked at before it is recorded.
+_COARSE = 257
+
 
 @dataclass(frozen=True)
 class RecorderSettings:
@@ -21,69 +24,45 @@ class RecorderSettings:
 
     With the defaults the fastest of the paper's sweeps, 40 um along the optical axis, has 35 samples a fringe, all
     others more than 50.
-
-    Attributes
-    ----------
-    duration_s
-        Of the motion of a sweep or a path.
-    rest_s
-        For how long the photodiode is read before and after the motion of a sweep, at rest.
-    rate_hz
-        Samples a second, where `samples_per_fringe` is None.
-    samples_per_fringe
-        Samples of a fringe where the cavity length changes fastest, which then sets the rate: one number, or one a
-        sweep, shape (n,). The robot is simulated, so the rig knows.
-    fewest_samples
-        Of a trace, where `samples_per_fringe` sets the rate.
-    velocity_ripple, ripple_cycles
-        Relative amplitude of a sine in the velocity and its periods in a recording, a whole number; its phase is drawn.
-    envelope_change
-        Peak to peak change of the signal's gain during a recording, about, relative: a ramp and a bow in drawn shares.
-    offset_drift
-        The same of a voltage added to the signal, relative to the trace's mean fringe amplitude.
-    cyclic_error
-        Second harmonic relative to the fringe amplitude, with a drawn phase.
-    noise
-        Standard deviation of a sample's voltage relative to the trace's mean fringe amplitude; None takes the volts
-        that the cell states.
-    length_noise
-        Standard deviation of independent noise on the cavity length at each sample (vibration), in um.
-    fading
-        Whether visibility follows the mirror's distance and tilt along a trace; else it stays as at the trace's start.
-    wavelength_error, wavelength_drift
-        What the laser is off by, and its drift during a recording, in um; they multiply L, so 1 pm does as 0.6 nm of L.
-    temperature_c, pressure_hpa, humidity_pct
-        Of the air, recorded with the data; NaN: unknown, index 1.
-    scan_from, scan_to, scan_samples
-        Ends of a wavelength scan in um and its samples.
-    reference_fringes
-        Fringes that the reference scans before and after a path span.
-    quadrature
-        Whether a path starts from the nearest point at half fringe height, to which the reference joint is moved.
     """
 
-    duration_s: float = 10.0
-    rest_s: float = 0.0
-    rate_hz: float = 200.0
+    duration_s: float = 10.0  # of the motion of a sweep or a path
+    rest_s: float = 0.0  # for how long the photodiode is read before and after the motion of a sweep, at rest
+    rate_hz: float = 200.0  # samples a second, where `samples_per_fringe` is None
+    #: Samples of a fringe where the cavity length changes fastest, which then sets the rate: one number, or one a
+    #: sweep, shape (n,). The robot is simulated, so the rig knows.
     samples_per_fringe: float | Floats | None = None
-    fewest_samples: int = 40
+    fewest_samples: int = 40  # of a trace, where `samples_per_fringe` sets the rate
+    #: velocity_ripple, ripple_cycles: Relative amplitude of a sine in the velocity and its periods in a recording, a
+    #: whole number; its phase is drawn.
     velocity_ripple: float = 0.1
     ripple_cycles: int = 7
+    #: Peak to peak change of the signal's gain during a recording, about, relative: a ramp and a bow in drawn shares.
     envelope_change: float = 0.01
+    #: The same of a voltage added to the signal, relative to the trace's mean fringe amplitude.
     offset_drift: float = 0.005
-    cyclic_error: float = 0.0
+    cyclic_error: float = 0.0  # second harmonic relative to the fringe amplitude, with a drawn phase
+    #: Standard deviation of a sample's voltage relative to the trace's mean fringe amplitude; None takes the volts that
+    #: the cell states.
     noise: float | None = None
+    #: Standard deviation of independent noise on the cavity length at each sample (vibration), in um.
     length_noise: float = 0.0
+    #: Whether visibility follows the mirror's distance and tilt along a trace; else it stays as at the trace's start.
     fading: bool = True
+    #: wavelength_error, wavelength_drift: What the laser is off by, and its drift during a recording, in um; they
+    #: multiply L, so 1 pm does as 0.6 nm of L.
     wavelength_error: float = 0.0
     wavelength_drift: float = 0.0
+    #: temperature_c, pressure_hpa, humidity_pct: Of the air, recorded with the data; NaN: unknown, index 1.
     temperature_c: float = float("nan")
     pressure_hpa: float = float("nan")
     humidity_pct: float = float("nan")
+    #: scan_from, scan_to, scan_samples: Ends of a wavelength scan in um and its samples.
     scan_from: float = 1.520
     scan_to: float = 1.600
     scan_samples: int = 1601
-    reference_fringes: float = 3.0
+    reference_fringes: float = 3.0  # fringes that the reference scans before and after a path span
+    #: Whether a path starts from the nearest point at half fringe height, to which the reference joint is moved.
     quadrature: bool = True
 
     def __post_init__(self) -> None:
@@ -109,29 +88,18 @@ HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01
 #: Cavity length, perpendicular distance and tilt along a recording, each of shape (n,).
 Views = tuple[Floats, Floats, Floats]
 
-#: Points at which the speed of a sweep is looked at before it is recorded.
-_COARSE = 257
-
 
 @dataclass(frozen=True)
 class Chances:
-    """What is drawn for one recording: phases and shapes of its disturbances, and the stream of its noise.
+    """What is drawn for one recording: phases and shapes of its disturbances, and the stream of its noise."""
 
-    Attributes
-    ----------
-    random
-        Stream of the noise.
-    ripple, envelope, offset, cyclic
-        Phases in rad.
-    start, end
-        Standard normals for the joints' repeatability at either end, shape (n_joints,).
-    """
-
-    random: np.random.Generator
+    random: np.random.Generator  # stream of the noise
+    #: ripple, envelope, offset, cyclic: Phases in rad.
     ripple: float
     envelope: float
     offset: float
     cyclic: float
+    #: start, end: Standard normals for the joints' repeatability at either end, shape (n_joints,).
     start: Floats
     end: Floats
 
@@ -195,12 +163,8 @@ class OpticalRig:
     def progress(self, n: int, ripple: float) -> Floats:
         """Share of a sweep that is done at each of its samples, from 0 to 1, with the ripple of its velocity.
 
-        Parameters
-        ----------
-        n
-            Samples of the motion; those at rest are added on either side.
-        ripple
-            Phase of the ripple.
+        n: samples of the motion; those at rest are added on either side.
+        ripple: phase of the ripple.
         """
         if n == 0:
             return np.zeros(0)
@@ -214,12 +178,8 @@ class OpticalRig:
     def voltages(self, seen: Views, chances: Chances, at: Floats | None = None) -> Floats:
         """What is recorded along a trace.
 
-        Parameters
-        ----------
-        seen
-            From `views`.
-        at
-            Share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
+        seen: from `views`.
+        at: share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
         """
         s, optics = self.settings, self.cell.interferometer
         length, distance, tilt = seen
@@ -255,5 +215,4 @@ class OpticalRig:
 def _shape(time: Floats, phase: float) -> Floats:
     """A ramp and a bow, mixed by a phase: about zero, about one from peak to peak."""
     ramp, bow = time - 0.5, 4.0 * time * (1.0 - time) - 0.5
-    mixed: Floats = np.cos(phase) * ramp + np.sin(phase) * bow
-    return mixed
+    return np.asarray(np.cos(phase) * ramp + np.sin(phase) * bow)

@@ -25,13 +25,7 @@ _REFERENCE_SAMPLES = 40
 
 
 def check_recordable(sweeps: Sweeps) -> None:
-    """Hold sweeps to what a trace can hold.
-
-    Raises
-    ------
-    InputError
-        If a row is a path, belongs to a group, or is a sweep of several joints: a trace holds one joint.
-    """
+    """Hold sweeps to what a trace can hold."""
     several = ((sweeps.q_start != sweeps.q_end).sum(axis=1) > 1) & (sweeps.kind == "sweep")
     refusals = (
         (sweeps.kind == "path", "kind", "expected a sweep or an absolute length: a path is recorded by itself"),
@@ -54,28 +48,14 @@ def record_sweeps(
 ) -> TraceIndex:
     """Record sweeps on the simulated cell.
 
-    Parameters
-    ----------
-    sweeps
-        A plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time. Joints
-        reach either end with the cell's repeatability; the traces hold the positions that the controller believes.
-    settings
-        By default `RecorderSettings`.
-    seed
-        Equal seeds give equal recordings.
-    scans
-        Which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one at
-        their end in any case.
-
-    Returns
-    -------
-    TraceIndex
-        Its sweeps are a plan, without measurement.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are not such (see `check_recordable`, `check_sweeps`), or the seed is negative.
+    sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
+    Joints reach either end with the cell's repeatability; the traces hold the positions that the controller
+    believes.
+    settings: by default `RecorderSettings`.
+    seed: equal seeds give equal recordings.
+    scans: which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one
+    at their end in any case.
+    Returns its sweeps are a plan, without measurement.
     """
     settings = RecorderSettings() if settings is None else settings
     rig, n = OpticalRig(cell, truth, settings), len(sweeps)
@@ -129,23 +109,9 @@ def record_path(
     fits the first one with the nominal geometry, and moves that joint to the nearest point at half fringe height along
     the whole path. The second one shows how gain and offset drifted meanwhile.
 
-    Parameters
-    ----------
-    path
-        Joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
-    time_h
-        When; the truth of that time is used.
-
-    Returns
-    -------
-    PathTrace
-        With the true cavity lengths.
-
-    Raises
-    ------
-    InputError
-        If the path has fewer than two points or holds a value that is no number, a joint leaves its limits, or the rig
-        cannot move to half fringe height within the limits of the reference joint.
+    path: joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
+    time_h: when; the truth of that time is used.
+    Returns with the true cavity lengths.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():
@@ -190,13 +156,7 @@ def record_path(
 
 
 def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:
-    """The prismatic joint that changes the nominal cavity length most at a pose (n_joints,), and um of it per um.
-
-    Raises
-    ------
-    InputError
-        If the cell has no prismatic joint.
-    """
+    """The prismatic joint that changes the nominal cavity length most at a pose (n_joints,), and um of it per um."""
     if cell.revolute.all():
         raise InputError(f"cell {cell.name!r} has no prismatic joint for a reference scan")
     model = CavityModel.of(cell)

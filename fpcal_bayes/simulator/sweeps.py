@@ -15,17 +15,9 @@ def noise_free(
 ) -> Floats:
     """Changes of cavity length that the truth makes, each at the time of its row.
 
-    Parameters
-    ----------
-    sweeps
-        Which sweeps; measurements in them are not looked at. The sign is that of the change, known or not.
-    q_start, q_end
-        Joint vectors reached, shape (n, n_joints), in um and rad; by default those commanded.
-
-    Returns
-    -------
-    ndarray
-        In um, shape (n,); the cavity length itself in absolute rows.
+    sweeps: which sweeps; measurements in them are not looked at. The sign is that of the change, known or not.
+    q_start, q_end: joint vectors reached, shape (n, n_joints), in um and rad; by default those commanded.
+    Returns in um, shape (n,); the cavity length itself in absolute rows.
     """
     model = CavityModel.of(cell, truth.parameters)
     q_start = sweeps.q_start if q_start is None else q_start

@@ -20,42 +20,23 @@ Results = Mapping[str, Floats]
 
 @dataclass(frozen=True)
 class Summary:
-    """What the replicates of a study say together.
-
-    Attributes
-    ----------
-    title
-        Of the table of `rows`.
-    rows
-        One mapping of column to value each, all with the same columns; the first holds names.
-    sentences
-        Results in words.
-    warnings
-        What is not to be trusted.
-    """
+    """What the replicates of a study say together."""
 
     title: str
+    # one mapping of column to value each, all with the same columns; the first holds names
     rows: list[dict[str, str | int | float]]
-    sentences: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    sentences: list[str] = field(default_factory=list)  # results in words
+    warnings: list[str] = field(default_factory=list)  # what is not to be trusted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study(ABC):
-    """One question and all its settings.
-
-    Attributes
-    ----------
-    cell
-        The cell that is simulated.
-    seed
-        Of all random numbers; each replicate mixes its own number in.
-    """
+    """One question and all its settings."""
 
     name: ClassVar[str]
 
-    cell: Cell
-    seed: int = 0
+    cell: Cell  # the cell that is simulated
+    seed: int = 0  # of all random numbers; each replicate mixes its own number in
 
     @abstractmethod
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -13,10 +13,11 @@ import numpy as np
 from scipy import stats
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.infer.tasks.source import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import TASKS, Task, task_path
@@ -33,20 +34,12 @@ FAMILY_WISE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage(Study):
-    """The study of coverage.
-
-    Attributes
-    ----------
-    plan
-        Sweeps of each calibration.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    """
+    """The study of coverage."""
 
     name: ClassVar[str] = "coverage"
 
-    plan: Sweeps
-    sigma: float = 0.005
+    plan: Sweeps  # sweeps of each calibration
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the numbers that one replicate gives; lengths in um."""
@@ -77,12 +70,9 @@ class Coverage(Study):
     def _judge_tasks(self, result: dict[str, Floats], found: Identification, truth: Floats) -> None:
         estimate, model = found.estimate, CavityModel.of(self.cell)
         draws = independent_draws(found)
-        edges = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in SHARES])
-        # Draws of the linear error: the factor of a covariance that may be singular along gauges.
-        scale = estimate.parameters.prior_sd
-        sizes, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
-        deviates = np.random.default_rng(1).standard_normal((_LINEAR_DRAWS, len(scale)))
-        changes = deviates @ (scale[:, None] * vectors * np.sqrt(np.clip(sizes, 0.0, None))).T
+        # Draws of the linear error; the covariance may be singular along gauges.
+        root = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
+        changes = np.random.default_rng(1).standard_normal((_LINEAR_DRAWS, len(root))) @ root.T
         for i, name in enumerate(TASKS):
             task = self._path(estimate.vector(), name)
             if task is None:
@@ -90,10 +80,10 @@ class Coverage(Study):
             true = float(peak_to_peak(task_errors(model, truth, estimate.values, task))[0])
             result["true"][i] = true
             linear = peak_to_peak(changes @ task_jacobian(model, estimate.values, task).T)
-            result["covariance"][i] = np.quantile(linear, edges)
+            result["covariance"][i] = quantile_band(linear, SHARES)
             if len(draws):
                 predicted = peak_to_peak(task_errors(model, draws, estimate.values, task))
-                result["draws"][i] = np.quantile(predicted, edges)
+                result["draws"][i] = quantile_band(predicted, SHARES)
                 result["rank"][i] = (predicted < true).mean()
 
     def _path(self, vector: Floats, name: str) -> Task | None:

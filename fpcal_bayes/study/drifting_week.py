@@ -7,18 +7,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
+from fpcal_bayes.decision.closed_loop import Plan, Sessions, run_rule, task_peaks
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_terms
-from fpcal_bayes.tracking.session import SessionOutcome, take_in
-from fpcal_bayes.tracking.smoother import looked_at_again
+from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.start import with_hidden_noise
 from fpcal_bayes.tracking.tracker import calibrate
 
@@ -29,23 +27,13 @@ STEP = 0.1
 
 @dataclass(frozen=True)
 class Setting:
-    """What all weeks of a study share.
+    """What all weeks of a study share."""
 
-    Attributes
-    ----------
-    cell
-        With its drift sizes.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    hours
-        Length of a week.
-    model, drift, paper, limits
-        Made from the cell. The temperature is logged, so that the filter allows for its part (`likely_terms`).
-    """
-
-    cell: Cell
-    sigma: float = 0.005
-    hours: float = HOURS
+    cell: Cell  # with its drift sizes
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
+    hours: float = HOURS  # length of a week
+    # model, drift, paper, limits: made from the cell. The temperature is logged, so that the filter allows for its part
+    # (`likely_terms`).
     model: CavityModel = field(init=False)
     drift: DriftModel = field(init=False)
     paper: Sweeps = field(init=False)
@@ -73,27 +61,13 @@ class Setting:
 
 @dataclass(frozen=True)
 class DriftingWeek:
-    """Truth at every step, and the calibration at its beginning.
+    """Truth at every step, and the calibration at its beginning."""
 
-    Attributes
-    ----------
-    seed
-        Numbers that the week's random numbers depend on.
-    times
-        In hours, shape (n_steps,).
-    values
-        Free parameters in um and rad, shape (n_steps, n_free).
-    temperature_c
-        Logged, shape (n_steps,).
-    calibration
-        What the first session gives.
-    """
-
-    seed: tuple[int, ...]
-    times: Floats
-    values: Floats
-    temperature_c: Floats
-    calibration: SessionOutcome
+    seed: tuple[int, ...]  # numbers that the week's random numbers depend on
+    times: Floats  # in hours, shape (n_steps,)
+    values: Floats  # free parameters in um and rad, shape (n_steps, n_free)
+    temperature_c: Floats  # logged, shape (n_steps,)
+    calibration: SessionOutcome  # what the first session gives
 
     def at(self, time_h: float) -> Floats:
         """The truth at a time, shape (n_free,)."""
@@ -138,22 +112,13 @@ def simulate_week(setting: Setting, *seed: int, harder: bool = False) -> Driftin
 
 @dataclass
 class Run:
-    """One policy through one week.
+    """One policy through one week."""
 
-    Attributes
-    ----------
-    times, sweeps
-        Of each session: when it began in hours, and how many sweeps it had.
-    errors
-        Peak to peak of each task's error in nm at every step, shape (n_tasks, n_steps).
-    decision_s
-        Time that the decisions took.
-    """
-
+    # times, sweeps: of each session: when it began in hours, and how many sweeps it had
     times: list[float]
     sweeps: list[int]
-    errors: Floats
-    decision_s: float = 0.0
+    errors: Floats  # peak to peak of each task's error in nm at every step, shape (n_tasks, n_steps)
+    decision_s: float = 0.0  # time that the decisions took
 
 
 #: What is measured next: after how many hours, and which sweeps (none: only look).
@@ -162,29 +127,24 @@ Rule = Callable[[SessionOutcome, float, DriftingWeek], tuple[float, Sweeps | Non
 
 def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str]) -> Run:
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
-    outcome, now, spent = week.calibration, 0.0, 0.0
-    outcomes, drift = [outcome], with_hidden_noise(setting.drift, setting.model, outcome.state)
-    run = Run([], [], np.zeros((len(tasks), len(week.times))))
-    while True:
+    model, times, spent = setting.model, [0.0], 0.0
+
+    def next_session(done: Sessions, now: float) -> tuple[float, Plan]:
+        nonlocal spent
         began = time.perf_counter()
-        wait, plan = rule(outcome, now, week)
+        wait, plan = rule(done.outcomes[-1], now, week)
         spent += time.perf_counter() - began
-        # Sessions begin on a step, and at most one on each.
-        until = (np.floor(now / STEP + 1e-6) + max(1, np.floor(wait / STEP + 1e-6))) * STEP
-        last = until > setting.hours - STEP / 2.0
-        here = (week.times > now - STEP / 2) & (week.times < (setting.hours + 1 if last else until - STEP / 2))
-        values = setting.drift.values(outcome.state.mean)
-        for row, name in enumerate(tasks):
-            task = task_path(setting.cell, setting.model.vector(values), name)
-            run.errors[row, here] = 1e3 * peak_to_peak(task_errors(setting.model, week.values[here], values, task))
-        if last:
-            break
-        now = until
-        if plan is not None:
-            sweeps = setting.measured(plan, now, week.at(now), week.temperature(now), *week.seed, len(run.times) + 1)
-            outcomes.append(take_in(drift, setting.model, setting.limits, outcome.state, outcome.monitor, sweeps))
-            outcome = outcomes[-1] = looked_at_again(drift, outcomes)
-            run.times.append(now)
-            run.sweeps.append(len(plan))
-    run.decision_s = spent
-    return run
+        return wait, lambda time_h: plan
+
+    def measure(plan: Sweeps, time_h: float) -> Sweeps:
+        seed = (*week.seed, len(times))
+        times.append(time_h)
+        return setting.measured(plan, time_h, week.at(time_h), week.temperature(time_h), *seed)
+
+    drift = with_hidden_noise(setting.drift, model, week.calibration.state)
+    end_h = setting.hours - STEP / 2.0
+    done = run_rule(next_session, drift, model, setting.limits, week.calibration, measure, end_h, step_h=STEP)
+    truth = Truth(setting.cell.free, week.times, week.values)
+    held = [(time_h, drift.values(outcome.state.mean)) for time_h, outcome in zip(times, done.outcomes, strict=True)]
+    errors = 1e3 * task_peaks(model, truth, held, tasks, week.times, whole=True)
+    return Run(times[1:], [len(sweeps) for sweeps in done.sweeps], errors, spent)

@@ -30,29 +30,18 @@ _GOAL = Goal(0.05)
 
 @dataclass(frozen=True)
 class Course:
-    """One way through the week.
-
-    Attributes
-    ----------
-    name
-        In words.
-    session_h, session_sweeps
-        When something was measured, and how many sweeps, shape (n_sessions,); the first is day 0's calibration.
-    minutes
-        Spent on measuring after day 0.
-    times_h, peaks
-        Peak to peak of the circle's error with the estimate held at each time, shapes (t,), in um.
-    tolerance
-        In um.
-    """
+    """One way through the week."""
 
     name: str
+    # session_h, session_sweeps: when something was measured, and how many sweeps, shape (n_sessions,); the first is day
+    # 0's calibration
     session_h: Floats
     session_sweeps: NDArray[np.int64]
-    minutes: float
+    minutes: float  # spent on measuring after day 0
+    # times_h, peaks: peak to peak of the circle's error with the estimate held at each time, shapes (t,), in um
     times_h: Floats
     peaks: Floats
-    tolerance: float
+    tolerance: float  # in um
 
     @property
     def share(self) -> float:
@@ -67,27 +56,18 @@ class Course:
 
 @dataclass(frozen=True)
 class Followed:
-    """What following the week gave.
+    """What following the week gave."""
 
-    Attributes
-    ----------
-    track
-        The filter on the sweeps of the paper's protocol.
-    loop, policy_track, policy_sweeps
-        What the policy did, its sessions as a track, and all its sweeps, those of day 0 included.
-    goal, costs
-        Of the policy.
-    courses
-        The paper's, the filter's, the policy's.
-    """
-
-    track: Track
+    track: Track  # the filter on the sweeps of the paper's protocol
+    # loop, policy_track, policy_sweeps: what the policy did, its sessions as a track, and all its sweeps, those of day
+    # 0 included
     loop: ClosedLoop
     policy_track: Track
     policy_sweeps: Sweeps
+    # goal, costs: of the policy
     goal: Goal
     costs: Costs
-    courses: tuple[Course, ...]
+    courses: tuple[Course, ...]  # the paper's, the filter's, the policy's
 
 
 def follow_week(
@@ -102,19 +82,9 @@ def follow_week(
 ) -> Followed:
     """Follow the week with the filter, live it again under the policy, and judge both beside the paper's protocol.
 
-    Parameters
-    ----------
-    sweeps, identifications
-        Of the paper's sessions, in order of time; the first is day 0.
-    sigma, seed
-        Noise of the policy's sweeps in um, and its seed.
-    progress
-        Told what is done next.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift, or the tolerance cannot be met.
+    `sweeps` and `identifications` are of the paper's sessions, in order of time; the first is day 0. `sigma` in um and
+    `seed` are of the policy's sweeps; `progress` is told what is done next. `InputError` if the cell states no drift,
+    or the tolerance cannot be met.
     """
     drift = DriftModel.of(cell)
     model = CavityModel.of(cell, drift.parameters)
@@ -157,15 +127,7 @@ def follow_week(
 def decision_log(
     decisions: Sequence[Decision], outcomes: Sequence[SessionOutcome], tolerance: float
 ) -> list[dict[str, Any]]:
-    """The decisions as JSON: when, what, why, and the session that followed.
-
-    Parameters
-    ----------
-    decisions, outcomes
-        As many of each: what was ordered, and what it gave.
-    tolerance
-        In um.
-    """
+    """Decisions, and the outcomes that they gave, as JSON: when, what, why, and the session that followed; um."""
     return [
         {
             "now_h": decision.now_h,

@@ -30,30 +30,14 @@ _POINTS = 181
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle in the mirror plane, driven once with an estimate.
-
-    Attributes
-    ----------
-    name
-        Of the recording.
-    time_h
-        When it was driven.
-    estimate
-        Name of the session that the estimate is of.
-    phase
-        Of its points in deg, shape (n,).
-    change
-        True change of cavity length beyond what the estimate expects, shape (n,), in um.
-    trace
-        Irradiance along the circle, with its reference scans, as the rig records it.
-    """
+    """A circle in the mirror plane, driven once with an estimate."""
 
     name: str
-    time_h: float
-    estimate: str
-    phase: Floats
-    change: Floats
-    trace: PathTrace
+    time_h: float  # when it was driven
+    estimate: str  # name of the session that the estimate is of
+    phase: Floats  # of its points in deg, shape (n,)
+    change: Floats  # true change of cavity length beyond what the estimate expects, shape (n,), in um
+    trace: PathTrace  # irradiance along the circle, with its reference scans, as the rig records it
 
     @property
     def peak_to_peak(self) -> float:
@@ -62,20 +46,7 @@ class Circle:
 
 
 def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed: int) -> list[Circle]:
-    """The circle of one estimate, driven at `CHECK_HOURS` after it.
-
-    Parameters
-    ----------
-    name
-        Of the session that the estimate is of.
-    seed
-        Of the recordings' noise.
-
-    Raises
-    ------
-    InputError
-        If the circle cannot be driven.
-    """
+    """The circle of the estimate of session `name`, driven at `CHECK_HOURS` after it; `seed` is that of the noise."""
     task = _circle(estimate)
     times = [estimate.time_h + hours for hours in CHECK_HOURS]
     return [
@@ -87,17 +58,7 @@ def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed:
 def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int) -> list[Circle]:
     """The circle of each identification at its own time, and before it with that of the identification before.
 
-    Parameters
-    ----------
-    estimates
-        By session, in order of time.
-    seed
-        Of the recordings' noise.
-
-    Raises
-    ------
-    InputError
-        If a circle cannot be driven.
+    The estimates are by session, in order of time; `seed` is of the recordings' noise.
     """
     circles: list[Circle] = []
     before = ""
@@ -134,22 +95,13 @@ Free = Literal["all", "extrinsic"]
 
 @dataclass(frozen=True)
 class Session:
-    """One session of the week.
+    """One session of the week."""
 
-    Attributes
-    ----------
-    name, day
-        As in the campaign.
-    free
-        What is identified; the rest is held at the last full identification.
-    tables
-        The tables of the paper that it makes anew.
-    """
-
+    # name, day: as in the campaign
     name: str
     day: float
-    free: Free
-    tables: str
+    free: Free  # what is identified; the rest is held at the last full identification
+    tables: str  # the tables of the paper that it makes anew
 
 
 SESSIONS = (
@@ -174,12 +126,7 @@ class Week:
 def week_truth(cell: Cell, between: str, seed: int) -> Truth:
     """The truth through the week: the paper's tables on days 0, 1, 2 and 8, and what lies between them.
 
-    Parameters
-    ----------
-    between
-        One of `BETWEEN`: ``steady``, or ``walk`` for a random walk with the cell's drift sizes, given the tables.
-    seed
-        Of the walk.
+    `between` is ``steady``, or ``walk`` for a random walk, by `seed`, with the cell's drift sizes, given the tables.
     """
     tables = paper_truth(cell)
     if between == "steady":
@@ -195,21 +142,9 @@ def week_truth(cell: Cell, between: str, seed: int) -> Truth:
 
 
 def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady") -> tuple[Truth, Sweeps]:
-    """Simulate the sweeps of every session.
+    """The truth through the week (see `week_truth`), and simulated sweeps of all sessions in order of time.
 
-    Parameters
-    ----------
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    seed
-        Of the noise.
-    between
-        As in `week_truth`.
-
-    Returns
-    -------
-    tuple
-        The truth through the week, and the sweeps of all sessions in order of time.
+    `sigma` is the standard deviation of each change of cavity length in um, `seed` that of the noise.
     """
     truth = week_truth(cell, between, seed)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")

@@ -29,19 +29,10 @@ _SETS = 1000
 
 
 def largest_errors(cell: Cell, values: Floats, plan: Sweeps, *, sigma: float, seed: int) -> dict[str, float]:
-    """Largest error along each task after identifying a simulated cell from simulated measurements.
+    """Largest error along each task, in um, after identifying a simulated cell from simulated measurements.
 
-    Parameters
-    ----------
-    values
-        Free parameters of the truth in um and rad, shape (n_free,).
-    sigma, seed
-        Standard deviation of each change of cavity length in um, and the seed of the noise.
-
-    Returns
-    -------
-    dict
-        In um; NaN where the estimate leaves no point to drive to.
+    `values` (n_free,) are the truth's free parameters in um and rad; `sigma` is the standard deviation of each change
+    of cavity length in um. NaN where the estimate leaves no point to drive to.
     """
     model = CavityModel.of(cell)
     truth = Truth(cell.free, np.zeros(1), values[None])
@@ -59,19 +50,11 @@ def largest_errors(cell: Cell, values: Floats, plan: Sweeps, *, sigma: float, se
 
 
 def compare(ours: Floats, theirs: Floats) -> dict[str, float]:
-    """One kind of error over another, at the same truths.
+    """One kind of error or standard deviation, above zero, over another at the same truths, shape (n_truths,) each.
 
-    Parameters
-    ----------
-    ours, theirs
-        Errors or standard deviations, shape (n_truths,), above zero.
-
-    Returns
-    -------
-    dict
-        The ratio of the root mean squares and of the medians, and the mean over truths of the ratio, each with its
-        standard error (``.._se``) by drawing the truths anew (bootstrap, Efron 1979). The mean ratio of simulated
-        errors leans upwards: some truth's error is small by luck.
+    The ratio of the root mean squares and of the medians, and the mean over truths of the ratio, each with its standard
+    error (``.._se``) by drawing the truths anew (bootstrap, Efron 1979). The mean ratio of simulated errors leans
+    upwards: some truth's error is small by luck.
     """
     picked = np.random.default_rng(0).integers(len(ours), size=(_SETS, len(ours)))
 
@@ -91,20 +74,12 @@ def compare(ours: Floats, theirs: Floats) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Planning(Study):
-    """The study of a plan.
-
-    Attributes
-    ----------
-    plan
-        Rows of the plan, as they are read.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    """
+    """The study of a plan."""
 
     name: ClassVar[str] = "plan"
 
-    plan: Sweeps
-    sigma: float = 0.005
+    plan: Sweeps  # rows of the plan, as they are read
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
     paper: Sweeps = field(init=False)
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ Each week starts with a full calibration and drifts as the cell's sizes say. The
 latest estimate; the error is looked at every six minutes. All policies see the same weeks and the same filter.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -82,25 +82,8 @@ def ours(setting: Setting, goal: Goal, costs: Costs, fixed_hours: float | None =
     return rule
 
 
-def rules(
-    setting: Setting,
-    goal: Goal,
-    *,
-    levels: Sequence[float] = (0.05, 0.1, 0.15, 0.2),
-    most_sweeps: int = 2,
-    diagnosis_h: float | None = None,
-) -> dict[str, MakeRule]:
-    """All rules by name.
-
-    Parameters
-    ----------
-    goal
-        What is to be held.
-    levels
-        Accepted probabilities of being out of tolerance, a policy each.
-    most_sweeps, diagnosis_h
-        Sweeps of a session of the policy at most, and hours between its looks at the robot itself (None: none).
-    """
+def rules(setting: Setting, goal: Goal) -> dict[str, MakeRule]:
+    """All rules by name; `goal` is what is to be held, each of the policies having its own level."""
     two = translations(len(setting.cell.joints), 3, 1)
     found: dict[str, MakeRule] = {
         "never": lambda: never(setting),
@@ -114,10 +97,9 @@ def rules(
             found[f"{count} chosen every {hours:g} h"] = lambda count=count, hours=hours: ours(  # type: ignore[misc]
                 setting, goal, Costs(most_sweeps=count), hours
             )
-    for level in levels:
-        costs = Costs(most_sweeps=most_sweeps, diagnosis_h=diagnosis_h)
-        found[f"ours, level {level:g}"] = lambda level=level, costs=costs: ours(  # type: ignore[misc]
-            setting, replace(goal, level=level), costs
+    for level in (0.05, 0.1, 0.15, 0.2):
+        found[f"ours, level {level:g}"] = lambda level=level: ours(  # type: ignore[misc]
+            setting, replace(goal, level=level), Costs(most_sweeps=2)
         )
     return found
 
@@ -128,29 +110,15 @@ DEFAULT_POLICIES = ("never", "69 sweeps every 8 h", "q3 and q1 every 1 h", "q3 a
 
 @dataclass(frozen=True, kw_only=True)
 class Policies(Study):
-    """The comparison of policies.
-
-    Attributes
-    ----------
-    goal
-        What is to be held.
-    policies
-        Names of `policy_rules.rules`.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    hours
-        Length of a week.
-    harder
-        Whether the weeks drift otherwise than modelled too.
-    """
+    """The comparison of policies."""
 
     name: ClassVar[str] = "policy"
 
-    goal: Goal
-    policies: tuple[str, ...] = DEFAULT_POLICIES
-    sigma: float = 0.005
-    hours: float = HOURS
-    harder: bool = False
+    goal: Goal  # what is to be held
+    policies: tuple[str, ...] = DEFAULT_POLICIES  # names of `rules`
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
+    hours: float = HOURS  # length of a week
+    harder: bool = False  # whether the weeks drift otherwise than modelled too
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the numbers that one replicate gives."""
@@ -168,7 +136,7 @@ class Policies(Study):
         """Sweeps and sessions of each policy, and its shares of the time in tolerance, by task and of all at once."""
         setting = Setting(self.cell, self.sigma, self.hours)
         week = simulate_week(setting, self.seed, number, harder=self.harder)
-        known = self._known(setting)
+        known = rules(setting, self.goal)
         result = {name: np.full(shape, np.nan) for name, shape in self.shapes().items()}
         for i, name in enumerate(self.policies):
             run = follow(setting, week, known[name](), self.goal.tasks)
@@ -178,9 +146,6 @@ class Policies(Study):
             result["in_tolerance"][i] = within.mean(axis=1)
             result["all_in_tolerance"][i] = within.all(axis=0).mean()
         return result
-
-    def _known(self, setting: Setting) -> dict[str, MakeRule]:
-        return rules(setting, self.goal)
 
     def summary(self, results: Results) -> Summary:
         """Means over the weeks with their standard errors."""

@@ -40,13 +40,9 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
     """A client of the cluster at `scheduler`, or of a new one of `workers` processes on this machine.
 
     Dask hands functions and values on as pickles: give the address of a cluster that you trust only.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or nothing answers at the address.
     """
     try:
+        # An optional extra, which only studies need.
         import dask
         import distributed
     except ImportError as error:
@@ -92,6 +88,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
 
 def _check_workers(client: Any, scheduler: str | None) -> None:
     """Wait for a worker, and refuse workers with another version of this program."""
+    # An optional extra, which only studies need.
     import distributed
 
     try:
@@ -124,25 +121,14 @@ _NEW_TRIES = 2
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a study is.
+    """How far a study is."""
 
-    Attributes
-    ----------
-    done, replicates
-        How many are in the store, and how many are wanted.
-    came
-        How many of them this run has brought.
-    seconds
-        Since the first worker stood ready.
-    workers
-        That are there now.
-    """
-
+    # done, replicates: how many are in the store, and how many are wanted
     done: int
     replicates: int
-    came: int
-    seconds: float
-    workers: int
+    came: int  # how many of them this run has brought
+    seconds: float  # since the first worker stood ready
+    workers: int  # that are there now
 
     @property
     def seconds_left(self) -> float | None:
@@ -169,23 +155,10 @@ def run_on_cluster(
 ) -> Progress:
     """Run the missing replicates on a cluster of Dask; each is in the store as soon as it comes.
 
-    Parameters
-    ----------
-    replicates
-        How many are wanted in all.
-    workers
-        Processes of the cluster on this machine.
-    scheduler
-        Address of a cluster that runs already, in place of one on this machine.
-    anew
-        Forget what the store holds.
-    progress
-        Called with what has come, after each task.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed or the cluster cannot be reached; if the store is another one; if a replicate fails.
+    `replicates` are wanted in all. The cluster has `workers` processes on this machine, unless `scheduler` is the
+    address of one that runs already. `anew` forgets what the store holds; `progress` is called after each task.
+    `InputError` if Dask is not installed or the cluster cannot be reached, if the store is another one, or if a
+    replicate fails.
     """
     with store.appending(replicates, anew=anew) as appender:
         missing = np.flatnonzero(~store.done()[:replicates]).tolist()
@@ -209,6 +182,7 @@ def run_on_cluster(
 
 def replicates_of(study: Study, numbers: list[int], version: str) -> tuple[list[bytes], float]:
     """Some replicates as rows, run by a worker, and the seconds that they took."""
+    # An optional extra, which only studies need.
     from threadpoolctl import threadpool_limits
 
     if version != __version__:
@@ -221,6 +195,7 @@ def replicates_of(study: Study, numbers: list[int], version: str) -> tuple[list[
 
 def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[list[int], list[bytes]]]:
     """Numbers and rows of tasks as they end; as many replicates a task as make it worth handing out."""
+    # An optional extra, which only studies need.
     import distributed
 
     left, given, size = iter(missing), {}, 1
@@ -251,6 +226,7 @@ def _collected(client: Any, study: Study, missing: list[int]) -> Iterator[tuple[
 
 def _next_try(client: Any, future: Any, numbers: list[int], tries: int) -> int:
     """Number of the next try of a task that failed; `InputError` if there is none."""
+    # An optional extra, which only studies need.
     import distributed
 
     where = f"replicate {numbers[0]}" if len(numbers) == 1 else f"replicates {numbers[0]} to {numbers[-1]}"

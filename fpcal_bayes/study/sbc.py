@@ -32,21 +32,13 @@ FAMILY_WISE = 0.01
 
 @dataclass(frozen=True)
 class Verdict:
-    """Tests of one quantity: p-values of the ranks' uniformity, and of each interval's coverage.
-
-    Attributes
-    ----------
-    name
-        Of the quantity.
-    chi_square, kolmogorov
-        p-values of the ranks in bins, and of their distribution.
-    covered, coverage
-        Share of the ranks in each central interval of `COVERAGES`, and its p-value.
-    """
+    """Tests of one quantity: p-values of the ranks' uniformity, and of each interval's coverage."""
 
     name: str
+    # chi_square, kolmogorov: p-values of the ranks in bins, and of their distribution
     chi_square: float
     kolmogorov: float
+    # covered, coverage: share of the ranks in each central interval of `COVERAGES`, and its p-value
     covered: list[float]
     coverage: list[float]
 
@@ -112,14 +104,9 @@ def ranks_of(
 ) -> Replicate:
     """Draw one truth and rank it.
 
-    Parameters
-    ----------
-    plan, sigma
-        The sweeps, and the standard deviation of each change of cavity length in um.
-    draws
-        Effective draws of the posterior, at least `RANKED`.
-    steps
-        The walkers go so far and no further: the ranks are those of an exact sampler if the start is.
+    `sigma` is the standard deviation of each change of cavity length in um; `draws` the effective draws of the
+    posterior, at least `RANKED`. With `steps` the walkers go so far and no further: the ranks are those of an exact
+    sampler if the start is.
     """
     truth = drawn_truth(cell, random)
     values = truth.values[0]
@@ -148,26 +135,14 @@ def ranks_of(
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorRanks(Study):
-    """Simulation-based calibration.
-
-    Attributes
-    ----------
-    plan
-        Sweeps of each calibration.
-    sigma
-        Standard deviation of each change of cavity length, in um.
-    draws
-        Effective draws of each posterior.
-    steps
-        Of each walker at most, or None for as many as it takes.
-    """
+    """Simulation-based calibration."""
 
     name: ClassVar[str] = "sbc"
 
-    plan: Sweeps
-    sigma: float = 0.005
-    draws: int = 400
-    steps: int | None = None
+    plan: Sweeps  # sweeps of each calibration
+    sigma: float = 0.005  # standard deviation of each change of cavity length, in um
+    draws: int = 400  # effective draws of each posterior
+    steps: int | None = None  # of each walker at most, or None for as many as it takes
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the numbers that one replicate gives."""

@@ -70,11 +70,6 @@ class StudyStore:
         """Make the file, or room for `replicates` in it, and put replicates into it; nobody else does meanwhile.
 
         What the file holds stays, unless `anew`.
-
-        Raises
-        ------
-        InputError
-            If the file is another one or holds another study, cannot be written, or another process writes it.
         """
         if replicates * self._type.itemsize > MAX_BYTES:
             raise InputError(
@@ -175,25 +170,26 @@ class Appender:
     def __init__(self, path: Path, offset: int, size: int) -> None:
         self._path, self._offset, self._size = path, offset, size
         try:
-            self._handle = os.open(path, os.O_WRONLY)
+            self._file = path.open("rb+", buffering=0)
         except OSError as error:
             raise self._error(error) from error
 
     def put(self, number: int, row: bytes) -> None:
         """Write the bytes of replicate `number` (see `packed`)."""
         try:
-            os.pwrite(self._handle, row, self._offset + number * self._size)
+            self._file.seek(self._offset + number * self._size)
+            self._file.write(row)
         except OSError as error:
             raise self._error(error) from error
 
     def close(self) -> None:
         """Wait until all rows are on the disk."""
         try:
-            os.fsync(self._handle)
+            os.fsync(self._file.fileno())
         except OSError as error:
             raise self._error(error) from error
         finally:
-            os.close(self._handle)
+            self._file.close()
 
     def _error(self, error: OSError) -> InputError:
         return InputError(f"{self._path}: cannot be written ({error.strerror})")

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.goodness import chi2_tail
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
 
@@ -27,28 +27,18 @@ HOURS_PER_WEEK = 168.0
 
 @dataclass(frozen=True)
 class Limits:
-    """When a session is called inconsistent.
+    """When a session is called inconsistent."""
 
-    Attributes
-    ----------
-    full_per_week, extrinsic_per_week
-        False alarms a week that call for a full calibration, and that only widen the extrinsic parameters.
-    looks
-        For how many sessions a jump is looked for after it.
-    window
-        Number of sessions whose innovations are summed.
-    knock_deg, knock_um
-        Standard deviation of a jump of an extrinsic parameter.
-    change_deg, change_um
-        The same of an intrinsic parameter.
-    """
-
+    # full_per_week, extrinsic_per_week: false alarms a week that call for a full calibration, and that only widen the
+    # extrinsic parameters
     full_per_week: float = 0.014
     extrinsic_per_week: float = 0.02
-    looks: int = 3
-    window: int = 6
+    looks: int = 3  # for how many sessions a jump is looked for after it
+    window: int = 6  # number of sessions whose innovations are summed
+    # knock_deg, knock_um: standard deviation of a jump of an extrinsic parameter
     knock_deg: float = 0.1
     knock_um: float = 20.0
+    # change_deg, change_um: the same of an intrinsic parameter
     change_deg: float = 0.1
     change_um: float = 2.0
 
@@ -70,41 +60,24 @@ class Onset:
     """A session that may hold a jump, and what the innovations since say about it.
 
     The jump is in units of `Limits.jump`.
-
-    Attributes
-    ----------
-    session
-        Name of the session before which the parameters may have jumped.
-    hours
-        Time since the session before it.
-    age
-        Number of sessions since, itself included.
-    response
-        What is left of a jump in the error of the state now, shape (n_states, n_parameters).
-    information, score
-        Of the regression, shapes (n_parameters, n_parameters) and (n_parameters,).
-    squared, dof
-        Sum of normalised innovations squared since, and of their degrees of freedom.
     """
 
-    session: str
-    hours: float
-    age: int
-    response: Floats
+    session: str  # name of the session before which the parameters may have jumped
+    hours: float  # time since the session before it
+    age: int  # number of sessions since, itself included
+    response: Floats  # what is left of a jump in the error of the state now, shape (n_states, n_parameters)
+    # information, score: of the regression, shapes (n_parameters, n_parameters) and (n_parameters,)
     information: Floats
     score: Floats
+    # squared, dof: sum of normalised innovations squared since, and of their degrees of freedom
     squared: float
     dof: int
 
     def with_session(self, innovation: Innovation, gain: Floats, predicted_response: Floats) -> "Onset":
         """With the innovation of one more session.
 
-        Parameters
-        ----------
-        gain
-            Kalman gain by which the session was taken in, shape (n_states, n_equivalent).
-        predicted_response
-            `response` carried to the time of the session.
+        `gain` (n_states, n_equivalent) is the Kalman gain by which the session was taken in, `predicted_response` is
+        `response` carried to its time.
         """
         seen = innovation.jacobian @ predicted_response
         whitened = innovation.whiten(seen)
@@ -122,42 +95,22 @@ class Onset:
 
 @dataclass(frozen=True)
 class Finding:
-    """One test that failed.
+    """One test that failed."""
 
-    Attributes
-    ----------
-    verdict
-        What it speaks for.
-    p_value
-        Probability of such a value if all is as modelled, and what it had to be below.
-    limit
-        See `p_value`.
-    evidence
-        In words.
-    """
-
-    verdict: Verdict
-    p_value: float
+    verdict: Verdict  # what it speaks for
+    p_value: float  # probability of such a value if all is as modelled, and what it had to be below
     limit: float
     evidence: str
 
 
 @dataclass(frozen=True)
 class Monitor:
-    """What the tests remember from session to session.
+    """What the tests remember from session to session."""
 
-    Attributes
-    ----------
-    onsets
-        Sessions that may hold a jump, oldest first.
-    recent
-        Normalised innovation squared and degrees of freedom of the last sessions, oldest first.
-    cusum_extrinsic, cusum_residual
-        Cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest.
-    """
-
-    onsets: tuple[Onset, ...] = ()
+    onsets: tuple[Onset, ...] = ()  # sessions that may hold a jump, oldest first
+    # normalised innovation squared and degrees of freedom of the last sessions, oldest first
     recent: tuple[tuple[float, int], ...] = ()
+    # cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest
     cusum_extrinsic: float = 0.0
     cusum_residual: float = 0.0
 
@@ -186,14 +139,8 @@ def extend(
 ) -> Monitor:
     """Take a session into the memory of the tests.
 
-    Parameters
-    ----------
-    hours
-        Since the session before.
-    innovation, gain
-        Of the session; its linearisation and the gain belong together.
-    matrix
-        Transition of the state over these hours, shape (n_states, n_states).
+    `hours` have passed since the session before, `matrix` (n_states, n_states) is the transition of the state over
+    them; linearisation (`innovation`) and `gain` of the session belong together.
     """
     start = np.zeros((drift.n_states, drift.n_parameters))
     start[range(drift.n_parameters), range(drift.n_parameters)] = limits.jump(drift)
@@ -222,11 +169,8 @@ def _summed(total: float, squared: float, dof: int) -> float:
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    Parameters
-    ----------
-    knock_gain
-        By how much a knock just before the last session raises the log likelihood of that session. A change of the
-        robot before an earlier session is believed only if it raises the likelihood more.
+    `knock_gain` is by how much a knock just before the last session raises the log likelihood of that session. A change
+    of the robot before an earlier session is believed only if it raises the likelihood more.
     """
     return [*_full_findings(monitor, limits, drift, knock_gain), *_extrinsic_findings(monitor, limits, drift)]
 
@@ -234,17 +178,8 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: fl
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
     """Probability that a session shows that a parameter of the robot jumped by its size in `Limits.jump` before it.
 
-    Parameters
-    ----------
-    innovation
-        Of the session, measured or planned: only its linearisation counts.
-    hours
-        Since the session before.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
+    Only the linearisation of `innovation` counts: the session may be measured or planned. `hours` have passed since the
+    session before. Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
     """
     n, intrinsic = drift.n_parameters, ~drift.extrinsic
     start = np.zeros((drift.n_states, n))

@@ -8,8 +8,9 @@ from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse, stats
+from scipy import linalg, sparse
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
@@ -48,21 +49,13 @@ class RowChanges(Protocol):
 
 @dataclass(frozen=True)
 class FewRows:
-    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows.
+    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows."""
 
-    Attributes
-    ----------
-    whitened
-        Innovation in units of its own standard deviations, shape (n_rows,).
-    units, half_wave
-        One um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um.
-    columns, size
-        Half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,).
-    """
-
-    whitened: Floats
+    whitened: Floats  # innovation in units of its own standard deviations, shape (n_rows,)
+    # units, half_wave: one um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um
     units: Floats
     half_wave: float
+    # columns, size: half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,)
     columns: Floats
     size: Floats
 
@@ -82,8 +75,7 @@ class FewRows:
     @property
     def along(self) -> Floats:
         """See `RowChanges`."""
-        result: Floats = self.columns.T @ self.whitened
-        return result
+        return self.columns.T @ self.whitened
 
     def taken_off(self, row: int, waves: int) -> Self:
         """See `RowChanges`."""
@@ -96,21 +88,15 @@ class ManyRows:
 
     With the whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
     ``M = I - (I + R P R')^-1`` has a row for each state.
-
-    Attributes
-    ----------
-    squared, along, size
-        See `RowChanges`.
-    own
-        Product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero.
-    seen, weighed
-        Half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states).
     """
 
+    # squared, along, size: see `RowChanges`
     squared: float
     along: Floats
     size: Floats
+    # product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero
     own: sparse.csc_array
+    # seen, weighed: half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states)
     seen: Floats
     weighed: Floats
 
@@ -118,14 +104,8 @@ class ManyRows:
     def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: float) -> Self:
         """Of a linearisation of all rows.
 
-        Parameters
-        ----------
-        misfit, jacobian
-            Whitened, shapes (n_rows,) and (n_rows, n_states).
-        covariance
-            Of the predicted state, shape (n_states, n_states).
-        half_wave
-            Half a wavelength in um.
+        `misfit` (n_rows,) and `jacobian` (n_rows, n_states) are whitened, `covariance` (n_states, n_states) is that of
+        the predicted state, and `half_wave` half a wavelength in um.
         """
         mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
         waves = half_wave * sparse.csr_array(mix)
@@ -148,13 +128,7 @@ class ManyRows:
 
 
 def row_changes(measurement: SweepMeasurement, innovation: Innovation, predicted: State) -> RowChanges:
-    """The changes of half a wavelength that the rows of a session may have.
-
-    Parameters
-    ----------
-    innovation, predicted
-        Of the session, and the state that it is linearised at.
-    """
+    """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
     half_wave = 0.5 * measurement.model.cell.wavelength
     if len(innovation.misfit) == innovation.dof:
         return FewRows.of(measurement.whitening, innovation, half_wave)
@@ -177,14 +151,9 @@ _ACCEPT = 1e-3
 
 
 def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
-    """The rows of a session with their signs, decided by what the state predicts.
+    """The rows of a session with their signs, decided by what the state predicts, and a warning if rows were left out.
 
     Rows with a clear sign are taken in first, which may make those of others clear. Rows that stay open are left out.
-
-    Returns
-    -------
-    tuple
-        Signed rows, and a warning if rows were left out.
     """
     known = sweeps.signed | sweeps.absolute
     if known.all():
@@ -215,18 +184,10 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
 
 @dataclass(frozen=True)
 class Correction:
-    """Rows corrected for slips.
+    """Rows corrected for slips."""
 
-    Attributes
-    ----------
-    dl
-        Corrected changes, shape (n_rows,), in um.
-    warnings
-        One a corrected row, or one that says that a slip is as likely as all else.
-    """
-
-    dl: Floats
-    warnings: tuple[str, ...]
+    dl: Floats  # corrected changes, shape (n_rows,), in um
+    warnings: tuple[str, ...]  # one a corrected row, or one that says that a slip is as likely as all else
 
 
 def correct_slips(
@@ -234,12 +195,8 @@ def correct_slips(
 ) -> Correction:
     """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
 
-    Parameters
-    ----------
-    sweeps, measurement, innovation
-        The session, signed; its innovation is too large.
-    jumps
-        Standard deviations of the jumps that may explain it instead, each of shape (n_states,).
+    The session is signed and its innovation too large; `jumps`, each of shape (n_states,), are standard deviations of
+    the jumps that may explain it instead.
     """
     half_wave = 0.5 * measurement.model.cell.wavelength
     count = len(sweeps)
@@ -257,7 +214,7 @@ def correct_slips(
         changes[row] = waves
         rows = rows.taken_off(row, waves)
         dl[row] -= waves * half_wave
-        if stats.chi2.sf(squared, count) > _ACCEPT:
+        if chi2_tail(squared, count) > _ACCEPT:
             break
     else:
         return Correction(sweeps.dl, ())

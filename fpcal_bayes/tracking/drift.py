@@ -1,4 +1,4 @@
-"""An estimate some time later: as good as drift has left it."""
+"""How parameters drift: the state that holds them and what drives them, and its step through time."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -20,19 +20,12 @@ HOURS_PER_DAY = 24.0
 
 @dataclass(frozen=True)
 class Transition:
-    """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`.
+    """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`."""
 
-    Attributes
-    ----------
-    matrix, noise
-        Shape (n_states, n_states).
-    shift
-        Shape (n_states,).
-    """
-
+    # matrix, noise: shape (n_states, n_states)
     matrix: Floats
     noise: Floats
-    shift: Floats
+    shift: Floats  # shape (n_states,)
 
 
 @dataclass(frozen=True)
@@ -42,31 +35,17 @@ class DriftModel:
     The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
     then what drives them: rates, returning motions, temperature coefficients, each in units of its own standard
     deviation.
-
-    Attributes
-    ----------
-    parameters
-        The parameters that are followed.
-    sizes
-        One a parameter, in the same order.
-    hidden
-        Variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None
-        (see `hidden_noise`).
     """
 
-    parameters: ParameterSet
-    sizes: tuple[DriftSize, ...]
+    parameters: ParameterSet  # the parameters that are followed
+    sizes: tuple[DriftSize, ...]  # one a parameter, in the same order
+    # variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None (see
+    # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
-        """The drift that a cell states, of its free parameters by default.
-
-        Raises
-        ------
-        InputError
-            If the cell states no drift at all: its parameters would be taken as constant.
-        """
+        """The drift that a cell states, of its free parameters by default."""
         if not cell.drift:
             raise InputError(
                 f"cell {cell.name!r} states no drift: expected it in its file, for example "
@@ -120,13 +99,9 @@ class DriftModel:
     def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Mean (n_states,) and covariance (n_states, n_states) of the state after a calibration.
 
-        Rates, returning motions and coefficients start at their own prior: a calibration at one time says nothing
-        about them as long as their size is small beside the prior of the parameter.
-
-        Parameters
-        ----------
-        values, covariance
-            Of the parameters in um and rad, shapes (n_parameters,) and (n_parameters, n_parameters).
+        `values` and `covariance` are those of the parameters in um and rad. Rates, returning motions and coefficients
+        start at their own prior: a calibration at one time says nothing about them as long as their size is small
+        beside the prior of the parameter.
         """
         n = self.n_parameters
         mean, full = np.zeros(self.n_states), np.eye(self.n_states)
@@ -141,8 +116,7 @@ class DriftModel:
     def covariance(self, covariance: Floats) -> Floats:
         """Covariance of the parameters in um and rad of a state covariance (n_states, n_states)."""
         n = self.n_parameters
-        result: Floats = covariance[:n, :n] * np.outer(self.scale, self.scale)
-        return result
+        return covariance[:n, :n] * np.outer(self.scale, self.scale)
 
     def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
         """The step over some hours, in which the logged temperature changed by `kelvin`."""
@@ -170,6 +144,11 @@ class DriftModel:
             at += 1
         return Transition(matrix, noise, shift)
 
+    def propagate(self, mean: Floats, covariance: Floats, hours: float, kelvin: float = 0.0) -> tuple[Floats, Floats]:
+        """Mean (n_states,) and covariance (n_states, n_states) of a state some hours later; see `transition`."""
+        step = self.transition(hours, kelvin)
+        return step.matrix @ mean + step.shift, step.matrix @ covariance @ step.matrix.T + step.noise
+
 
 #: A steady rate makes in a day what the random walk makes; a kelvin what it makes in six hours, in which a room may
 #: well warm by one. Both are standard deviations of what is unknown, found by the filter.
@@ -180,11 +159,6 @@ def likely_drift(cell: Cell, sweeps: Sweeps) -> DriftModel:
     """The drift that a cell states, with `likely_terms` where the sweeps log a temperature.
 
     A cell that states a rate, a returning motion or a part of the temperature itself is taken at its word.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift at all.
     """
     stated = DriftModel.of(cell)
     walks_only = all(size == DriftSize(size.name, walk=size.walk) for size in stated.sizes)
@@ -205,14 +179,7 @@ def likely_terms(drift: DriftModel) -> DriftModel:
 
 
 def aged(estimate: Estimate, hours: float) -> Estimate:
-    """An estimate `hours` later: its covariance has grown by the cell's drift.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift.
-    """
+    """An estimate `hours` later: its covariance has grown by the cell's drift."""
     drift = DriftModel.of(estimate.cell, estimate.parameters)
-    _, before = drift.initial(estimate.values, estimate.covariance)
-    step = drift.transition(hours)
-    return replace(estimate, covariance=drift.covariance(step.matrix @ before @ step.matrix.T + step.noise))
+    _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)
+    return replace(estimate, covariance=drift.covariance(later))

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
@@ -23,22 +25,13 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class State:
-    """What is known at a time.
+    """What is known at a time."""
 
-    Attributes
-    ----------
-    time_h
-        Hours since the campaign began.
-    mean, covariance
-        Of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states).
-    temperature_c
-        Last temperature that was logged, or NaN.
-    """
-
-    time_h: float
+    time_h: float  # hours since the campaign began
+    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
     mean: Floats
     covariance: Floats
-    temperature_c: float = float("nan")
+    temperature_c: float = float("nan")  # last temperature that was logged, or NaN
 
 
 @dataclass(frozen=True)
@@ -46,24 +39,15 @@ class Innovation:
     """What rows say beyond the prediction, linearised at it.
 
     Of many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
-
-    Attributes
-    ----------
-    misfit, jacobian
-        Whitened measurement minus prediction (n_equivalent,), and derivatives by the state (n_equivalent, n_states).
-    factor
-        Lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent).
-    log_volume
-        Of the whitening.
-    dof
-        Number of rows that were measured.
     """
 
+    # misfit, jacobian: whitened measurement minus prediction (n_equivalent,), and derivatives by the state
+    # (n_equivalent, n_states)
     misfit: Floats
     jacobian: Floats
-    factor: Floats
+    factor: Floats  # lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent)
     log_volume: float
-    dof: int
+    dof: int  # number of rows that were measured
 
     @classmethod
     def of(cls, misfit: Floats, jacobian: Floats, covariance: Floats, log_volume: float) -> "Innovation":
@@ -83,8 +67,7 @@ class Innovation:
     def whiten(self, rows: Floats) -> Floats:
         """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
         # For a few rows this is faster than a triangular solve by LAPACK.
-        result: Floats = np.linalg.solve(self.factor, rows)
-        return result
+        return np.linalg.solve(self.factor, rows)
 
     @property
     def squared(self) -> float:
@@ -100,44 +83,28 @@ class Innovation:
 
 @dataclass(frozen=True)
 class Update:
-    """Result of `update`.
+    """Result of `update`."""
 
-    Attributes
-    ----------
-    state
-        After the rows.
-    innovation
-        What they said beyond the prediction.
-    gain
-        Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent).
-    misfit, jacobian
-        Linearisation of all rows at the solution, as an innovation: whitened measurement minus what the linearised
-        prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states).
-    converged
-        Whether the iteration came to rest.
-    """
-
-    state: State
-    innovation: Innovation
+    state: State  # after the rows
+    innovation: Innovation  # what they said beyond the prediction
+    # Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent)
     gain: Floats
+    # misfit, jacobian: linearisation of all rows at the solution, as an innovation: whitened measurement minus what the
+    # linearised prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states)
     misfit: Floats
     jacobian: Floats
-    converged: bool
+    converged: bool  # whether the iteration came to rest
 
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
     """The state at a later time, before anything is measured then.
 
-    Parameters
-    ----------
-    temperature_c
-        Logged at that time, or NaN: the temperature is then taken as unchanged.
+    `temperature_c` is logged at that time, or NaN: the temperature is then taken as unchanged.
     """
-    filtered = kalman(state, 1)
-    step = drift.transition(time_h - state.time_h, kelvin_between(state.temperature_c, temperature_c))
-    filtered.predict(F=step.matrix, Q=step.noise, B=np.eye(drift.n_states), u=step.shift)
+    kelvin = kelvin_between(state.temperature_c, temperature_c)
+    mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
     known = state.temperature_c if np.isnan(temperature_c) else temperature_c
-    return State(time_h, filtered.x, symmetric(filtered.P), known)
+    return State(time_h, mean, symmetric(covariance), known)
 
 
 def kelvin_between(before: float, after: float) -> float:
@@ -147,15 +114,7 @@ def kelvin_between(before: float, after: float) -> float:
 
 
 def update(state: State, measurement: Measurement) -> Update:
-    """Take in rows measured at the time of `state`.
-
-    Parameters
-    ----------
-    state
-        As predicted for the time of the rows.
-    measurement
-        At least one row.
-    """
+    """Take in rows, one at least, that were measured at the time of `state`, which is predicted for it."""
     prior, covariance = state.mean, state.covariance
     misfit, jacobian = measurement.linearise(prior)
     innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
@@ -197,21 +156,12 @@ def update(state: State, measurement: Measurement) -> Update:
 
 
 def inflate(state: State, sd: Floats) -> State:
-    """The state after a jump of unknown size.
-
-    Parameters
-    ----------
-    sd
-        Standard deviation of the jump in the units of the state, shape (n_states,).
-    """
+    """The state after a jump of unknown size; `sd` is its standard deviation in the units of the state, (n_states,)."""
     return replace(state, covariance=state.covariance + np.diag(sd**2))
 
 
 def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
     """A filter of filterpy that holds a state and takes in `n_rows` rows."""
-    # filterpy takes a second to import: only commands that filter pay for it.
-    from filterpy.kalman import KalmanFilter
-
     filtered = KalmanFilter(len(state.mean), n_rows)
     filtered.x, filtered.P = state.mean, state.covariance
     return filtered
@@ -220,11 +170,4 @@ def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
 def _factor(jacobian: Floats, covariance: Floats) -> Floats:
     """Lower Cholesky factor of the covariance of whitened rows."""
     spread = jacobian @ covariance @ jacobian.T
-    result: Floats = np.linalg.cholesky(spread + np.eye(len(jacobian)))
-    return result
-
-
-def symmetric(matrix: Floats) -> Floats:
-    """A matrix without the skew part that rounding leaves."""
-    result: Floats = (matrix + matrix.T) / 2.0
-    return result
+    return np.linalg.cholesky(spread + np.eye(len(jacobian)))

@@ -17,7 +17,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
-from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.filter import predict, update
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
@@ -25,20 +25,15 @@ from fpcal_bayes.tracking.tracker import calibrate
 
 #: Factors by which sizes are tried around their starting values.
 REACH = (1e-2, 1e2)
+#: Confidence level of the intervals.
+LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class FittedFactor:
-    """A factor on the random walks of some parameters.
+    """A factor on the random walks of some parameters, and the ends of its profile-likelihood interval.
 
-    Attributes
-    ----------
-    names
-        Of the parameters that share it.
-    value
-        Maximum of the likelihood; 1 leaves the starting sizes.
-    low, high
-        Ends of the profile-likelihood interval; 0 and infinity where the likelihood does not end it.
+    1 leaves the starting sizes; the ends are 0 and infinity where the likelihood does not end the interval.
     """
 
     names: tuple[str, ...]
@@ -49,50 +44,67 @@ class FittedFactor:
 
 @dataclass(frozen=True)
 class FittedSizes:
-    """Result of `fit_sizes`.
+    """Result of `fit_sizes`."""
 
-    Attributes
-    ----------
-    drift
-        With the fitted sizes.
-    factors
-        One a group of parameters.
-    log_likelihood
-        At the maximum.
-    level
-        Confidence level of the intervals.
-    """
-
-    drift: DriftModel
-    factors: tuple[FittedFactor, ...]
+    stated: DriftModel
+    drift: DriftModel  # with the fitted sizes
+    factors: tuple[FittedFactor, ...]  # one a group of parameters
     log_likelihood: float
-    level: float
+
+    def content(self) -> dict[str, Any]:
+        """What ``track --json`` writes under ``drift_fit``; walks after one day in the units a person reads."""
+        return {
+            "level": LEVEL,
+            "log_likelihood": self.log_likelihood,
+            "groups": [
+                {
+                    "parameters": list(factor.names),
+                    "factor": factor.value,
+                    "low": factor.low,
+                    "high": factor.high if np.isfinite(factor.high) else None,
+                }
+                for factor in self.factors
+            ],
+            "walks": {
+                name: {"unit": unit, "cell": stated, "fitted": factor.value * stated}
+                for factor, name, unit, stated in self._walks()
+            },
+        }
+
+    def lines(self) -> list[str]:
+        """The sizes beside those of the cell, in words."""
+        lines = [f"random walks after one day that these sessions support, with {LEVEL:.0%} intervals:"]
+        for factor, name, unit, stated in self._walks():
+            fitted, low, high = (f"{stated * size:.2g}" for size in (factor.value, factor.low, factor.high))
+            lines.append(f"  {name} {fitted} {unit} ({low} to {high}); the cell states {stated:.2g}")
+        return lines
+
+    def _walks(self) -> list[tuple[FittedFactor, str, str, float]]:
+        """Factor, name, unit and stated walk in that unit of each parameter that drifts."""
+        sizes = {size.name: size.walk for size in self.stated.sizes}
+        found = []
+        for factor in self.factors:
+            for name in factor.names:
+                if sizes[name] > 0:
+                    parameter = self.stated.parameters[name]
+                    found.append((factor, name, parameter.unit, float(parameter.shown(sizes[name]))))
+        return found
 
 
-def fit_sizes(
-    cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]], *, drift: DriftModel | None = None, level: float = 0.95
-) -> FittedSizes:
-    """Fit factors on the random walks of groups of parameters to a campaign.
+def fit_sizes(cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]] | None = None) -> FittedSizes:
+    """Fit factors on the random walks of groups of parameters to a campaign; `InputError` where it cannot tell them.
 
     Parameters
     ----------
     cell
-        Its drift sizes are the starting values.
+        Its drift sizes are the starting values (see `likely_drift`).
     sweeps
         Of all sessions; the first is the calibration. Rows without sign are left out.
     groups
-        Names of the parameters that share a factor.
-    drift
-        Starting sizes in place of the cell's own.
-    level
-        Confidence level of the intervals.
-
-    Raises
-    ------
-    InputError
-        If there is no session beside the calibration, or a group holds no parameter that drifts.
+        Names of the parameters that share a factor; by default those that drift of mirror and fibre, and of the robot.
     """
-    drift = DriftModel.of(cell) if drift is None else drift
+    drift = likely_drift(cell, sweeps)
+    groups = _parts(drift) if groups is None else groups
     parts = check_sessions(sweeps)
     if len(parts) < 2:
         raise InputError(f"{sweeps.file}: expected sessions after the calibration to learn drift from")
@@ -116,9 +128,16 @@ def fit_sizes(
     best, top = maximise(log_likelihood, len(groups))
     factors = []
     for i, group in enumerate(groups):
-        low, high = profile_interval(log_likelihood, best, top, i, level)
+        low, high = profile_interval(log_likelihood, best, top, i, LEVEL)
         factors.append(FittedFactor(tuple(group), float(np.exp(best[i])), low, high))
-    return FittedSizes(_resized(drift, groups, np.exp(best)), tuple(factors), top, level)
+    return FittedSizes(drift, _resized(drift, groups, np.exp(best)), tuple(factors), top)
+
+
+def _parts(drift: DriftModel) -> list[list[str]]:
+    """The parameters that drift: those of the robot, and those of mirror and fibre."""
+    names = np.array(drift.parameters.names)
+    parts = [names[(drift.walk > 0) & (drift.extrinsic == which)].tolist() for which in (False, True)]
+    return [part for part in parts if part]
 
 
 def maximise(log_likelihood: Callable[[Floats], float], count: int) -> tuple[Floats, float]:
@@ -130,12 +149,9 @@ def maximise(log_likelihood: Callable[[Floats], float], count: int) -> tuple[Flo
 def profile_interval(
     log_likelihood: Callable[[Floats], float], best: Floats, top: float, which: int, level: float
 ) -> tuple[float, float]:
-    """Interval of one factor, all others following (likelihood ratio, chi-square with one degree of freedom).
+    """Ends of the interval of one factor, the others following (likelihood ratio: chi-square, one degree of freedom).
 
-    Returns
-    -------
-    tuple
-        Lower and upper end as factors; 0 or infinity where the likelihood does not fall by enough within `REACH`.
+    They are 0 or infinity where the likelihood does not fall by enough within `REACH`.
     """
     drop = 0.5 * float(special.chdtri(1, 1.0 - level))
 
@@ -156,6 +172,7 @@ def profile_interval(
 
 
 def _maximum(log_likelihood: Callable[[Floats], float], start: Floats, *, coarse: bool = False) -> Floats:
+    """Maximum from a starting point (count,), within `REACH`."""
     low, high = np.log(REACH)
     # A first simplex of factors of two: the default one is too small around zero.
     inward = np.where(start > 0.0, -np.log(2.0), np.log(2.0))

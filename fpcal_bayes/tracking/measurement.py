@@ -18,21 +18,13 @@ _ROWS_PER_STATE = 2
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
     """Few whitened rows that say the same about the state as many.
 
-    A rotation of the rows leaves their errors independent with unit variance. The one that makes
-    ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state explains, and rows of
-    zeros, which are dropped (data compression of the square-root information filter, Bierman 1977). Sums of squares
-    and determinants that belong to the rows stay what they are; only the count of rows is lost.
+    A rotation of the rows leaves their errors independent with unit variance. The one that makes ``[jacobian, misfit]``
+    triangular leaves a row for each state, one that holds what no state explains, and rows of zeros, which are dropped
+    (data compression of the square-root information filter, Bierman 1977). Sums of squares and determinants that belong
+    to the rows stay what they are; only the count of rows is lost.
 
-    Parameters
-    ----------
-    misfit, jacobian
-        Whitened measurement minus prediction (n_rows,), and derivatives by the state (n_rows, n_states).
-
-    Returns
-    -------
-    tuple
-        The same of the equivalent rows: n_states + 1 of them, or the rows given where they are at most
-        twice as many as the states.
+    Given are whitened measurement minus prediction (n_rows,) and its derivatives by the state (n_rows, n_states). There
+    are n_states + 1 equivalent rows; at most twice as many rows as states are given back as they are.
     """
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:
@@ -60,19 +52,12 @@ class Measurement(Protocol):
 
 @dataclass(frozen=True)
 class LinearMeasurement:
-    """Rows ``z = H x + e`` with e of unit covariance.
+    """Rows ``z = H x + e`` with e of unit covariance."""
 
-    Attributes
-    ----------
-    z, h
-        Whitened, shapes (n_rows,) and (n_rows, n_states).
-    log_volume
-        Logarithm of the determinant of the whitening.
-    """
-
+    # z, h: whitened, shapes (n_rows,) and (n_rows, n_states)
     z: Floats
     h: Floats
-    log_volume: float = 0.0
+    log_volume: float = 0.0  # logarithm of the determinant of the whitening
 
     @classmethod
     def of(cls, z: Floats, h: Floats, covariance: Floats) -> "LinearMeasurement":
@@ -83,8 +68,7 @@ class LinearMeasurement:
 
     def misfit(self, mean: Floats) -> Floats:
         """See `Measurement`."""
-        result: Floats = self.z - self.h @ mean
-        return result
+        return self.z - self.h @ mean
 
     def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
         """See `Measurement`."""
@@ -93,18 +77,13 @@ class LinearMeasurement:
 
 @dataclass(frozen=True)
 class SweepMeasurement:
-    """The changes of cavity length of a session's sweeps.
+    """The changes of cavity length of a session's sweeps."""
 
-    Attributes
-    ----------
-    drift, model
-        What the state means, and the cavity model of the same parameters.
-    rows, target, whitening
-        Sweeps laid out for the kernels, their measured changes with sign (n_rows,), their whitening.
-    """
-
+    # drift, model: what the state means, and the cavity model of the same parameters
     drift: DriftModel
     model: CavityModel
+    # rows, target, whitening: sweeps laid out for the kernels, their measured changes with sign (n_rows,), their
+    # whitening
     rows: Rows
     target: Floats
     whitening: Whitening

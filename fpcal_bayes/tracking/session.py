@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, Verdict, extend, findings
 from fpcal_bayes.tracking.corrections import correct_slips, with_signs
 from fpcal_bayes.tracking.drift import DriftModel
@@ -20,68 +21,40 @@ _KNOCK_SIZES = (1.0, 3.0, 10.0)
 
 @dataclass(frozen=True)
 class SessionOutcome:
-    """What a session said and what was made of it.
+    """What a session said and what was made of it."""
 
-    Attributes
-    ----------
-    session, time_h, utc
-        Its name, its last time in hours, and the same as clock time or empty.
-    n_sweeps
-        Rows that were used.
-    nis, dof
-        Normalised innovation squared (not divided) and its degrees of freedom.
-    verdict, evidence
-        Whether all is as modelled, and in words what speaks against it.
-    warnings
-        Sentences about rows that were corrected or left out.
-    log_likelihood
-        Of the rows given all sessions before.
-    converged
-        Whether the update came to rest.
-    jump
-        Standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled.
-    predicted, state
-        Before and after the session; the first holds no widening.
-    monitor
-        Memory of the tests after it.
-    measurement
-        The rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read
-        from a file, or if a calibration cannot be linearised again (see `tracker.calibrate`).
-    """
-
+    # session, time_h, utc: its name, its last time in hours, and the same as clock time or empty
     session: str
     time_h: float
     utc: str
-    n_sweeps: int
+    n_sweeps: int  # rows that were used
+    # nis, dof: normalised innovation squared (not divided) and its degrees of freedom
     nis: float
     dof: int
+    # verdict, evidence: whether all is as modelled, and in words what speaks against it
     verdict: Verdict
     evidence: tuple[str, ...]
-    warnings: tuple[str, ...]
-    log_likelihood: float
-    converged: bool
+    warnings: tuple[str, ...]  # sentences about rows that were corrected or left out
+    log_likelihood: float  # of the rows given all sessions before
+    converged: bool  # whether the update came to rest
+    # standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled
     jump: Floats
+    # predicted, state: before and after the session; the first holds no widening
     predicted: State
     state: State
-    monitor: Monitor
+    monitor: Monitor  # memory of the tests after it
+    # the rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read from
+    # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
+    trust: Trust = field(default_factory=Trust)  # what is held against the fit of a calibration
 
 
 def take_in(
     drift: DriftModel, model: CavityModel, limits: Limits, state: State, monitor: Monitor, sweeps: Sweeps
 ) -> SessionOutcome:
-    """Take in the sweeps of one session.
+    """Take in the sweeps of one session, measured later than `state`; rows of kind ``path`` are not used.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters.
-    limits
-        Of the tests; see `Limits`.
-    state, monitor
-        After the session before.
-    sweeps
-        Measured, of one session, later than `state`. Rows of kind ``path`` are not used.
+    `drift` and `model` are of the same parameters; `state` and `monitor` stand after the session before.
     """
     time_h, temperature = float(sweeps.time_h.max()), mean_temperature(sweeps)
     hours = time_h - state.time_h
@@ -205,5 +178,4 @@ class _Judge:
 def _gain(predicted: State, innovation: Innovation) -> Floats:
     """Kalman gain of a linearisation, shape (n_states, n_equivalent)."""
     spread = innovation.jacobian @ predicted.covariance
-    result: Floats = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
-    return result
+    return np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T

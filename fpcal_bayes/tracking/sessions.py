@@ -15,21 +15,11 @@ _CLOCK_SLACK_H = 0.1
 
 
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
-    """The sweeps of each session, in order of time.
+    """The sweeps of each session, in order of time; `InputError` where they break the rules of a history.
 
-    Sessions may stand in any order in a file: one that arrives late takes its place in time.
-
-    Parameters
-    ----------
-    now_h
-        Sessions after this time, in hours since the campaign began, are refused. Without it, clock times (``utc``)
-        after this machine's clock are.
-
-    Raises
-    ------
-    InputError
-        If rows lack a measurement, sessions overlap or repeat each other, clock times run against ``time_h``, or a
-        session lies in the future.
+    Sessions may stand in any order in a file: one that arrives late takes its place. They must be measured, not overlap
+    or repeat each other, and clock times must run as ``time_h`` does. Sessions after `now_h`, in hours since the
+    campaign began, are refused; without it, clock times (``utc``) after this machine's clock are.
     """
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
@@ -76,15 +66,7 @@ def mean_temperature(sweeps: Sweeps) -> float:
 def hours_of(text: str, sweeps: Sweeps) -> float:
     """A time that a user gives, in hours since the campaign began.
 
-    Parameters
-    ----------
-    text
-        Hours, or a clock time, which needs a session that carries one.
-
-    Raises
-    ------
-    InputError
-        If the text is neither, or no session carries a clock time.
+    It is hours, or a clock time, which needs a session that carries one; `InputError` otherwise.
     """
     wanted = read_time(text)
     if isinstance(wanted, float):

@@ -14,12 +14,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, kalman, kelvin_between, symmetric
+from fpcal_bayes.tracking.filter import State, kalman, kelvin_between
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
 from fpcal_bayes.tracking.session import SessionOutcome, take_in
 
@@ -33,21 +34,12 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States given all sessions.
+    """States given all sessions."""
 
-    Attributes
-    ----------
-    states
-        After each session, in order of time.
-    gains
-        By which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero.
-    converged
-        Whether the iteration came to rest.
-    """
-
-    states: tuple[State, ...]
+    states: tuple[State, ...]  # after each session, in order of time
+    # by which what a later state tells reaches the one before, shape (n_times, n_states, n_states); the last is zero
     gains: Floats
-    converged: bool
+    converged: bool  # whether the iteration came to rest
 
     def change(self, number: int) -> tuple[Floats, Floats]:
         """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
@@ -59,18 +51,9 @@ class Smoothed:
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     """States after each session given all sessions, in order of time.
 
-    Widenings after a jump count as noise of the step before their session.
-
-    Parameters
-    ----------
-    outcomes
-        From the calibration on, with their measurements, as `track` gives them when nothing is resumed. Without that of
-        the calibration its state is taken as it is.
-
-    Raises
-    ------
-    ValueError
-        If the measurement of a session is missing: see `tracker.smooth_track`.
+    Widenings after a jump count as noise of the step before their session. `outcomes` begin with the calibration and
+    hold their measurements, as `track` gives them when nothing is resumed (else `ValueError`: see
+    `tracker.smooth_track`). Without that of the calibration its state is taken as it is.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -112,15 +95,7 @@ def with_measurements(
     outcomes: Sequence[SessionOutcome],
     parts: Sequence[Sweeps],
 ) -> list[SessionOutcome]:
-    """The outcomes with their measurements; sessions of an earlier run are read again for them.
-
-    Parameters
-    ----------
-    outcomes
-        From the calibration on.
-    parts
-        Sweeps of each session.
-    """
+    """Outcomes from the calibration on with their measurements; sessions of an earlier run are read again."""
     found = list(outcomes[:1])
     for (before, outcome), part in zip(pairwise(outcomes), parts[1:], strict=False):
         if outcome.measurement is None and outcome.n_sweeps:
@@ -132,23 +107,16 @@ def with_measurements(
 
 @dataclass(frozen=True)
 class _Trajectory:
-    """States at all times, and what drives them there.
+    """States at all times, and what drives them there."""
 
-    Attributes
-    ----------
-    means, covariances
-        Of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states, n_states).
-    pulls
-        The state before any session is start + covariance @ pull, and what the drift adds at each later time is
-        noise @ pull; shape (n_times, n_states).
-    gains
-        See `Smoothed`.
-    """
-
+    # means, covariances: of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states,
+    # n_states)
     means: Floats
     covariances: Floats
+    # the state before any session is start + covariance @ pull, and what the drift adds at each later time is noise @
+    # pull; shape (n_times, n_states)
     pulls: Floats
-    gains: Floats
+    gains: Floats  # see `Smoothed`
 
     def less(self, other: "_Trajectory") -> "_Trajectory":
         """The way from `other` to this one."""
@@ -164,24 +132,14 @@ class _Course:
     """The sessions, the steps between them, and where they start.
 
     A known temperature coefficient shifts the prediction: all is done on what is left without the shifts.
-
-    Attributes
-    ----------
-    start
-        Before the first measurement.
-    matrices, noises
-        Of the step into each time, shape (n_times, n_states, n_states).
-    shifts
-        Sum of the known shifts up to each time, shape (n_times, n_states).
-    measurements
-        One a time, or None.
     """
 
-    start: State
+    start: State  # before the first measurement
+    # matrices, noises: of the step into each time, shape (n_times, n_states, n_states)
     matrices: Floats
     noises: Floats
-    shifts: Floats
-    measurements: list[Measurement | None]
+    shifts: Floats  # sum of the known shifts up to each time, shape (n_times, n_states)
+    measurements: list[Measurement | None]  # one a time, or None
 
     @classmethod
     def of(cls, drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> "_Course":
@@ -263,18 +221,10 @@ _AFTER_JUMP = 8
 def follow_sessions(
     drift: DriftModel, model: CavityModel, limits: Limits, known: Sequence[SessionOutcome], parts: Sequence[Sweeps]
 ) -> list[SessionOutcome]:
-    """Take in the sessions after those that are known.
+    """Take in the sessions after those that are known, at least the calibration.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters; the drift with its `hidden` noise.
-    limits
-        Of the tests.
-    known
-        Outcomes of the first sessions, at least of the calibration.
-    parts
-        Sweeps of all sessions, in order of time.
+    `drift`, with its `hidden` noise, and `model` are of the same parameters; `parts` are the sweeps of all sessions, in
+    order of time.
     """
     outcomes = list(known)
     for part in parts[len(outcomes) :]:
@@ -290,12 +240,8 @@ def follow_sessions(
 def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
     """The last outcome; where a look is due, with the state to which the sessions lead together.
 
-    Parameters
-    ----------
-    drift
-        With its `hidden` noise.
-    outcomes
-        From the calibration on, with the measurements of the last sessions.
+    `drift` has its `hidden` noise; `outcomes` begin with the calibration and hold the measurements of the last
+    sessions.
     """
     last = outcomes[-1]
     if not _is_due(outcomes):

@@ -1,6 +1,6 @@
 """Several solutions of one calibration, told apart by the sessions after it.
 
-Where the posterior after the calibration has more than one minimum (see `infer.mirror`), the filter starts from the
+Where the posterior after the calibration has more than one minimum (see `all_minima`), the filter starts from the
 moments of all of them: right on average, and far from normal. The sessions that follow may show which one it is. So for
 some sessions each solution is followed beside them all; where one becomes much likelier than the others and than the
 filter that holds them all, it is followed in its place, from the calibration on.
@@ -34,32 +34,17 @@ _DRAWS_PER_PARAMETER = 3
 
 @dataclass(frozen=True)
 class CalibrationSolution:
-    """One of several solutions of a calibration.
+    """One of several solutions of a calibration."""
 
-    Attributes
-    ----------
-    estimate
-        The minimum, with the covariance that a linear filter starts from.
-    share
-        Of the posterior.
-    sum_of_squares
-        At the minimum.
-    """
-
-    estimate: Estimate
-    share: float
-    sum_of_squares: float
+    estimate: Estimate  # the minimum, with the covariance that a linear filter starts from
+    share: float  # of the posterior
+    sum_of_squares: float  # at the minimum
 
 
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:
     """The solutions of a calibration, the lowest minimum first; empty where there is only one.
 
-    Parameters
-    ----------
-    found
-        With its minima.
-    draws
-        Of the posterior, shape (n_draws, n), in um and rad. Each counts for the minimum that it lies nearest to.
+    Each of the posterior's `draws` (n_draws, n), in um and rad, counts for the minimum that it lies nearest to.
     """
     problem, minima = found.problem, (found.solution, *found.other_minima)
     if len(minima) == 1 or not len(draws):
@@ -94,21 +79,11 @@ def likeliest(
     starts: Sequence[tuple[SessionOutcome, float]],
     parts: Sequence[Sweeps],
 ) -> list[SessionOutcome]:
-    """The course to go on with: that of one solution where the sessions tell, or that of all together.
+    """The outcomes to go on with: the first ones from one solution where the sessions tell, else `together` as it is.
 
-    Parameters
-    ----------
-    together
-        Outcomes of all sessions, followed from all solutions together.
-    starts
-        Outcome of the calibration and share of the posterior, one a solution.
-    parts
-        Sweeps of all sessions, in order of time.
-
-    Returns
-    -------
-    list of SessionOutcome
-        `together` as it is, or the first sessions from one solution.
+    `together` are the outcomes of all sessions, followed from all solutions at once; `starts` are the outcome of the
+    calibration and the share of the posterior of each solution; `parts` are the sweeps of all sessions, in order of
+    time.
     """
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]

@@ -1,9 +1,10 @@
-"""What a drift does beyond its stated size, because the geometry through which it acts is not exactly known.
+"""Where the filter starts, and what a drift does beyond its stated size.
 
-After a calibration some combinations of the parameters are known to about a degree only: nothing measured then depends
-on them. What a later drift does to the cavity length does depend on them, by a share of about that angle. The part of
-the drift that sessions find is carried by the state itself, whose covariance is seen through the derivatives at the new
-mean. The part that is not yet found acts through derivatives J(x) at an unknown x, and not through J(m):
+The geometry through which a drift acts is not exactly known. After a calibration some combinations of the parameters
+are known to about a degree only: nothing measured then depends on them. What a later drift does to the cavity length
+does depend on them, by a share of about that angle. The part of the drift that sessions find is carried by the state
+itself, whose covariance is seen through the derivatives at the new mean. The part that is not yet found acts through
+derivatives J(x) at an unknown x, and not through J(m):
 
     J(x) dx = J(m) T(x) dx,    T(x) = J(m)^+ J(x),
 
@@ -13,7 +14,7 @@ so that the covariance of T(x) dx over x ~ N(m, P) and dx ~ N(0, Q) is, to first
 
 The sum is the mixed term of a second-order filter (Jazwinski 1970, section 9.3). Its other terms, of P with itself,
 are no part of it: the start of the filter holds them (see `linear_start`), and later sessions are linearised where they
-lead (see `following`).
+lead (see `smoother`).
 """
 
 from dataclasses import replace
@@ -38,19 +39,7 @@ _JITTER = 1e-18
 def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
     """The maximum of the posterior, with the covariance by which its linearised predictions spread as the draws do.
 
-    Parameters
-    ----------
-    estimate
-        Maximum of the posterior.
-    draws
-        Of the same parameters, in um and rad, shape (n_draws, n), more than n of them.
-    sweeps
-        Of the calibration.
-
-    Raises
-    ------
-    InputError
-        If the cell leaves no room for sweeps.
+    The `draws` (n_draws, n), in um and rad, are more than n; `sweeps` are those of the calibration.
     """
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
@@ -73,19 +62,9 @@ _LEAST_SD = 1e-3
 
 
 def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> DriftModel:
-    """The drift with the noise that an uncertain geometry adds to it.
+    """The drift with the noise that an uncertain geometry adds to it (`hidden`), from the state after the calibration.
 
-    Parameters
-    ----------
-    drift, model
-        Of the same parameters.
-    state
-        After the calibration.
-
-    Returns
-    -------
-    DriftModel
-        With `hidden`; as it was where the cell leaves no room for sweeps.
+    `drift` and `model` are of the same parameters. Where the cell leaves no room for sweeps the drift stays as it was.
     """
     n = drift.n_parameters
     try:
@@ -95,8 +74,7 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
     rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
 
     def seen(mean: Floats) -> Floats:
-        jacobian: Floats = model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
-        return jacobian
+        return model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
 
     # What no row tells keeps its direction: one row each, of its prior's size.
     to_state = np.linalg.pinv(np.vstack([np.eye(n), seen(state.mean)]))[:, n:]

@@ -9,14 +9,15 @@ from scipy import special
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
-from fpcal_bayes.infer.tasks.source import independent_draws
+from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.filter import State
@@ -35,31 +36,16 @@ _CALIBRATED = 0.6
 
 @dataclass(frozen=True)
 class Track:
-    """What following a campaign gave.
+    """What following a campaign gave."""
 
-    Attributes
-    ----------
-    cell, drift
-        What was followed, and how it drifts.
-    outcomes
-        One a session, in order of time; the first is the calibration.
-    status
-        Of each parameter after the calibration.
-    resumed
-        How many of the outcomes were taken over from an earlier run.
-    solutions
-        How many the calibration has; see `track.solutions`.
-    data
-        Of the file that was followed.
-    """
-
+    # cell, drift: what was followed, and how it drifts
     cell: Cell
     drift: DriftModel
-    outcomes: tuple[SessionOutcome, ...]
-    status: tuple[str, ...]
-    resumed: int = 0
-    solutions: int = 1
-    data: dict[str, str] = field(default_factory=dict)
+    outcomes: tuple[SessionOutcome, ...]  # one a session, in order of time; the first is the calibration
+    status: tuple[str, ...]  # of each parameter after the calibration
+    resumed: int = 0  # how many of the outcomes were taken over from an earlier run
+    solutions: int = 1  # how many the calibration has; see `tracking.solutions`
+    data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
 
     def __repr__(self) -> str:
         return (
@@ -103,9 +89,23 @@ class Track:
         """Of all sessions after the calibration, given it."""
         return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
 
+    @property
+    def trust(self) -> Trust:
+        """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
+        found = self.outcomes[0].trust
+        stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
+        if stalled:
+            text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"
+            found = found.because(Reason("not-converged", text))
+        if self.calibration_due is not None:
+            text = f"a full calibration is due: the robot itself moved before session {self.calibration_due}"
+            found = found.because(Reason("intrinsics-moved", text))
+        return found
+
     def estimate(self, valid_until_h: float | None = None) -> Estimate:
         """The current best estimate: the state after the last session."""
-        return estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+        now = estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+        return replace(now, trust=self.trust)
 
 
 def estimate_of(
@@ -118,10 +118,8 @@ def estimate_of(
 ) -> Estimate:
     """A state as an estimate, in um and rad.
 
-    Parameters
-    ----------
-    status
-        Of each parameter after the calibration; what the data no longer halve the prior variance of becomes weak.
+    `status` is that of each parameter after the calibration; what the data no longer halve the prior variance of
+    becomes weak.
     """
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
@@ -180,7 +178,8 @@ def track(
     starts: tuple[tuple[SessionOutcome, float], ...] = ()
     if known is None and calibration is not None:
         status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
-        known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
+        first = replace(start(drift, calibration, parts[0]), trust=calibration.trust)
+        known = Track(cell, drift, (first,), status)
     elif known is None:
         first, status, starts = calibrate(cell, drift, parts[0], draws)
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
@@ -196,44 +195,20 @@ def track(
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
 
-def smooth_track(track: Track, sweeps: Sweeps, limits: Limits | None = None) -> Smoothed:
-    """States after each session of a track given all sessions; see `smooth`.
-
-    Parameters
-    ----------
-    track
-        Also one that was taken up again.
-    sweeps
-        Of all its sessions.
-    limits
-        Of its tests, by default `Limits()`.
-    """
-    limits = Limits() if limits is None else limits
+def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
+    """States after each session of a track, also of one that was taken up again, given all sessions; see `smooth`."""
     model = CavityModel.of(track.cell, track.drift.parameters)
     parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
-    return smooth(track.drift, with_measurements(track.drift, model, limits, track.outcomes, parts))
+    return smooth(track.drift, with_measurements(track.drift, model, Limits(), track.outcomes, parts))
 
 
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session.
+    """Identify all parameters from the first session; `draws` as in `track`, `InputError` if it determines too little.
 
-    Parameters
-    ----------
-    draws
-        As in `track`.
-
-    Returns
-    -------
-    tuple
-        The outcome of the session; the status of each parameter; where the posterior has several minima, the outcome
-        from each of them alone and its share of the posterior.
-
-    Raises
-    ------
-    InputError
-        If the sweeps determine too little to be a calibration.
+    Gives the outcome of the session; the status of each parameter; and where the posterior has several minima, the
+    outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
     free = len(drift.parameters)
@@ -251,8 +226,9 @@ def calibrate(
         rows = len(found.problem.sweeps)
         # The calibration's own innovation is its sum of squares against the prior.
         outcome = start(drift, estimate, sweeps, found.converged)
-        said = warnings + found.warnings
-        return replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, measurement=measurement)
+        said, trust = warnings + found.warnings, found.estimate.trust
+        outcome = replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, trust=trust)
+        return replace(outcome, measurement=measurement)
 
     usable = found.converged and len(draws) > 0
     together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate

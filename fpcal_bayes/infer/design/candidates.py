@@ -15,33 +15,21 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class SweepLimits:
-    """Bounds of candidate sweeps; lengths in um, angles in rad.
+    """Bounds of candidate sweeps; lengths in um, angles in rad."""
 
-    Attributes
-    ----------
-    tilt
-        Largest angle between mirror normal and optical axis at which fringes are visible. The paper's sweeps reach
-        4.24 deg, with both goniometers at 3 deg.
-    fringe_rate
-        Fringes (changes of lambda/2) a second that can be counted.
-    travel_speed, turn_speed
-        Of the joints, a second.
-    settling
-        Seconds to wait before a reading.
-    free_travel, free_turn
-        How far a joint without limit is moved, to either side of zero.
-    reversal_variance
-        Factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more
-        than half a fringe: counting fringes takes the wrong sign there.
-    """
-
+    # largest angle between mirror normal and optical axis at which fringes are visible. The paper's sweeps reach 4.24
+    # deg, with both goniometers at 3 deg.
     tilt: float = float(np.radians(4.3))
-    fringe_rate: float = 1000.0
+    fringe_rate: float = 1000.0  # fringes (changes of lambda/2) a second that can be counted
+    # travel_speed, turn_speed: of the joints, a second
     travel_speed: float = 100.0
     turn_speed: float = float(np.radians(2.0))
-    settling: float = 1.0
+    settling: float = 1.0  # seconds to wait before a reading
+    # free_travel, free_turn: how far a joint without limit is moved, to either side of zero
     free_travel: float = 150.0
     free_turn: float = float(np.radians(90.0))
+    # factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more than
+    # half a fringe: counting fringes takes the wrong sign there
     reversal_variance: float = 1.0
 
     def __post_init__(self) -> None:
@@ -61,8 +49,7 @@ class SweepLimits:
     def seconds(self, cell: Cell, moves: Floats) -> Floats:
         """Time that moves (..., n_joints) take, all joints at once; shape (...)."""
         speeds = np.where(cell.revolute, self.turn_speed, self.travel_speed)
-        longest: Floats = (np.abs(moves) / speeds).max(axis=-1)
-        return longest
+        return (np.abs(moves) / speeds).max(axis=-1)
 
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:
@@ -101,33 +88,11 @@ def candidate_sweeps(
     limits: SweepLimits | None = None,
     several: bool = True,
 ) -> Sweeps:
-    """Random sweeps that can be measured, as a plan.
+    """Random sweeps that can be measured, as a plan of `n` rows labelled ``c1`` and so on.
 
-    Parameters
-    ----------
-    cell
-        Gives joints, limits and which joints one controller moves.
-    n
-        How many.
-    rng
-        Source of randomness.
-    values
-        Free parameters at which visibility and fringe rate are judged, shape (n_free,), in um and rad; by default
-        nominal.
-    limits
-        Bounds of the sweeps.
-    several
-        Also move several joints of one controller at once, not only one joint.
-
-    Returns
-    -------
-    Sweeps
-        n rows without measurement, labelled ``c1`` and so on.
-
-    Raises
-    ------
-    InputError
-        If the limits leave no room for sweeps.
+    Visibility and fringe rate are judged at `values` (n_free,) of the free parameters, in um and rad, by default
+    nominal. With `several`, several joints of one controller also move at once. `InputError` if the limits leave no
+    room for sweeps.
     """
     limits = SweepLimits() if limits is None else limits
     model = CavityModel.of(cell)
@@ -164,17 +129,8 @@ def neighbours(
 ) -> tuple[Sweeps, NDArray[np.int64]]:
     """Variations of sweeps: poses shifted, moves lengthened or shortened, the same joints moving.
 
-    Parameters
-    ----------
-    n_each
-        Variations tried of each sweep; those that cannot be followed are left out.
-    width
-        Standard deviation of the variations, as a share of each joint's range.
-
-    Returns
-    -------
-    tuple
-        At most ``n_each * len(sweeps)`` sweeps, and the position of the one that each of them varies.
+    `n_each` are tried of each sweep; those that cannot be followed are left out. `width` is the standard deviation of
+    the variations, as a share of each joint's range. Beside them the position of the sweep that each of them varies.
     """
     limits = SweepLimits() if limits is None else limits
     model = CavityModel.of(cell)
@@ -197,11 +153,6 @@ def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> t
     """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
 
     A joint that can use less than a hundredth of its range stays where it is.
-
-    Raises
-    ------
-    InputError
-        If the mirror is out of sight with all joints at zero, or as near to it as their limits allow.
     """
     low, high = limits.ranges(model.cell)
     home = np.clip(0.0, low, high)
@@ -241,22 +192,13 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
     lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
     fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
     slow = fringes <= limits.fringe_rate * limits.seconds(cell, end - start)
-    ahead: Bools = visible & slow & (lengths > 0).all(axis=1)
-    return ahead
+    return visible & slow & (lengths > 0).all(axis=1)
 
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
-    """Whether the cavity length turns round on the way by more than half a fringe, at each parameter vector.
+    """Whether the cavity length turns round on the way by more than half a fringe, shape (n_draws, n_sweeps).
 
-    Parameters
-    ----------
-    values
-        Free parameters, shape (n_draws, n_free).
-
-    Returns
-    -------
-    ndarray
-        Shape (n_draws, n_sweeps).
+    `values` (n_draws, n_free) are the free parameters.
     """
     along = np.linspace(0.0, 1.0, _POINTS)
     q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]
@@ -298,5 +240,4 @@ def _draw(
 def long_enough(moves: Floats, widths: Floats) -> Bools:
     """Whether one joint at least uses a fair part of its range; joints that cannot move do not count."""
     share = np.abs(moves) / np.where(widths > 0, widths, np.inf)
-    result: Bools = share.max(axis=1) >= _SHORTEST
-    return result
+    return share.max(axis=1) >= _SHORTEST

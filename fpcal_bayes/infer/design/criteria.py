@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.information import Design
 
@@ -21,27 +22,15 @@ _SEEN = 1e-9
 
 @dataclass(frozen=True)
 class Criterion:
-    """A figure of merit that is to be small.
+    """A figure of merit that is to be small."""
 
-    Attributes
-    ----------
-    name
-        One of `CRITERIA`.
-    design
-        As the criterion wants it.
-    if_added
-        Value if each candidate, of all or among those at given positions, were added to those chosen, shape (n,).
-    value
-        Value of those chosen.
-    pull
-        What makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
-        that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls.
-    """
-
-    name: str
-    design: Design
+    name: str  # one of `CRITERIA`
+    design: Design  # as the criterion wants it
+    # value if each candidate, of all or among those at given positions, were added to those chosen, shape (n,)
     if_added: Callable[[Sequence[int], Ints | None], Floats]
-    value: Callable[[Sequence[int]], float]
+    value: Callable[[Sequence[int]], float]  # value of those chosen
+    # what makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
+    # that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls
     pull: Callable[[Sequence[int]], tuple[Floats, Floats]]
 
     def slope(self, chosen: Sequence[int]) -> Floats:
@@ -49,8 +38,7 @@ class Criterion:
         rows, (directions, weights) = self.design.rows[:, list(chosen)], self.pull(chosen)
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
         seen = (flat @ directions.transpose(0, 2, 1)) * weights[:, None]
-        result: Floats = (-2.0 * seen @ directions).reshape(rows.shape)
-        return result
+        return (-2.0 * seen @ directions).reshape(rows.shape)
 
 
 def worst_task(design: Design, reference: Floats) -> Criterion:
@@ -59,8 +47,7 @@ def worst_task(design: Design, reference: Floats) -> Criterion:
     def power_mean(variances: Floats) -> Floats:
         ratio = variances / reference**2
         largest = ratio.max(axis=-1, keepdims=True)
-        mean: Floats = (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
-        return mean
+        return (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
 
     def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
         roots = design.roots(chosen)
@@ -199,7 +186,6 @@ def _widened(base: Floats) -> Floats:
     """Roots of the information before any candidate, the prior's share being as flat as the rows are scaled up."""
     n = base.shape[-1]
     measured = base.transpose(0, 2, 1) @ base - np.eye(n)
-    values, vectors = np.linalg.eigh(measured)
-    rows = np.sqrt(np.clip(values, 0.0, None))[:, :, None] * vectors.transpose(0, 2, 1) * _FLAT
+    rows = np.array([covariance_root(one, np.ones(n)).T for one in measured]) * _FLAT
     identity = np.broadcast_to(np.eye(n), base.shape)
     return np.linalg.qr(np.concatenate([identity, rows], axis=1), mode="r")

@@ -40,31 +40,16 @@ def descend(
     several: bool = True,
     iterations: int = 100,
 ) -> Sweeps:
-    """Move the ends of all sweeps together to where the criterion is smallest nearby.
+    """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
     The rows are differentiated by the joints in differences, the criterion by the rows in closed form, and the descent
     is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the mirror
     at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
 
-    Parameters
-    ----------
-    sweeps
-        A plan of whole sweeps that can be followed.
-    judge
-        The criterion over a set of candidates.
-    model, values
-        Where visibility and fringe rate are judged; values of the model's free parameters, shape (n_free,).
-    limits
-        Of the sweeps.
-    several
-        Let all joints of a controller move that moves one, else only those that move.
-    iterations
-        Steps of the descent of each part at most.
-
-    Returns
-    -------
-    Sweeps
-        As many, which can be followed; those given if nothing is gained.
+    `sweeps` are a plan of whole sweeps that can be followed, and so is the result; `judge` gives the criterion over a
+    set of candidates. Visibility and fringe rate are judged at `values` (n_free,) of the model's free parameters. With
+    `several` all joints of a controller may move that moves one, else only those that move. Each part takes
+    `iterations` steps at most.
     """
     if iterations < 1:
         return sweeps
@@ -98,8 +83,7 @@ def _part_descended(
         criterion = criterion_at(space.sweeps(x), space.varied(x))
         rows, of_rows = criterion.design.rows, criterion.slope(chosen)
         by_joint = (rows[:, len(chosen) :] - rows[:, space.sweep_of]) / _STEP
-        result: Floats = (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
-        return result
+        return (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
 
     visible = optimize.NonlinearConstraint(
         lambda x: space.tilts(space.sweeps(x)) / limits.tilt,
@@ -122,24 +106,16 @@ def _part_descended(
 
 @dataclass(frozen=True)
 class _Space:
-    """Coordinates of a plan: the ends of its sweeps as shares of the joints' ranges.
+    """Coordinates of a plan: the ends of its sweeps as shares of the joints' ranges."""
 
-    Attributes
-    ----------
-    plan
-        The sweeps at the start; joints that the coordinates leave alone stay there.
-    moving
-        Joints that move, shape (n_sweeps, n_joints); the others stand at the same place at both ends.
-    sweep_of, end_of, joint_of
-        What each coordinate says: sweep, end (0 start, 1 end) and joint, shape (n_coordinates,) each.
-    """
-
-    plan: Sweeps
+    plan: Sweeps  # the sweeps at the start; joints that the coordinates leave alone stay there
     model: CavityModel
     values: Floats
     low: Floats
     width: Floats
-    moving: Bools
+    moving: Bools  # joints that move, shape (n_sweeps, n_joints); the others stand at the same place at both ends
+    # sweep_of, end_of, joint_of: what each coordinate says: sweep, end (0 start, 1 end) and joint, shape
+    # (n_coordinates,) each
     sweep_of: Ints
     end_of: Ints
     joint_of: Ints
@@ -159,8 +135,7 @@ class _Space:
         """Coordinates of sweeps, shape (n_coordinates,)."""
         ends = np.stack([sweeps.q_start, sweeps.q_end], axis=1)
         joints = ends[self.sweep_of, self.end_of, self.joint_of]
-        shares: Floats = (joints - self.low[self.joint_of]) / self.width[self.joint_of]
-        return shares
+        return (joints - self.low[self.joint_of]) / self.width[self.joint_of]
 
     def sweeps(self, x: Floats) -> Sweeps:
         """The plan at coordinates."""

@@ -1,4 +1,4 @@
-"""Refinement: chosen sweeps are varied one at a time, and replaced by the variation that serves best."""
+"""Choose sweeps: greedily among candidates, by exchange, and by variations that serve better."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,18 +25,13 @@ def greedy(criterion: Criterion, n: int, chosen: tuple[int, ...] = ()) -> tuple[
     return tuple(found)
 
 
-def exchange(criterion: Criterion, chosen: tuple[int, ...], *, passes: int = 5, fixed: int = 0) -> tuple[int, ...]:
+def exchange(criterion: Criterion, chosen: tuple[int, ...], *, passes: int = 5) -> tuple[int, ...]:
     """Exchange chosen candidates one at a time for the best that takes their place, until nothing is gained.
 
-    Parameters
-    ----------
-    passes
-        How often each candidate is looked at, at most.
-    fixed
-        The first so many stay.
+    Each candidate is looked at `passes` times at most.
     """
     found, best, unchanged = list(chosen), criterion.value(chosen), 0
-    places = list(range(fixed, len(found)))
+    places = list(range(len(found)))
     for place in places * passes:
         others = found[:place] + found[place + 1 :]
         values = criterion.if_added(others, None)
@@ -62,21 +57,12 @@ def most_useful_first(criterion: Criterion, chosen: tuple[int, ...]) -> tuple[in
 
 @dataclass(frozen=True)
 class ChosenSweeps:
-    """Sweeps chosen among candidates.
+    """Sweeps chosen among candidates."""
 
-    Attributes
-    ----------
-    indices
-        Positions among the candidates, the most useful first.
-    sweeps
-        The chosen candidates in this order, as a plan of whole sweeps.
-    sd
-        Expected worst-point standard deviation of each task in um: before any of them, after the first, and so on,
-        shape (len(indices) + 1,); the root of the mean variance over the draws.
-    """
-
-    indices: tuple[int, ...]
-    sweeps: Sweeps
+    indices: tuple[int, ...]  # positions among the candidates, the most useful first
+    sweeps: Sweeps  # the chosen candidates in this order, as a plan of whole sweeps
+    # expected worst-point standard deviation of each task in um: before any of them, after the first, and so on, shape
+    # (len(indices) + 1,); the root of the mean variance over the draws
     sd: dict[str, Floats]
 
     def __len__(self) -> int:
@@ -90,50 +76,25 @@ def choose_sweeps(
     n: int,
     *,
     covariance: Floats | None = None,
-    known: Floats | None = None,
     tolerances: Mapping[str, float] | None = None,
     criterion: str = "worst",
     passes: int = 5,
 ) -> ChosenSweeps:
-    """Choose sweeps that leave least unknown of the tasks.
+    """Choose sweeps that leave least unknown of the tasks; the same for the same arguments, for nothing is drawn.
 
-    Parameters
-    ----------
-    candidates
-        Whole sweeps, as from `candidate_sweeps`.
-    rows
-        Their whitened rows by the state, as from `sweep_rows`, at one point or over draws: shape (n_draws,
-        n_candidates, readings, n).
-    tasks
-        Derivatives of each task's points by the state in um, shape (n_draws or 1, n_points, n).
-    n
-        How many to choose.
-    covariance
-        Of the state as it is known now, in the units that the derivatives are by, shape (n, n); by default the
-        identity.
-    known
-        Whitened rows of what is measured in any case, shape (n_draws, n_rows, n).
-    tolerances
-        Standard deviation that each task is judged by, in um; by default all alike.
-    criterion
-        One of `CRITERIA`.
-    passes
-        Passes of the exchange; 0 takes sweeps greedily.
+    `candidates` are whole sweeps, as from `candidate_sweeps`, and `rows` their whitened rows by the state, as from
+    `sweep_rows`, at one point or over draws: shape (n_draws, n_candidates, readings, n). `tasks` are derivatives of
+    each task's points by the state in um, shape (n_draws or 1, n_points, n). `covariance` (n, n) is that of the state
+    as it is known now, in the units that the derivatives are by, by default the identity.
 
-    Returns
-    -------
-    ChosenSweeps
-        The same for the same arguments: nothing is drawn.
-
-    Raises
-    ------
-    InputError
-        If there are fewer candidates than sweeps wanted, no task, or a criterion or tolerance that is unknown.
+    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike. Without
+    `passes` of the exchange sweeps are taken greedily. `InputError` if there are fewer candidates than the `n` wanted,
+    no task, or a criterion or tolerance that is unknown.
     """
     if not 1 <= n <= len(candidates):
         raise InputError(f"{n} sweeps out of {len(candidates)} candidates: expected 1 to {len(candidates)}")
     reference = reference_of(tuple(tasks), tolerances)
-    design = Design.of(rows, tasks, covariance, known)
+    design = Design.of(rows, tasks, covariance)
     judge = criterion_by_name(criterion, design, reference)
     chosen = greedy(judge, n)
     if passes:
@@ -174,18 +135,10 @@ def refine(
     *,
     widths: tuple[float, ...] = WIDTHS,
 ) -> Sweeps:
-    """Vary chosen sweeps and keep what makes the criterion smaller.
+    """Vary chosen sweeps, a plan, and keep what makes the criterion smaller.
 
-    Parameters
-    ----------
-    chosen
-        The sweeps so far, a plan.
-    vary
-        Variations of a width, and which sweep each of them may replace.
-    judge
-        The criterion over a set of candidates.
-    widths
-        One round a width.
+    `vary` gives variations of a width, and which sweep each of them may replace; `judge` the criterion over a set of
+    candidates. There is one round a width.
     """
     n = len(chosen)
     for width in widths:

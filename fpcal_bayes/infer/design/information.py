@@ -6,31 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.kernels import add_gains
 
 
 @dataclass(frozen=True)
 class Design:
-    """Candidates and tasks, linearised at draws, in units in which the present covariance is the identity.
+    """Candidates and tasks, linearised at draws, in units in which the present covariance is the identity."""
 
-    Attributes
-    ----------
-    rows
-        Whitened rows of each candidate, shape (n_draws, n_candidates, k, n).
-    tasks
-        Derivatives of all task points in um, shape (n_draws, n_points, n).
-    names, task_of_point
-        The tasks, and which one each point belongs to, shape (n_points,).
-    base
-        Upper triangular root of the information before any candidate, shape (n_draws, n, n).
-    """
-
-    rows: Floats
-    tasks: Floats
+    rows: Floats  # whitened rows of each candidate, shape (n_draws, n_candidates, k, n)
+    tasks: Floats  # derivatives of all task points in um, shape (n_draws, n_points, n)
+    # names, task_of_point: the tasks, and which one each point belongs to, shape (n_points,)
     names: tuple[str, ...]
     task_of_point: Ints
-    base: Floats
+    base: Floats  # upper triangular root of the information before any candidate, shape (n_draws, n, n)
 
     @classmethod
     def of(
@@ -38,16 +28,9 @@ class Design:
     ) -> "Design":
         """Set up a design.
 
-        Parameters
-        ----------
-        rows
-            Whitened rows of each candidate by the state, shape (n_draws, n_candidates, k, n).
-        tasks
-            Derivatives of each task by the state in um, shape (n_draws, n_points, n).
-        covariance
-            Of the state before any measurement, shape (n, n); may be singular. By default the identity.
-        known
-            Whitened rows of what is measured anyway, shape (n_draws, n_rows, n).
+        Given are whitened rows of each candidate by the state (n_draws, n_candidates, k, n), derivatives of each task
+        by it in um (n_draws, n_points, n), its covariance before any measurement (n, n), which may be singular and by
+        default is the identity, and whitened rows of what is measured anyway (n_draws, n_rows, n).
         """
         n_draws, n = len(rows), rows.shape[-1]
         points = np.concatenate(
@@ -55,7 +38,7 @@ class Design:
         )
         of_point = np.repeat(np.arange(len(tasks)), [jacobian.shape[1] for jacobian in tasks.values()])
         if covariance is not None:
-            root = covariance_root(covariance)
+            root = covariance_root(covariance, eigh=linalg.eigh)
             rows, points, known = rows @ root, points @ root, None if known is None else known @ root
             n = root.shape[1]
         base = np.broadcast_to(np.eye(n), (n_draws, n, n))
@@ -85,8 +68,7 @@ class Design:
     def task_variance(self, chosen: Sequence[int]) -> Floats:
         """Variance at every task point after the chosen candidates, in um^2, shape (n_draws, n_points)."""
         scaled = self.tasks @ self.roots(chosen)
-        variance: Floats = (scaled**2).sum(axis=-1)
-        return variance
+        return (scaled**2).sum(axis=-1)
 
     def expected_variance(self, chosen: Sequence[int], *, worst: bool = True) -> Floats:
         """Mean over the draws of each task's worst-point (or mean) variance, in um^2, shape (n_tasks,)."""
@@ -99,20 +81,10 @@ class Design:
     ) -> tuple[Floats, Floats]:
         """What each candidate would leave if it were added to those chosen.
 
-        Parameters
-        ----------
-        among
-            Positions of the candidates that are asked for; by default all.
-        worst
-            The worst point of each task, else the mean over its points.
-        whole_state
-            Take the parameters themselves, in their units here, in place of the tasks, as one task.
-
-        Returns
-        -------
-        tuple of ndarray
-            Expected task variances, shape (n_candidates, n_tasks), and expected gain in the logarithm of the
-            determinant of the information, shape (n_candidates,).
+        Candidates are those at the positions `among`, by default all. The `worst` point of each task counts, else the
+        mean over its points; with `whole_state` the parameters themselves, in their units here, stand in place of the
+        tasks, as one task. Expected task variances, shape (n_candidates, n_tasks), and expected gain in the logarithm
+        of the determinant of the information, shape (n_candidates,).
         """
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
@@ -126,12 +98,3 @@ class Design:
             variances = (points**2).sum(axis=1)
             add_gains(scaled.reshape(n_candidates, k, n), products, variances, task_start, worst, left, gain)
         return left / n_draws, gain / n_draws
-
-
-def covariance_root(covariance: Floats) -> Floats:
-    """A matrix whose product with its transpose is `covariance` (n, n), which may be singular."""
-    scale = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    safe = np.where(scale > 0, scale, 1.0)
-    eigenvalues, vectors = linalg.eigh(covariance / np.outer(safe, safe))
-    root: Floats = safe[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-    return root

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps, neighbours, reverses
 from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
@@ -20,7 +22,7 @@ from fpcal_bayes.infer.design.exchange import (
     reference_of,
     refine,
 )
-from fpcal_bayes.infer.design.information import Design, covariance_root
+from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.problem import Ground
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -36,6 +38,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
     design = ground.design(sweeps, readings=readings, sigma=sigma)
     before, after = design.expected_variance(()), design.expected_variance(range(len(sweeps)))
     variance, roots = design.task_variance(range(len(sweeps))), design.roots(range(len(sweeps)))
+    root = covariance_root(ground.covariance, eigh=linalg.eigh)
     own = np.sqrt(np.diag(ground.covariance))
     safe = np.where(own > 0, own, 1.0)
     sentences = []
@@ -46,7 +49,7 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
         draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
         # The way the parameters move when the error at this point is one standard deviation.
         point = design.tasks[draw, of_task[place]] @ roots[draw]
-        direction = (covariance_root(ground.covariance) @ (roots[draw] @ point)) / safe / np.linalg.norm(point)
+        direction = (root @ (roots[draw] @ point)) / safe / np.linalg.norm(point)
         names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(
@@ -57,15 +60,10 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
 
 
 def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
-    """Sweeps ordered and turned round such that the way between them is short.
+    """Sweeps of a plan ordered and turned round such that the way between them is short.
 
-    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of
-    the way are turned round while that shortens it (2-opt, Croes 1958).
-
-    Parameters
-    ----------
-    sweeps
-        A plan of whole sweeps.
+    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of the
+    way are turned round while that shortens it (2-opt, Croes 1958).
     """
     ends = np.stack([sweeps.q_start, sweeps.q_end])
     order, turned = _nearest(cell, ends, limits)
@@ -109,44 +107,19 @@ def _nearest(cell: Cell, ends: Floats, limits: SweepLimits) -> tuple[Ints, Ints]
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How a plan is searched.
+    """How a plan is searched."""
 
-    Attributes
-    ----------
-    readings
-        Readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on.
-    sigma
-        Standard deviation of a row in um.
-    criterion
-        One of `CRITERIA`.
-    n_candidates
-        Random sweeps to choose from.
-    share
-        Draws that one start of the search is averaged over; there are as many starts as the draws give shares, and
-        the best of them is refined over all draws.
-    passes
-        Passes of the exchange.
-    variations
-        Variations of each chosen sweep in a round of refinement.
-    iterations
-        Steps of the descent at the end; 0 of both keeps to the candidates.
-    several
-        Also move several joints of one controller at once.
-    seed
-        Of candidates and variations.
-    limits
-        Of the sweeps.
-    """
-
-    readings: int = 2
-    sigma: float = 0.005
-    criterion: str = "worst"
-    n_candidates: int = 2000
+    readings: int = 2  # readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on
+    sigma: float = 0.005  # standard deviation of a row in um
+    criterion: str = "worst"  # one of `CRITERIA`
+    n_candidates: int = 2000  # random sweeps to choose from
+    # draws that one start of the search is averaged over; there are as many starts as the draws give shares, and the
+    # best of them is refined over all draws
     share: int = 16
-    passes: int = 1
-    variations: int = 30
-    iterations: int = 100
-    several: bool = True
+    passes: int = 1  # passes of the exchange
+    variations: int = 30  # variations of each chosen sweep in a round of refinement
+    iterations: int = 100  # steps of the descent at the end; 0 of both keeps to the candidates
+    several: bool = True  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)
 
@@ -154,19 +127,7 @@ class PlanSettings:
 class Planner:
     """Searches for plans on one ground.
 
-    Parameters
-    ----------
-    ground
-        What is known, and the tasks.
-    settings
-        How to search.
-    tolerances
-        Standard deviation that each task is judged by, in um; by default all alike.
-
-    Raises
-    ------
-    InputError
-        If a setting cannot be, a tolerance is of an unknown task, or the limits leave no room for sweeps.
+    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike.
     """
 
     def __init__(
@@ -206,13 +167,7 @@ class Planner:
         return criterion_by_name(settings.criterion, design, self.reference)
 
     def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent.
-
-        Raises
-        ------
-        InputError
-            If n is not between 1 and the number of candidates.
-        """
+        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent."""
         if not 1 <= n <= len(self.candidates):
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
@@ -280,17 +235,8 @@ class Planner:
         """The fewest sweeps, up to `most`, whose expected standard deviations keep to the tolerances.
 
         Numbers are halved between one that a greedy search shows to be enough and one that is not; a smaller plan may
-        exist that the search does not find.
-
-        Parameters
-        ----------
-        check
-            Where the target is to be met, such as other draws of the prior; by default the planner's own ground.
-
-        Raises
-        ------
-        InputError
-            If no number up to `most` does; the message says the best.
+        exist that the search does not find. The target is to be met on the ground `check`, such as other draws of the
+        prior, by default the planner's own. `InputError` says the best if no number up to `most` meets it.
         """
         check = self.ground if check is None else check
         readings, sigma = self.settings.readings, self.settings.sigma

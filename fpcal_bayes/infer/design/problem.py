@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.rows import plan_rows, sweep_rows
@@ -26,41 +26,23 @@ POINTS = 9
 
 @dataclass(frozen=True)
 class Goals:
-    """Tasks at draws of the parameters.
+    """Tasks at draws of the parameters."""
 
-    Attributes
-    ----------
-    values
-        Free parameters of the draws at which every task can be driven to, shape (n_draws, n_free), in um and rad.
-    jacobians
-        Derivatives of each task's points by the free parameters, shape (n_draws, n_points, n_free).
-    dropped
-        Draws that were left out since a task has no point that can be driven to.
-    """
-
+    # free parameters of the draws at which every task can be driven to, shape (n_draws, n_free), in um and rad
     values: Floats
+    # derivatives of each task's points by the free parameters, shape (n_draws, n_points, n_free)
     jacobians: dict[str, Floats]
-    dropped: int
+    dropped: int  # draws that were left out since a task has no point that can be driven to
 
 
 def goals_of(
     model: CavityModel, values: Floats, tasks: Sequence[str], *, radius: float = 100.0, points: int = POINTS
 ) -> Goals:
-    """The tasks at each draw, as a controller with these parameters would drive them.
+    """The tasks, names or path files, at each draw, as a controller with these parameters would drive them.
 
-    Points that cannot be driven to are replaced by the nearest on the path that can, so that every draw has as many.
-
-    Parameters
-    ----------
-    values
-        Draws of the free parameters, shape (n_draws, n_free), in um and rad.
-    tasks
-        Names or path files (see `find_task`).
-
-    Raises
-    ------
-    InputError
-        If a task is unknown, or there is no draw at which all of them can be driven to.
+    `values` (n_draws, n_free) are in um and rad. Points that cannot be driven to are replaced by the nearest on the
+    path that can, so that every draw has as many. `InputError` if a task is unknown, or there is no draw at which all
+    of them can be driven to.
     """
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
@@ -70,7 +52,7 @@ def goals_of(
     for number, point in enumerate(values):
         try:
             found = {task: _at(model, point, task, radius, points) for task in tasks}
-        except _UnreachableError as error:
+        except UnreachableError as error:
             reason = str(error)
             continue
         kept.append(number)
@@ -82,48 +64,26 @@ def goals_of(
     return Goals(values[kept], stacked, len(values) - len(kept))
 
 
-class _UnreachableError(Exception):
-    """A task without a point that can be driven to."""
-
-
 def _at(model: CavityModel, values: Floats, name: str, radius: float, points: int) -> Floats:
-    try:
-        task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
-    except InputError as error:
-        if "cannot be reached" in str(error):
-            raise _UnreachableError(str(error)) from error
-        raise
+    """Derivatives of a task's points by the free parameters, shape (points, n_free)."""
+    task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
     if not task.ok.any() or not np.isfinite(task.start).all():
-        raise _UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
+        raise UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
     good = np.flatnonzero(task.ok)
     jacobian = task_jacobian(model, values, task.take(task.ok))
     nearest = np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)
-    result: Floats = jacobian[nearest]
-    return result
+    return jacobian[nearest]
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Knowledge before the planned sweeps.
+    """Knowledge before the planned sweeps."""
 
-    Attributes
-    ----------
-    model
-        Cavity model of the parameters that are not known exactly.
-    centre
-        Where visibility and fringe rate are judged, shape (n_free,), in um and rad.
-    covariance
-        Of the free parameters, shape (n_free, n_free), in um and rad.
-    goals
-        The tasks, at the draws over which the plan is averaged.
-    known
-        Whitened rows of what is measured in any case, shape (n_draws, n_rows, n_free), or None.
-    """
-
-    model: CavityModel
-    centre: Floats
-    covariance: Floats
-    goals: Goals
+    model: CavityModel  # model of the parameters that are not known exactly
+    centre: Floats  # where visibility and fringe rate are judged, shape (n_free,), in um and rad
+    covariance: Floats  # of the free parameters, shape (n_free, n_free), in um and rad
+    goals: Goals  # the tasks, at the draws over which the plan is averaged
+    # whitened rows of what is measured in any case, shape (n_draws, n_rows, n_free), or None
     known: Floats | None = None
 
     @property
@@ -139,10 +99,7 @@ class Ground:
     def expected_sd(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, float]:
         """Worst-point standard deviation of each task in um, the root of its mean variance over the draws.
 
-        Parameters
-        ----------
-        sweeps
-            A plan that is measured as a whole, or None for what is known without one.
+        `sweeps` are a plan that is measured as a whole, or None for what is known without one.
         """
         each = self.sd_at_draws(sweeps, readings=readings, sigma=sigma)
         return {name: float(np.sqrt(np.mean(sd**2))) for name, sd in each.items()}
@@ -178,13 +135,7 @@ def prior_ground(
     points: int = POINTS,
     seed: int = 0,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` draws of it.
-
-    Raises
-    ------
-    InputError
-        If a task is unknown, or cannot be driven to at any draw.
-    """
+    """A cell before its first calibration: its prior, averaged over `draws` draws of it."""
     model, free = CavityModel.of(cell), cell.free
     values = free.nominal + free.prior_sd * np.random.default_rng(seed).standard_normal((draws, len(free)))
     goals = goals_of(model, values, tasks, radius=radius, points=points)
@@ -194,26 +145,14 @@ def prior_ground(
 def estimate_ground(
     estimate: Estimate, *, tasks: Sequence[str] = DEFAULT_TASKS, radius: float = 100.0, points: int = POINTS
 ) -> Ground:
-    """A cell of which there is an estimate: its values and the covariance of all its parameters.
-
-    Raises
-    ------
-    InputError
-        If a task is unknown or cannot be driven to.
-    """
+    """A cell of which there is an estimate: its values and the covariance of all its parameters."""
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     goals = goals_of(model, estimate.values[None], tasks, radius=radius, points=points)
     return Ground(model, estimate.values, estimate.covariance, goals)
 
 
 def measured_estimate(cell: Cell, sweeps: Sweeps) -> Estimate:
-    """What measured sweeps tell of a cell: the ground for the best next ones.
-
-    Raises
-    ------
-    InputError
-        If the identification does not converge.
-    """
+    """What measured sweeps tell of a cell: the ground for the best next ones."""
     found = identify(cell, sweeps)
     if not found.converged:
         raise InputError(f"{sweeps.file}: the identification did not converge, expected sweeps that can be fitted")

@@ -13,14 +13,9 @@ from fpcal_bayes.model.cavity import CavityModel
 
 
 def read_often(sweeps: Sweeps, readings: int) -> Sweeps:
-    """A plan in which each sweep is read at `readings` evenly spaced places after its start.
+    """A plan in which each sweep is read at `readings` evenly spaced places after its start, one at least.
 
     The rows of a sweep follow each other and share the reading at the start: one group a sweep, named by its position.
-
-    Raises
-    ------
-    InputError
-        If `readings` is below one.
     """
     if readings < 1:
         raise InputError(f"{readings} readings a sweep: expected one at least")
@@ -35,23 +30,11 @@ def read_often(sweeps: Sweeps, readings: int) -> Sweeps:
 def sweep_rows(
     model: CavityModel, values: Floats, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005
 ) -> Floats:
-    """Whitened derivatives of the rows of each sweep.
+    """Whitened derivatives of the rows of each sweep, shape (n_draws, n_sweeps, readings, n_free), per um or rad.
 
-    Parameters
-    ----------
-    values
-        Where to linearise, shape (n_draws, n_free), in um and rad.
-    sweeps
-        A plan of whole sweeps.
-    readings
-        Readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on.
-    sigma
-        Standard deviation of a row in um.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_draws, n_sweeps, readings, n_free), per um or rad.
+    They are linearised at `values` (n_draws, n_free), in um and rad. `sweeps` are a plan of whole sweeps; there are
+    `readings` of each after its start: 1 end point, 2 midpoint and end point, and so on. `sigma` is the standard
+    deviation of a row in um.
     """
     plan = read_often(sweeps, readings)
     whitened = plan_rows(model, values, replace(plan, sigma=np.full(len(plan), sigma)))

@@ -3,32 +3,21 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How well the data are met at the maximum of the posterior.
+    """How well the data are met at the maximum of the posterior."""
 
-    Attributes
-    ----------
-    chi2_data
-        Sum of squares of the whitened data rows.
-    expected
-        Its expected value: the number of rows less those that the parameters absorb.
-    p_value
-        Probability of a larger value if model, prior and noise are right.
-    standardised
-        Residual of each whitened row over its own standard deviation, shape (n_rows,).
-    """
-
-    chi2_data: float
-    expected: float
-    p_value: float
-    standardised: Floats
+    chi2_data: float  # sum of squares of the whitened data rows
+    expected: float  # its expected value: the number of rows less those that the parameters absorb
+    p_value: float  # probability of a larger value if model, prior and noise are right
+    standardised: Floats  # residual of each whitened row over its own standard deviation, shape (n_rows,)
 
 
 def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
@@ -48,8 +37,3 @@ def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
     mean, square = float(weights.sum()), float((weights**2).sum())
     p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
     return GoodnessOfFit(chi2_data, mean, p_value, standardised)
-
-
-def chi2_tail(value: float, dof: float) -> float:
-    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
-    return float(special.gammaincc(dof / 2.0, value / 2.0))

@@ -1,12 +1,15 @@
-"""Compiled kernel: whiten rows that share a reading."""
+"""Compiled kernel that whitens rows sharing a reading, and the loading of all kernels of an identification."""
 
 import sys
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.kernels.compile import compiled
+from fpcal_bayes.model.kernels.compile import compiled, needs_compilation
+from fpcal_bayes.model.kernels.jacobian import batch_jacobians
+from fpcal_bayes.model.kernels.lengths import batch_lengths
 
 
 @compiled
@@ -45,12 +48,6 @@ def whiten_groups(rows: Floats, members: Ints, own: Floats, shared: Floats, gain
 
 def warm_up(cell: Cell) -> None:
     """Load the kernels, so that times do not count it; say so if they have to be compiled first."""
-    from fpcal_bayes.infer.fit.kernels import whiten_groups
-    from fpcal_bayes.model.cavity import CavityModel
-    from fpcal_bayes.model.kernels.compile import needs_compilation
-    from fpcal_bayes.model.kernels.jacobian import batch_jacobians
-    from fpcal_bayes.model.kernels.lengths import batch_lengths
-
     if needs_compilation(batch_lengths, batch_jacobians, whiten_groups):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     model, home = CavityModel.of(cell), np.zeros((1, len(cell.joints)))

@@ -1,4 +1,4 @@
-"""Second minima that the symmetry of the nominal cell hides.
+"""Minima of the sum of squares: the way to one, and the second ones that the symmetry of the nominal cell hides.
 
 Near a symmetric geometry the data depend on some direction through its square: to first order they hardly see it, and
 to a minimum on one side belongs another one across. For the built-in cell and the paper's sweeps theta_2 against
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize
 
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.fit.spectrum import spectrum_of
@@ -26,21 +27,11 @@ _MAX_EVALUATIONS = 400
 
 @dataclass(frozen=True)
 class Solution:
-    """A minimum of the sum of squares.
+    """A minimum of the sum of squares."""
 
-    Attributes
-    ----------
-    unknowns
-        Scaled unknowns, shape (n_unknowns,).
-    sum_of_squares
-        Over data and prior rows.
-    converged
-        Whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`.
-    """
-
-    unknowns: Floats
-    sum_of_squares: float
-    converged: bool
+    unknowns: Floats  # scaled unknowns, shape (n_unknowns,)
+    sum_of_squares: float  # over data and prior rows
+    converged: bool  # whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`
 
 
 def solution_rank(solution: Solution) -> tuple[bool, float]:
@@ -119,7 +110,7 @@ def newton_step(problem: Problem, unknowns: Floats, residuals: Floats) -> Floats
     shifts = width * np.eye(len(unknowns))
     ahead, behind = np.split(problem.gradients(unknowns + np.concatenate([shifts, -shifts])), 2)
     hessian = (ahead - behind) / (2 * width)
-    eigenvalues, vectors = linalg.eigh((hessian + hessian.T) / 2)
+    eigenvalues, vectors = linalg.eigh(symmetric(hessian))
     gradient = problem.jacobian(unknowns).T @ residuals
     step: Floats = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(eigenvalues), 1e-3))
     length = float(np.linalg.norm(step))
@@ -140,14 +131,10 @@ MINIMUM_EXCESS = 30.0
 
 
 def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
-    """Points across the directions that the data see at `solution` but hardly at the prior mean.
+    """Points (n_unknowns,) across the directions that the data see at `solution` but hardly at the prior mean.
 
-    Hardly means: they tell less than the prior (singular value below one), or nothing.
-
-    Returns
-    -------
-    list of ndarray
-        Starting points for further fits, each of shape (n_unknowns,); empty where there is no such direction.
+    They are starting points for further fits. Hardly means: they tell less than the prior (singular value below one),
+    or nothing.
     """
     n, unknowns = problem.n_free, solution.unknowns
     at_mean = spectrum_of(problem.data_jacobian(np.zeros(problem.n_unknowns))[:, :n])

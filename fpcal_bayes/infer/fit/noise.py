@@ -19,25 +19,15 @@ class Batch:
     In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
     have in common, of unit variance. What the rows before it tell about z is taken off (a Kalman filter on z), which
     is the inverse Cholesky factor of the group's covariance without forming it.
-
-    Attributes
-    ----------
-    members
-        Positions of the rows, shape (n_groups, n_members).
-    own
-        One over the standard deviation of each row's own error, same shape.
-    shared, gain
-        Shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier rows of
-        `shared` times the row.
-    scale
-        One over the standard deviation of what is left, shape (n_groups, n_members).
     """
 
-    members: Ints
-    own: Floats
+    members: Ints  # positions of the rows, shape (n_groups, n_members)
+    own: Floats  # one over the standard deviation of each row's own error, same shape
+    # shared, gain: shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier
+    # rows of `shared` times the row
     shared: Floats
     gain: Floats
-    scale: Floats
+    scale: Floats  # one over the standard deviation of what is left, shape (n_groups, n_members)
 
     @classmethod
     def of(cls, members: Ints, own_sd: Floats, common: Floats) -> "Batch":
@@ -79,18 +69,10 @@ def _sum_before(rows: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Whitening:
-    """Linear map under which the rows have unit covariance.
+    """Linear map under which the rows have unit covariance."""
 
-    Attributes
-    ----------
-    scale
-        One over the standard deviation of each row, shape (n_rows,).
-    batches
-        What replaces `scale` where rows share a reading.
-    """
-
-    scale: Floats
-    batches: tuple[Batch, ...] = ()
+    scale: Floats  # one over the standard deviation of each row, shape (n_rows,)
+    batches: tuple[Batch, ...] = ()  # what replaces `scale` where rows share a reading
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
@@ -141,16 +123,11 @@ class Whitening:
 
 
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
-    """Whitening of the rows of `sweeps`.
+    """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
     A row's variance is that of its reading plus the joints' repeatability at both ends, carried through the joint
     Jacobian at `values`. Rows of a group share the reading and the joint errors at their start, which gives equal
     readings a correlation of 1/2.
-
-    Parameters
-    ----------
-    model, values
-        Where the joint Jacobian is taken; `values` are the free parameters in um and rad, shape (n,).
     """
     repeatability = model.cell.repeatability
     # Of a group's rows: half of the reading's variance and the joints at the start are common.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -16,21 +17,14 @@ _LEAST_EIGENVALUE = 1e-16
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal.
+    """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal."""
 
-    Attributes
-    ----------
-    mean, sd
-        Of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal value.
-    others
-        Positions of the parameters whose priors are not normal, with these.
-    factor
-        Square root of the covariance where the prior is jointly normal, shape (n, n); else None.
-    """
-
+    # mean, sd: of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal
+    # value
     mean: Floats
     sd: Floats
-    others: tuple[tuple[int, Marginal], ...] = ()
+    others: tuple[tuple[int, Marginal], ...] = ()  # positions of the parameters whose priors are not normal, with these
+    # square root of the covariance where the prior is jointly normal, shape (n, n); else None
     factor: Floats | None = None
 
     @classmethod
@@ -54,8 +48,7 @@ class Prior:
         values, covariance = estimate.block(names)
         mean, sd = alone.mean.copy(), alone.sd.copy()
         mean[at], sd[at] = values, np.sqrt(np.diag(covariance))
-        eigenvalues, vectors = linalg.eigh(covariance / np.outer(sd[at], sd[at]))
-        root = (vectors * np.sqrt(np.maximum(eigenvalues, _LEAST_EIGENVALUE))) @ vectors.T
+        root = symmetric_root(covariance / np.outer(sd[at], sd[at]), least=_LEAST_EIGENVALUE, eigh=linalg.eigh)
         factor = np.diag(sd)
         factor[np.ix_(at, at)] = sd[at, None] * root
         return cls(mean, sd, tuple((i, other) for i, other in alone.others if i not in at), factor)
@@ -76,15 +69,7 @@ class Prior:
         return result
 
     def by_scores(self, jacobian: Floats, scores: Floats) -> Floats:
-        """Derivatives by the scores, from those by the parameters.
-
-        Parameters
-        ----------
-        jacobian
-            Shape (..., n_rows, n).
-        scores
-            Where, shape (..., n).
-        """
+        """Derivatives (..., n_rows, n) by the scores, at scores (..., n), from those by the parameters."""
         result: Floats = jacobian * self.sd if self.factor is None else jacobian @ self.factor
         for i, other in self.others:
             result[..., i] = jacobian[..., i] * other.slope(scores[..., i])[..., None]

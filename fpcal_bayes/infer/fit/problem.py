@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import covariance_root, posterior_triangle, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
 from fpcal_bayes.infer.fit.prior import Prior
@@ -22,64 +23,34 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class Considered:
-    """Held parameters whose covariance counts.
+    """Held parameters whose covariance counts."""
 
-    Attributes
-    ----------
-    parameters
-        Which ones; their values stand in the model's held vector.
-    factor
-        Square root of their covariance, shape (n_considered, n_considered), in um and rad.
-    """
-
-    parameters: ParameterSet
-    factor: Floats
+    parameters: ParameterSet  # which ones; their values stand in the model's held vector
+    factor: Floats  # square root of their covariance, shape (n_considered, n_considered), in um and rad
 
     @classmethod
     def of(cls, parameters: ParameterSet, covariance: Floats) -> "Considered":
         """From a covariance (n, n) in um and rad, which may be singular."""
-        scale = parameters.prior_sd
-        eigenvalues, vectors = linalg.eigh(covariance / np.outer(scale, scale))
-        return cls(parameters, scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
+        return cls(parameters, covariance_root(covariance, parameters.prior_sd, eigh=linalg.eigh))
 
     @property
     def covariance(self) -> Floats:
         """Covariance, shape (n_considered, n_considered)."""
-        product: Floats = self.factor @ self.factor.T
-        return product
+        return self.factor @ self.factor.T
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Whitened residuals and Jacobian of data and prior rows.
+    """Whitened residuals and Jacobian of data and prior rows."""
 
-    Attributes
-    ----------
-    model
-        Cavity model of the free parameters.
-    sweeps
-        The rows that are used, with measurements.
-    rows
-        The same, laid out for the kernels.
-    target
-        Measured changes with the sign decided for each row, shape (n_rows,).
-    whitening
-        Of the rows.
-    prior
-        Of the free parameters.
-    considered
-        Held but uncertain parameters, or None.
-    sensitivity
-        Derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um.
-    """
-
-    model: CavityModel
-    sweeps: Sweeps
-    rows: Rows
-    target: Floats
+    model: CavityModel  # model of the free parameters
+    sweeps: Sweeps  # the rows that are used, with measurements
+    rows: Rows  # the same, laid out for the kernels
+    target: Floats  # measured changes with the sign decided for each row, shape (n_rows,)
     whitening: Whitening
     prior: Prior
-    considered: Considered | None = None
+    considered: Considered | None = None  # held but uncertain parameters, or None
+    # derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um
     sensitivity: Floats | None = None
 
     @classmethod
@@ -123,13 +94,7 @@ class Problem:
         return self.prior.values(unknowns[..., : self.n_free])
 
     def unknowns(self, values: Floats) -> Floats:
-        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero.
-
-        Raises
-        ------
-        InputError
-            If the prior excludes a value.
-        """
+        """Scaled unknowns (n_unknowns,) of free parameters `values` (n,); the considered ones at zero."""
         result = np.zeros(self.n_unknowns)
         result[: self.n_free] = self.prior.scores(values)
         return result
@@ -178,17 +143,9 @@ class Problem:
         return self.whitening.apply(jacobian * self.prior.sd)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Whitened data residuals and their derivatives at many points.
+        """Whitened data residuals (n_points, n_rows) and their derivatives (n_points, n_rows, n_unknowns).
 
-        Parameters
-        ----------
-        points
-            Scaled unknowns, shape (n_points, n_unknowns).
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_points, n_rows) and (n_points, n_rows, n_unknowns).
+        The `points` are scaled unknowns, shape (n_points, n_unknowns).
         """
         change, scaled = self._unwhitened_batch(points)
         if not self.whitening.batches:
@@ -230,24 +187,17 @@ class Problem:
         The inverse of J'J over data and prior rows: a direction that no row sees keeps its prior variance. The block of
         the considered parameters is the covariance they came with, and the cross block is Schmidt's.
         """
-        triangle = linalg.qr(self.jacobian(unknowns), mode="r")[0][: self.n_unknowns]
-        inverse = linalg.solve_triangular(triangle, np.eye(self.n_unknowns))
+        jacobian = self.data_jacobian(unknowns)
+        inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(self.n_unknowns))
         scaled = inverse @ inverse.T
         transform = np.zeros((self.n_unknowns, self.n_unknowns))
         n = self.n_free
         transform[:n, :n] = self.prior.slopes(unknowns[:n])
         if self.considered is None:
-            return _symmetric(transform @ scaled @ transform.T)
+            return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
-        jacobian = self.data_jacobian(unknowns)
         gain = scaled[:n] @ jacobian.T
         cross = -gain @ jacobian[:, n:]
         transform[n:, n:] = self.considered.factor
         scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
-        return _symmetric(transform @ scaled @ transform.T)
-
-
-def _symmetric(matrix: Floats) -> Floats:
-    """The matrix without the rounding errors by which it differs from its transpose."""
-    result: Floats = (matrix + matrix.T) / 2
-    return result
+        return symmetric(transform @ scaled @ transform.T)

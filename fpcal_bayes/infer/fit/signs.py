@@ -12,6 +12,7 @@ from itertools import count
 import numpy as np
 from scipy import linalg, sparse, special
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.minimise import Solution, distinct_minima, minimise
 from fpcal_bayes.infer.fit.problem import Problem
@@ -33,26 +34,13 @@ DOUBTFUL = 0.01
 
 @dataclass(frozen=True)
 class SignDecision:
-    """Signs of all rows.
+    """Signs of all rows."""
 
-    Attributes
-    ----------
-    target
-        Measured changes with their sign, shape (n_rows,).
-    solution
-        The fit to them.
-    doubt
-        Probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows.
-    complete
-        Whether the search ended before its limit of fits.
-    rivals
-        Minima of other assignments that fit nearly as well, each away from the rest, best first.
-    """
-
-    target: Floats
+    target: Floats  # measured changes with their sign, shape (n_rows,)
     solution: Solution
-    doubt: Floats
-    complete: bool
+    doubt: Floats  # probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows
+    complete: bool  # whether the search ended before its limit of fits
+    # minima of other assignments that fit nearly as well, each away from the rest, best first
     rivals: tuple[Solution, ...]
 
 
@@ -110,8 +98,7 @@ class _Branch:
         seen = np.zeros((0, problem.n_unknowns))
         if self.taken.any():
             seen = problem.take(self.taken).relinearised(unknowns).data_jacobian(unknowns)
-        triangle = linalg.qr(np.vstack([seen, np.eye(problem.n_unknowns)]), mode="r")[0][: problem.n_unknowns]
-        spread = linalg.solve_triangular(triangle, scaled.T, trans="T")
+        spread = linalg.solve_triangular(posterior_triangle(seen), scaled.T, trans="T")
         return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.scale**-2)
 
     def grow(self, problem: Problem) -> list["_Branch"]:

@@ -23,29 +23,16 @@ _LEAST_GAIN = 20.0
 
 @dataclass(frozen=True)
 class Slips:
-    """Corrections found.
+    """Corrections found."""
 
-    Attributes
-    ----------
-    counts
-        Half wavelengths to take from each dL, shape (n_rows,).
-    problem, solution
-        With the corrected values, and its minimum.
-    """
-
-    counts: Ints
+    counts: Ints  # half wavelengths to take from each dL, shape (n_rows,)
+    # problem, solution: with the corrected values, and its minimum
     problem: Problem
     solution: Solution
 
 
 def find_slips(problem: Problem, solution: Solution) -> Slips:
-    """Correct slipped rows of a fitted problem.
-
-    Parameters
-    ----------
-    problem, solution
-        From an identification, which slips may have spoilt.
-    """
+    """Correct slipped rows of an identified problem, whose solution slips may have spoilt."""
     half_wave = 0.5 * problem.model.cell.wavelength
     original = problem.target
     counts = np.zeros(len(original), dtype=np.int64)

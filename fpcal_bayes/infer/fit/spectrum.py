@@ -21,27 +21,14 @@ WEAK_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values and vectors of a whitened, prior-scaled Jacobian.
+    """Singular values and vectors of a whitened, prior-scaled Jacobian."""
 
-    Attributes
-    ----------
-    singular_values
-        Descending, shape (n,): what each direction tells, in prior over noise standard deviations.
-    directions
-        Right singular vectors as rows, shape (n, n), in prior-scaled units.
-    tolerance
-        Singular values at or below it count as zero.
-    rank
-        Number of singular values above it.
-    gap
-        Ratio of the last singular value that counts to the first that does not; infinite at full rank.
-    """
-
+    # descending, shape (n,): what each direction tells, in prior over noise standard deviations
     singular_values: Floats
-    directions: Floats
-    tolerance: float
-    rank: int
-    gap: float
+    directions: Floats  # right singular vectors as rows, shape (n, n), in prior-scaled units
+    tolerance: float  # singular values at or below it count as zero
+    rank: int  # number of singular values above it
+    gap: float  # ratio of the last singular value that counts to the first that does not; infinite at full rank
 
     @property
     def observable(self) -> Floats:
@@ -56,8 +43,7 @@ class Spectrum:
     @property
     def null_share(self) -> Floats:
         """Share of each parameter in the null space, from 0 to 1, shape (n,)."""
-        share: Floats = (self.null_space**2).sum(axis=0)
-        return share
+        return (self.null_space**2).sum(axis=0)
 
 
 def spectrum_of(jacobian: Floats) -> Spectrum:
@@ -76,16 +62,9 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
 
 
 def statuses(null_share: Floats, posterior_share: Floats, weak_share: float = WEAK_SHARE) -> tuple[Status, ...]:
-    """Status of each parameter.
+    """Status of each parameter from its share in the null space and its posterior over prior variance, shapes (n,).
 
-    Parameters
-    ----------
-    null_share
-        Share of each parameter in the null space, shape (n,).
-    posterior_share
-        Posterior over prior variance, shape (n,).
-    weak_share
-        Posterior share above which a parameter is weak.
+    Above `weak_share` of its prior variance a parameter is weak.
     """
     return tuple(
         "gauge" if null > GAUGE_SHARE else "weak" if left > weak_share else "identified"

@@ -41,14 +41,9 @@ def log_peak(dof: float) -> float:
 
 @dataclass(frozen=True)
 class StudentTangent:
-    """Rows a (s - s0) + b whose half square has the slope, and about the curvature, of minus the log density at s0.
+    """Rows a (s - s0) + b whose half square has the slope, and about the curvature, of minus the log density at s0."""
 
-    Attributes
-    ----------
-    centre, gain, lift
-        s0, a and b of each row, shape (n_rows,).
-    """
-
+    # centre, gain, lift: s0, a and b of each row, shape (n_rows,)
     centre: Floats
     gain: Floats
     lift: Floats

@@ -24,28 +24,16 @@ _RANDOM_POSES = 120
 
 @dataclass(frozen=True)
 class Gauge:
-    """One direction that the data do not see.
+    """One direction that the data do not see."""
 
-    Attributes
-    ----------
-    parameters
-        Names of the parameters that move, the leading one first.
-    direction
-        How far each moves, in its shown unit, for one prior standard deviation of the leading one; same length.
-    layer
-        ``model``: no measurement of this kind sees it; ``absolute``: one absolute length does; ``sweeps``: other sweeps
-        do.
-    explanation
-        A sentence about the cause.
-    remedy
-        A sentence about what makes it visible, if anything.
-    """
-
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of the parameters that move, the leading one first
+    # how far each moves, in its shown unit, for one prior standard deviation of the leading one; same length
     direction: tuple[float, ...]
+    # ``model``: no measurement of this kind sees it; ``absolute``: one absolute length does; ``sweeps``: other sweeps
+    # do
     layer: Layer
-    explanation: str
-    remedy: str
+    explanation: str  # A sentence about the cause
+    remedy: str  # A sentence about what makes it visible, if anything
 
     def content(self) -> dict[str, object]:
         """For JSON."""
@@ -61,14 +49,8 @@ class Gauge:
 def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[Gauge]:
     """Take the null space of a set of sweeps apart.
 
-    Parameters
-    ----------
-    model
-        Cavity model of the free parameters.
-    values
-        Where the sweeps were linearised, shape (n,), in um and rad.
-    null_space
-        Orthonormal directions that the sweeps do not see, in prior-scaled units, shape (k, n).
+    The sweeps were linearised at `values` (n,), in um and rad; `null_space` (k, n) holds orthonormal directions that
+    they do not see, in prior-scaled units.
     """
     if not len(null_space):
         return []
@@ -99,8 +81,7 @@ def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats
     reach = np.where(cell.revolute, np.pi / 2, 1000.0)
     low = np.where(np.isfinite(cell.low), cell.low, -reach)
     high = np.where(np.isfinite(cell.high), cell.high, reach)
-    spread: Floats = rng.uniform(low, high, (n, len(reach)))
-    return spread
+    return rng.uniform(low, high, (n, len(reach)))
 
 
 def null_space_within(space: Floats, jacobian: Floats) -> Floats:
@@ -110,8 +91,7 @@ def null_space_within(space: Floats, jacobian: Floats) -> Floats:
     scale = float(linalg.svdvals(jacobian)[0])
     spectrum = spectrum_of(np.vstack([seen, np.zeros((1, len(space)))]))
     unseen = spectrum.singular_values <= 1e-9 * scale
-    part: Floats = spectrum.directions[unseen] @ space
-    return part
+    return spectrum.directions[unseen] @ space
 
 
 def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -20,23 +21,12 @@ _MOST_POINTS = 200
 
 @dataclass(frozen=True)
 class Information:
-    """Information of sweeps, one entry a sweep; rows of a group are one sweep.
-
-    Attributes
-    ----------
-    labels
-        Of the sweeps.
-    leverage
-        Share of its own measurement in a sweep's fitted value, summed over its rows, shape (n_sweeps,).
-    bits
-        Information lost if the sweep is left out, shape (n_sweeps,).
-    cumulative_rows, cumulative_bits
-        Information of the first so many rows.
-    """
+    """Information of sweeps, one entry a sweep; rows of a group are one sweep."""
 
     labels: tuple[str, ...]
-    leverage: Floats
-    bits: Floats
+    leverage: Floats  # share of its own measurement in a sweep's fitted value, summed over its rows, shape (n_sweeps,)
+    bits: Floats  # information lost if the sweep is left out, shape (n_sweeps,)
+    # cumulative_rows, cumulative_bits: information of the first so many rows
     cumulative_rows: Ints
     cumulative_bits: Floats
 
@@ -48,13 +38,11 @@ class Information:
 
 def information_of(jacobian: Floats, sweeps: Sweeps) -> Information:
     """Information of each sweep from the whitened, prior-scaled Jacobian (n_rows, n)."""
-    n_rows, n = jacobian.shape
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
     # Rows of H = J (J'J + I)^-1 J' are inner products of these.
-    spread = linalg.solve_triangular(triangle, jacobian.T, trans="T").T
+    spread = linalg.solve_triangular(posterior_triangle(jacobian), jacobian.T, trans="T").T
     leverage = (spread**2).sum(axis=1)
     bits = -0.5 * np.log2(np.clip(1.0 - leverage, 1e-300, None))
-    first = np.ones(n_rows, dtype=bool)
+    first = np.ones(len(jacobian), dtype=bool)
     labels = [str(label) for label in sweeps.label]
     for members in group_blocks(sweeps):
         block = np.eye(len(members)) - spread[members] @ spread[members].T
@@ -79,20 +67,10 @@ def cumulative_bits(jacobian: Floats) -> tuple[Ints, Floats]:
 
 
 def gain_of(jacobian: Floats, candidates: Floats) -> Floats:
-    """Information that each candidate row would add to what is measured.
+    """Information in bits, shape (n_candidates,), that each candidate row would add to what is measured.
 
-    Parameters
-    ----------
-    jacobian, candidates
-        Whitened, prior-scaled derivatives of the measured rows (n_rows, n) and of the candidates (n_candidates, n).
-
-    Returns
-    -------
-    ndarray
-        In bits, shape (n_candidates,).
+    Both are whitened, prior-scaled derivatives: of the measured rows (n_rows, n) and of the candidates (n_candidates,
+    n).
     """
-    n = jacobian.shape[1]
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    spread = linalg.solve_triangular(triangle, candidates.T, trans="T")
-    gain: Floats = 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))
-    return gain
+    spread = linalg.solve_triangular(posterior_triangle(jacobian), candidates.T, trans="T")
+    return 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))

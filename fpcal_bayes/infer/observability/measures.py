@@ -1,10 +1,11 @@
-"""Base parameters: a smallest set that the data can identify, and what is regrouped into each of them."""
+"""Measures of what sweeps can tell: bounds, observability indices, and base parameters with what is regrouped."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Spectrum, spectrum_of
 from fpcal_bayes.model.parameters import ParameterSet
@@ -12,31 +13,23 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 @dataclass(frozen=True)
 class Bounds:
-    """Least standard deviations of the parameters, in prior standard deviations.
+    """Least standard deviations of the parameters, in prior standard deviations."""
 
-    Attributes
-    ----------
-    unbiased
-        Of any unbiased estimate, without prior (Cramer 1946, Rao 1945); infinite where a direction that the data do not
-        see takes part. Shape (n,).
-    with_prior
-        Of any estimate on average over the prior (van Trees 1968), shape (n,).
-    """
-
+    # of any unbiased estimate, without prior (Cramer 1946, Rao 1945); infinite where a direction that the data do not
+    # see takes part. Shape (n,).
     unbiased: Floats
-    with_prior: Floats
+    with_prior: Floats  # of any estimate on average over the prior (van Trees 1968), shape (n,)
 
 
 def bounds_of(jacobian: Floats) -> Bounds:
     """Bounds for the parameters of a whitened, prior-scaled Jacobian (n_rows, n); the others are known exactly."""
     spectrum = spectrum_of(jacobian)
-    n = jacobian.shape[1]
     seen, rank = spectrum.singular_values, spectrum.rank
     unbiased = np.sqrt(((spectrum.observable / seen[:rank, None]) ** 2).sum(axis=0))
     # Rounding gives every parameter a share of about 1e-13 in the null space.
     unbiased[spectrum.null_share > 1e-12] = np.inf
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    with_prior = np.linalg.norm(linalg.solve_triangular(triangle, np.eye(n)), axis=1)
+    inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(jacobian.shape[1]))
+    with_prior = np.linalg.norm(inverse, axis=1)
     return Bounds(unbiased, with_prior)
 
 
@@ -46,29 +39,14 @@ class Indices:
 
     All are formed from the same singular values s_1 >= ... >= s_r: those of the whitened Jacobian in prior standard
     deviations, r being the numerical rank. Directions that no sweep sees are left out, else all indices would be zero.
-
-    Attributes
-    ----------
-    o1
-        Geometric mean of s over the root of the number of rows (Borm and Menq 1989, 1991).
-    o2
-        s_r / s_1, the inverse condition number (Driels and Pathre 1990).
-    o3
-        s_r (Nahvi, Hollerbach and Hayward 1994).
-    o4
-        s_r^2 / s_1, the noise amplification index (Nahvi and Hollerbach 1996).
-    o5
-        1 / sum of 1 / s (Sun and Hollerbach 2008).
-    condition
-        s_1 / s_r.
     """
 
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
-    condition: float
+    o1: float  # geometric mean of s over the root of the number of rows (Borm and Menq 1989, 1991)
+    o2: float  # s_r / s_1, the inverse condition number (Driels and Pathre 1990)
+    o3: float  # s_r (Nahvi, Hollerbach and Hayward 1994)
+    o4: float  # s_r^2 / s_1, the noise amplification index (Nahvi and Hollerbach 1996)
+    o5: float  # 1 / sum of 1 / s (Sun and Hollerbach 2008)
+    condition: float  # s_1 / s_r
 
     def content(self) -> dict[str, float]:
         """The five indices, for JSON."""
@@ -97,17 +75,10 @@ _LEAST_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """One base parameter: a parameter plus fixed shares of others.
+    """One base parameter: a parameter plus fixed shares of others."""
 
-    Attributes
-    ----------
-    name
-        The parameter that is kept.
-    shares
-        What is regrouped into it: (name, factor in shown units). The data see ``name + sum of factor * other``.
-    """
-
-    name: str
+    name: str  # the parameter that is kept
+    # what is regrouped into it: (name, factor in shown units). The data see ``name + sum of factor * other``.
     shares: tuple[tuple[str, float], ...]
 
     def content(self) -> dict[str, object]:

@@ -57,63 +57,36 @@ class Block:
 
 @dataclass(frozen=True)
 class Observability:
-    """Result of `observe`.
+    """Result of `observe`."""
 
-    Attributes
-    ----------
-    cell, sweeps, parameters
-        What was analysed.
-    identification
-        The fit at which the sweeps were linearised, or None for a plan.
-    values
-        Point of linearisation, shape (n,), in um and rad: the maximum of the posterior, or a draw of the prior.
-    ranks
-        Rank at each point that was tried; one for measured sweeps.
-    spectrum, indices
-        Singular values of the whitened Jacobian in prior-scaled units, and the observability indices.
-    covariance
-        Expected or found posterior covariance in prior-scaled units, shape (n, n).
-    status
-        One a parameter.
-    weak_share
-        Share of prior variance that makes a parameter weak.
-    gauges, base, blocks, information
-        See their modules.
-    bounds
-        Cramer-Rao bounds by what is free: ``full``, ``extrinsic``, ``intrinsic``; with the parameters they are for.
-    candidates
-        Worth in bits of one more row: (label, bits), best first.
-    profiles
-        Of the parameters that were asked for.
-    warnings
-        Sentences about what is not to be trusted.
-    """
-
+    # cell, sweeps, parameters: what was analysed
     cell: Cell
     sweeps: Sweeps
     parameters: ParameterSet
-    identification: Identification | None
+    identification: Identification | None  # the fit at which the sweeps were linearised, or None for a plan
+    # point of linearisation, shape (n,), in um and rad: the maximum of the posterior, or a draw of the prior
     values: Floats
-    ranks: tuple[int, ...]
+    ranks: tuple[int, ...]  # rank at each point that was tried; one for measured sweeps
+    # spectrum, indices: singular values of the whitened Jacobian in prior-scaled units, and the observability indices
     spectrum: Spectrum
     indices: Indices
-    covariance: Floats
-    status: tuple[Status, ...]
-    weak_share: float
+    covariance: Floats  # expected or found posterior covariance in prior-scaled units, shape (n, n)
+    status: tuple[Status, ...]  # one a parameter
+    weak_share: float  # share of prior variance that makes a parameter weak
     gauges: tuple[Gauge, ...]
     base: tuple[BaseParameter, ...]
     blocks: tuple[Block, ...]
     information: Information
+    # cramer-Rao bounds by what is free: ``full``, ``extrinsic``, ``intrinsic``; with the parameters they are for
     bounds: dict[str, tuple[ParameterSet, Bounds]]
-    candidates: tuple[tuple[str, float], ...]
-    profiles: tuple[Profile, ...]
-    warnings: tuple[str, ...]
+    candidates: tuple[tuple[str, float], ...]  # worth in bits of one more row: (label, bits), best first
+    profiles: tuple[Profile, ...]  # of the parameters that were asked for
+    warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     @cached_property
     def contraction(self) -> Floats:
         """Share of the prior variance that the data take away, from 0 to 1, shape (n,)."""
-        contraction: Floats = 1.0 - np.diag(self.covariance)
-        return contraction
+        return 1.0 - np.diag(self.covariance)
 
     @cached_property
     def correlation(self) -> Floats:
@@ -305,8 +278,7 @@ def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> I
 
 def _posterior(jacobian: Floats) -> Floats:
     spectrum = spectrum_of(jacobian)
-    covariance: Floats = (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
-    return covariance
+    return (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
 
 
 def _absolute_row(cell: Cell, sweeps: Sweeps) -> Sweeps:

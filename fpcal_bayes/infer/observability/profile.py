@@ -20,47 +20,25 @@ Shape = Literal["finite", "one-sided", "flat"]
 
 @dataclass(frozen=True)
 class Profile:
-    """Profile of one parameter.
-
-    Attributes
-    ----------
-    name
-        Of the parameter.
-    values, excess
-        Parameter in um or rad, ascending, and growth of the data's sum of squares over its lowest; shape (n_points,).
-    low, high
-        Where the excess passes the threshold; infinite where it does not within the reach.
-    shape
-        ``finite`` (both ends), ``one-sided`` or ``flat`` (neither).
-    level
-        Confidence level of the interval.
-    """
+    """Profile of one parameter."""
 
     name: str
+    # values, excess: parameter in um or rad, ascending, and growth of the data's sum of squares over its lowest; shape
+    # (n_points,)
     values: Floats
     excess: Floats
+    # low, high: where the excess passes the threshold; infinite where it does not within the reach
     low: float
     high: float
-    shape: Shape
-    level: float
+    shape: Shape  # ``finite`` (both ends), ``one-sided`` or ``flat`` (neither)
+    level: float  # confidence level of the interval
 
 
 def profile(problem: Problem, solution: Solution, name: str, *, level: float = 0.95, reach: float = 5.0) -> Profile:
     """Profile one parameter by re-optimising all others (Raue et al. 2009).
 
-    Parameters
-    ----------
-    problem, solution
-        From an identification.
-    level
-        Confidence level of the interval.
-    reach
-        How far to go from the maximum, in prior standard deviations.
-
-    Raises
-    ------
-    InputError
-        If no free parameter has this name.
+    `level` is the confidence level of the interval, `reach` how far to go from the maximum, in prior standard
+    deviations.
     """
     position = problem.model.free.position(name)
     threshold = 2.0 * float(special.gammaincinv(0.5, level))

@@ -21,31 +21,16 @@ _KEY_WORDS = 624  # of a Mersenne Twister, which emcee uses
 
 @dataclass(frozen=True)
 class Block:
-    """Some consecutive steps of all ensembles.
+    """Some consecutive steps of all ensembles."""
 
-    Attributes
-    ----------
-    points
-        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n).
-    log_density, log_proposal
-        Of the target and of the atlas, shape (n_ensembles, n_steps, n_walkers).
-    accepted
-        Accepted steps of each ensemble, shape (n_ensembles,).
-    random
-        State of each ensemble's random numbers after the block, shape (n_ensembles, 627).
-    evaluations
-        Points at which the density was evaluated.
-    seconds
-        Time the block took.
-    """
-
-    points: Floats
+    points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n)
+    # log_density, log_proposal: of the target and of the atlas, shape (n_ensembles, n_steps, n_walkers)
     log_density: Floats
     log_proposal: Floats
-    accepted: Floats
-    random: Floats
-    evaluations: int
-    seconds: float
+    accepted: Floats  # accepted steps of each ensemble, shape (n_ensembles,)
+    random: Floats  # state of each ensemble's random numbers after the block, shape (n_ensembles, 627)
+    evaluations: int  # points at which the density was evaluated
+    seconds: float  # time the block took
 
 
 class BlockStore:
@@ -63,13 +48,7 @@ class BlockStore:
         self.folder, self.identity = folder, identity
 
     def read(self) -> list[Block]:
-        """All blocks in order, up to the first that is missing.
-
-        Raises
-        ------
-        InputError
-            If they belong to other data, another cell, other priors or another seed.
-        """
+        """All blocks in order, up to the first that is missing."""
         blocks: list[Block] = []
         while (path := self._path(len(blocks))).exists():
             blocks.append(self._read(path))

@@ -10,12 +10,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.goodness import chi2_tail
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.posterior.draws import Likelihood
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
-from fpcal_bayes.infer.posterior.sample import Likelihood, sample
+from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 
 State = Literal["sampled", "no minimum", "not sampled"]
 
@@ -36,20 +38,10 @@ _LIKELIHOOD_WORDS = {"gaussian": "", "student": " with Student-t noise", "slip":
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """What a model is.
+    """What a model is."""
 
-    Attributes
-    ----------
-    name
-        As the user wrote it.
-    opd
-        Path model.
-    likelihood
-        Of the rows.
-    """
-
-    name: str
-    opd: Opd
+    name: str  # as the user wrote it
+    opd: Opd  # path model
     likelihood: Likelihood
 
     @property
@@ -63,11 +55,6 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
 
     Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
     the Gaussian likelihood.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two models, two are the same, or a setting is unknown.
     """
     allowed = {"opd": get_args(Opd), "likelihood": get_args(Likelihood)}
     models: list[ModelSpec] = []
@@ -94,24 +81,12 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
 
 @dataclass(frozen=True)
 class ModelResult:
-    """What is known of one model.
-
-    Attributes
-    ----------
-    spec
-        The model.
-    identification
-        Its fit.
-    loo
-        Predictions, or None if it was not sampled.
-    failures
-        Why it was not.
-    """
+    """What is known of one model."""
 
     spec: ModelSpec
-    identification: Identification
-    loo: LeaveOneOut | None
-    failures: tuple[str, ...] = ()
+    identification: Identification  # its fit
+    loo: LeaveOneOut | None  # predictions, or None if it was not sampled
+    failures: tuple[str, ...] = ()  # why it was not
 
     @property
     def state(self) -> State:
@@ -182,26 +157,17 @@ class ModelResult:
 
 @dataclass(frozen=True)
 class Difference:
-    """How much better one model predicts than another.
+    """How much better one model predicts than another."""
 
-    Attributes
-    ----------
-    better, worse
-        The models.
-    elpd, se
-        Sum over the rows of the difference of their log densities, and its standard error.
-    at_least
-        Whether `elpd` is a lower bound, since rows of the worse model could not be left out.
-    rejected
-        Whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
-        which makes its standard error large, not the verdict doubtful.
-    """
-
+    # better, worse: the models
     better: ModelSpec
     worse: ModelSpec
+    # elpd, se: sum over the rows of the difference of their log densities, and its standard error
     elpd: float
     se: float
-    at_least: bool
+    at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
+    # whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
+    # which makes its standard error large, not the verdict doubtful
     rejected: bool = False
 
     @property
@@ -231,18 +197,10 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of `compare`.
+    """Result of `compare`."""
 
-    Attributes
-    ----------
-    models
-        In the order asked for.
-    differences
-        Of the best model to every other one that was sampled, closest first.
-    """
-
-    models: tuple[ModelResult, ...]
-    differences: tuple[Difference, ...]
+    models: tuple[ModelResult, ...]  # in the order asked for
+    differences: tuple[Difference, ...]  # of the best model to every other one that was sampled, closest first
 
     @property
     def sound(self) -> bool:
@@ -303,25 +261,11 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit, sample and compare models on the sweeps of one session.
+    """Fit, sample and compare two models or more on the sweeps of one session.
 
-    Parameters
-    ----------
-    cell
-        Its path model is replaced by that of each model.
-    specs
-        At least two models.
-    draws
-        Effective draws of every parameter of a model that fits.
-    seed
-        Of the draws; the same for every model.
-    progress
-        Called with what is done next, in words.
-
-    Raises
-    ------
-    InputError
-        If the sweeps carry no measurement, or a likelihood does not take them.
+    The cell's path model is replaced by that of each model. `draws` are the effective draws of every parameter of a
+    model that fits; `progress` is called with what is done next, in words. `InputError` if the sweeps carry no
+    measurement, or a likelihood does not take them.
     """
     fits: dict[Opd, Identification] = {}
     models = []

@@ -14,25 +14,15 @@ _TAIL = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Convergence of draws of several ensembles.
+    """Convergence of draws of several ensembles."""
 
-    Attributes
-    ----------
-    rhat
-        Nested R-hat of each parameter, the ensembles being the superchains (Margossian et al. 2024), shape (n,).
-    ess_bulk, ess_tail
-        Effective sizes (Vehtari et al. 2021), shape (n,).
-    autocorrelation_time
-        Longest over the parameters, in steps.
-    length
-        Steps of each walker.
-    """
-
+    # nested R-hat of each parameter, the ensembles being the superchains (Margossian et al. 2024), shape (n,).
     rhat: Floats
+    # ess_bulk, ess_tail: effective sizes (Vehtari et al. 2021), shape (n,).
     ess_bulk: Floats
     ess_tail: Floats
-    autocorrelation_time: float
-    length: int
+    autocorrelation_time: float  # longest over the parameters, in steps
+    length: int  # steps of each walker
 
     @property
     def effective(self) -> float:

@@ -14,8 +14,8 @@ from scipy import special
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import distinct_minima, minimise, solution_rank
+from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.proposal import Atlas
-from fpcal_bayes.infer.posterior.sample import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 _MOST_K = 0.7
@@ -33,33 +33,19 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """Log density of each row given all others.
+    """Log density of each row given all others."""
 
-    Attributes
-    ----------
-    elpd_rows
-        Shape (n_rows,), per um.
-    bound_rows
-        Log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`.
-    pareto_k
-        Shape of the tail of each row's weights, shape (n_rows,).
-    good_k
-        Up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024).
-    refitted
-        Rows that were left out in earnest, shape (n_rows,).
-    """
-
-    elpd_rows: Floats
+    elpd_rows: Floats  # shape (n_rows,), per um
+    # log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`
     bound_rows: Floats
-    pareto_k: Floats
-    good_k: float
-    refitted: Bools
+    pareto_k: Floats  # shape of the tail of each row's weights, shape (n_rows,)
+    good_k: float  # up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024)
+    refitted: Bools  # rows that were left out in earnest, shape (n_rows,)
 
     @property
     def bad(self) -> Bools:
         """Rows whose weights cannot be trusted, shape (n_rows,)."""
-        result: Bools = ~(self.pareto_k <= self.good_k)
-        return result
+        return ~(self.pareto_k <= self.good_k)
 
     @property
     def open(self) -> Bools:
@@ -88,18 +74,10 @@ def standard_error(rows: Floats) -> float:
 
 
 def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: int, seed: int = 0) -> LeaveOneOut:
-    """Log density of each row of a sampled posterior, given all others.
+    """Log density of each row of a sampled, converged posterior, given all others.
 
-    Parameters
-    ----------
-    posterior
-        Converged.
-    likelihood
-        Under which it was sampled.
-    most_refits
-        If more rows than these need it, none is left out in earnest: what stands would be a bound either way.
-    seed
-        Of the proposals.
+    `likelihood` is the one under which it was sampled. If more rows than `most_refits` need it, none is left out in
+    earnest: what stands would be a bound either way.
     """
     n_rows, n = len(posterior.target.problem.target), posterior.points.shape[-1]
     every = -(-posterior.log_density.size // min(_MOST_DRAWS, _MOST_CELLS // n_rows))
@@ -127,13 +105,8 @@ def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: 
 
 
 def _smoothed(row: Floats, effective: float) -> tuple[float, float]:
-    """Leave-one-out density of a row and its k, from log densities of shape (n_chains, n_draws).
-
-    Parameters
-    ----------
-    effective
-        Share of the draws that counts as independent.
-    """
+    """Leave-one-out density of a row and its k, from log densities (n_chains, n_draws), a share being independent."""
+    # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
     if np.ptp(row) < _SAME:
@@ -149,15 +122,10 @@ def _smoothed(row: Floats, effective: float) -> tuple[float, float]:
 
 
 def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
-    """Log density of each row given the parameters and all other rows, at points (n_points, n_unknowns); per um.
+    """Log density of each row given the parameters and all other rows, per um, shape (n_points, n_rows).
 
-    Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and
-    the variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
-
-    Returns
-    -------
-    ndarray
-        Shape (n_points, n_rows).
+    Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and the
+    variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
     """
     parts = [_few_given_others(target, points[i : i + _AT_ONCE]) for i in range(0, len(points), _AT_ONCE)]
     return np.concatenate(parts)
@@ -172,8 +140,7 @@ def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
     precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
     # Inverse covariance times the residual in um, row by row.
     weighed = residuals @ mix
-    result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
-    return result
+    return 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
 
 
 def without_row(identification: Identification, row: int) -> Identification | None:
@@ -196,13 +163,8 @@ def without_row(identification: Identification, row: int) -> Identification | No
 def _left_out(
     posterior: Posterior, likelihood: Likelihood, row: int, with_row: Floats, rng: np.random.Generator
 ) -> float | None:
-    """Log density of a row given the others, the posterior being drawn without it; None if that fails.
-
-    Parameters
-    ----------
-    with_row
-        Log density of the row at draws of the whole posterior.
-    """
+    """Log density of a row given the others, the posterior being drawn without it; None if that fails."""
+    # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
     reduced = without_row(posterior.identification, row)
@@ -229,12 +191,8 @@ def _left_out(
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
     """Log of the mean of exp(`without`) under `weights`, steadied by draws that the row itself has pulled near.
 
-    Parameters
-    ----------
-    with_row, without
-        Log density of the row at draws that know it (n,), and at weighted draws that do not (m,).
-    weights, effective
-        Of the latter: they add up to one and are worth so many independent draws.
+    `with_row` (n,) and `without` (m,) are log densities of the row at draws that know it, and at weighted draws that do
+    not; the weights add up to one and are worth `effective` independent draws.
     """
     share = len(with_row) / (len(with_row) + effective)
     log_weights = np.log(np.maximum(weights, 1e-300))

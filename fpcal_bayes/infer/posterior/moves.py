@@ -1,4 +1,4 @@
-"""emcee move: a local step shaped by the Jacobian where the walker stands."""
+"""emcee moves: independent proposals from charts, and a local step shaped by the Jacobian where the walker stands."""
 
 from typing import Any
 
@@ -16,16 +16,8 @@ class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
 
     Each walker carries the log density with which the atlas proposes its place (the blob), so that the step is exact
     also for walkers outside every chart: from there any move inside is refused, as none leads back. Another move has to
-    bring them in and out.
-
-    Proposals do not depend on where the walkers stand, so those of several steps are made at once.
-
-    Parameters
-    ----------
-    atlas
-        The charts.
-    ahead
-        For how many steps proposals are made at once.
+    bring them in and out. Proposals do not depend on where the walkers stand, so those of `ahead` steps are made at
+    once.
     """
 
     def __init__(self, atlas: Atlas, ahead: int = 1) -> None:
@@ -99,5 +91,4 @@ def _factors(jacobian: Floats) -> Floats:
 
 def _log_determinant(factor: Floats) -> Floats:
     """Log determinants of triangular matrices (n_points, n, n)."""
-    result: Floats = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    return result
+    return np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)

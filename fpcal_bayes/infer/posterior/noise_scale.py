@@ -55,8 +55,7 @@ class NoiseScale:
 
 def factors(w: Floats) -> Floats:
     """Factors on the noise of unknowns w, same shape."""
-    result: Floats = np.exp(LOG_SD * w)
-    return result
+    return np.exp(LOG_SD * w)
 
 
 def scaled_problem[AnyProblem: Problem](problem: AnyProblem, w: float) -> AnyProblem:

@@ -1,4 +1,4 @@
-"""Several charts, one for each minimum of the sum of squares, as one mixture of proposals."""
+"""Proposals to a posterior: charts, one around each minimum of the sum of squares, and their mixture."""
 
 from dataclasses import dataclass
 
@@ -25,24 +25,12 @@ _FAST = 0.2
 
 @dataclass(frozen=True)
 class Solved:
-    """Points that solve h(v) = e.
+    """Points that solve h(v) = e."""
 
-    Attributes
-    ----------
-    points
-        Shape (n_points, n).
-    log_density
-        Of the target, unnormalised, shape (n_points,).
-    log_proposal
-        Of the chart, shape (n_points,); minus infinity outside it.
-    inside
-        Whether the point was found, on the same side of every fold as the reference point.
-    """
-
-    points: Floats
-    log_density: Floats
-    log_proposal: Floats
-    inside: Bools
+    points: Floats  # shape (n_points, n)
+    log_density: Floats  # of the target, unnormalised, shape (n_points,)
+    log_proposal: Floats  # of the chart, shape (n_points,); minus infinity outside it
+    inside: Bools  # whether the point was found, on the same side of every fold as the reference point
 
     def take(self, chosen: slice) -> "Solved":
         """Some of the points."""
@@ -50,15 +38,7 @@ class Solved:
 
 
 class Chart:
-    """The map around one reference point of a target.
-
-    Parameters
-    ----------
-    target
-        The density.
-    reference
-        Shape (n,); a minimum of the sum of squares serves best.
-    """
+    """The map around one reference point (n,) of a target; a minimum of the sum of squares serves best."""
 
     def __init__(self, target: Target, reference: Floats) -> None:
         self.target, self.reference = target.centred(reference), reference
@@ -179,14 +159,12 @@ def _inverse_each(slopes: Floats) -> Floats:
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
     """Product of each matrix with its vector."""
-    result: Floats = (matrices @ vectors[:, :, None])[:, :, 0]
-    return result
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def _log_normal(normal: Floats) -> Floats:
     """Log density of the standard normal, unnormalised, shape (n_points,)."""
-    result: Floats = -0.5 * (normal**2).sum(axis=1)
-    return result
+    return -0.5 * (normal**2).sum(axis=1)
 
 
 #: A point that deserves more than this many times the proposals it gets is too rare.
@@ -196,20 +174,7 @@ _MOST_CHARTS = 4
 
 
 def learn_charts(target: Target, minima: Floats, rng: np.random.Generator) -> Floats:
-    """Reference points of the charts.
-
-    Parameters
-    ----------
-    minima
-        Minima of the sum of squares, shape (n_minima, n).
-    rng
-        Of the trials.
-
-    Returns
-    -------
-    ndarray
-        The minima and further points, shape (n_charts, n).
-    """
+    """Reference points of the charts, shape (n_charts, n): the minima (n_minima, n) and further points."""
     references = minima
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
         atlas = Atlas(target, references)
@@ -230,15 +195,7 @@ LEAST_SHARE = 0.1
 
 
 class Atlas:
-    """A mixture of charts.
-
-    Parameters
-    ----------
-    target
-        The density.
-    references
-        Reference points of the charts, shape (n_charts, n); the first is the lowest minimum.
-    """
+    """A mixture of charts around reference points (n_charts, n), of which the first is the lowest minimum."""
 
     def __init__(self, target: Target, references: Floats) -> None:
         self.target = target

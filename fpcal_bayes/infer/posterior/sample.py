@@ -1,9 +1,7 @@
 """Sample the posterior of an identification with emcee, until it has converged."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable
 
 import emcee
 import numpy as np
@@ -12,17 +10,13 @@ from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
 from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.fit.slips import Slips, find_slips
-from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
 from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
+from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
-from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
-from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 
 N_ENSEMBLES = 4
 N_WALKERS = 32
@@ -38,62 +32,7 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 #: A promise is taken with this much in hand.
 _IN_HAND = 1.05
 
-Likelihood = Literal["gaussian", "student", "slip"]
 Progress = Callable[[float, float], None]
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """Draws of a posterior.
-
-    Attributes
-    ----------
-    identification
-        Where the charts come from.
-    target
-        The density that was sampled.
-    points
-        Scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n_unknowns), without the warm-up.
-    log_density
-        Unnormalised, shape (n_ensembles, n_steps, n_walkers).
-    charts
-        Number of charts that proposals came from.
-    outside
-        Share of the draws that lie outside every chart, where only the local move leads.
-    diagnostics
-        Of the free parameters' draws.
-    failures
-        What is not converged; empty if the draws can be used.
-    acceptance
-        Of all moves.
-    evaluations
-        Points at which the density was evaluated.
-    seconds
-        Sampling time.
-    """
-
-    identification: Identification
-    target: PosteriorTarget
-    points: Floats
-    log_density: Floats
-    charts: int
-    outside: float
-    diagnostics: Diagnostics
-    failures: tuple[str, ...]
-    acceptance: float
-    evaluations: int
-    seconds: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the draws can be used."""
-        return not self.failures
-
-    def values(self) -> Floats:
-        """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
-        n_ensembles, n_steps, n_walkers, n = self.points.shape
-        chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
-        return self.identification.problem.values(chains)
 
 
 def sample(
@@ -173,41 +112,6 @@ def _next_look(steps: int, diagnostics: Diagnostics, draws: int) -> int:
     missing = max(draws / diagnostics.effective, LEAST_LENGTH * diagnostics.autocorrelation_time / diagnostics.length)
     growth = np.clip(_IN_HAND * missing, _LEAST_GROWTH, _MOST_GROWTH)
     return int(np.ceil(steps * np.nan_to_num(growth, nan=_MOST_GROWTH)))
-
-
-def make_target(
-    identification: Identification, likelihood: Likelihood, noise_scale: bool = False
-) -> tuple[PosteriorTarget, Floats]:
-    """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
-    problem, signs = identification.problem, identification.signs
-    minima: Sequence[Solution] = (identification.solution, *identification.other_minima)
-    slips: Slips | None = None
-    if likelihood == "slip":
-        slips = find_slips(problem, identification.solution)
-        problem, minima = slips.problem, all_minima(slips.problem, slips.solution)
-    elif likelihood == "student":
-        problem = StudentProblem.like(problem, DOF)
-        minima = all_minima(problem, robust_minimum(problem, identification.solution.unknowns))
-    noise = None
-    if noise_scale:
-        noise = NoiseScale.of(problem, minima[0])
-        minima = [minimise(scaled_problem(problem, noise.reference), minimum.unknowns) for minimum in minima]
-    if signs is not None:
-        # Other signs that fit nearly as well: a chart at the minimum of each.
-        minima = [*minima, *signs.rivals]
-    references = np.array([minimum.unknowns for minimum in minima])
-    if noise is not None:
-        references = np.column_stack([references, np.full(len(references), noise.reference)])
-    if slips is not None:
-        slip_target = SlipTarget(slips, noise=noise)
-        return slip_target, np.column_stack([references, np.full(len(references), slip_target.reference)])
-    target = PosteriorTarget(
-        identification.problem,
-        dof=DOF if likelihood == "student" else None,
-        noise=noise,
-        doubt=None if signs is None else signs.doubt,
-    )
-    return target, references
 
 
 def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian", noise_scale: bool = False) -> str:

@@ -45,8 +45,7 @@ class Target(Protocol):
 
 def half_squares(residuals: Floats, points: Floats) -> Floats:
     """Minus half the sum of squares of data and prior rows, shape (n_points,)."""
-    total: Floats = -0.5 * ((residuals**2).sum(axis=1) + (points**2).sum(axis=1))
-    return total
+    return -0.5 * ((residuals**2).sum(axis=1) + (points**2).sum(axis=1))
 
 
 class PosteriorTarget:
@@ -215,8 +214,7 @@ class PosteriorTarget:
         """Log density of each row at zero residual, shape (n_rows,)."""
         whitening = self.problem.whitening
         scale = whitening.scale if whitening.mix is None else whitening.mix.diagonal()
-        result: Floats = np.log(scale) + (_LOG_PEAK if self.dof is None else log_peak(self.dof))
-        return result
+        return np.log(scale) + (_LOG_PEAK if self.dof is None else log_peak(self.dof))
 
     def _whitened(self, own: Floats) -> Floats:
         """Whitened residuals (n_points, n_rows) at unknowns of the problem (n_points, n)."""
@@ -224,8 +222,7 @@ class PosteriorTarget:
         change = problem.model.predict(problem.values(own), problem.rows) - problem.target
         if problem.sensitivity is not None:
             change = change + own[:, problem.n_free :] @ problem.sensitivity.T
-        whitened: Floats = problem.whitening.apply(change[:, :, None])[:, :, 0]
-        return whitened
+        return problem.whitening.apply(change[:, :, None])[:, :, 0]
 
     def _factors(self, points: Floats) -> Floats:
         n = self.problem.n_unknowns

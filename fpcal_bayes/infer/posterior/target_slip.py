@@ -32,11 +32,6 @@ class SlipTarget(PosteriorTarget):
         Corrections that were found; they only say where to look first.
     noise
         If the noise has an unknown factor: where it is likeliest.
-
-    Raises
-    ------
-    InputError
-        If rows have no sign: what slipped is then not known.
     """
 
     def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:
@@ -102,13 +97,11 @@ class SlipTarget(PosteriorTarget):
     def slip_probabilities(self, points: Floats) -> Floats:
         """Probability that each row has slipped, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
         _, stayed = self._slip_sums(self.standardised(points), points)
-        probability: Floats = 1.0 - stayed
-        return probability
+        return 1.0 - stayed
 
     def eps(self, points: Floats) -> Floats:
         """Probability of a slip, shape (n_points,)."""
-        probability: Floats = special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
-        return probability
+        return special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
 
     def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
         """Errors of the rows, slips among them, in units of their stated noise, at points (n_points, n_unknowns)."""
@@ -116,14 +109,12 @@ class SlipTarget(PosteriorTarget):
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
         offsets = np.where(slipped, counts, 0) * self._half_wave
-        drawn: Floats = errors + self.problem.whitening.apply(offsets[:, :, None])[:, :, 0]
-        return drawn
+        return errors + self.problem.whitening.apply(offsets[:, :, None])[:, :, 0]
 
     def _row_of_eps(self, points: Floats) -> Floats:
         """A residual whose square, with the prior's, is lowest at the likeliest u; shape (n_points, 1)."""
         offset = self.reference / max(self._curvature, 1e-12)
-        row: Floats = self._curvature * (points[:, -1:] - self.reference) - offset
-        return row
+        return self._curvature * (points[:, -1:] - self.reference) - offset
 
     def _slip_sums(self, corrected: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Log density of all rows (n_points,), and the probability that each has not slipped (n_points, n_rows)."""

@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.resources import paper_tables
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
@@ -40,34 +39,13 @@ _AGREEMENT = 0.01
 
 @dataclass(frozen=True)
 class Conditions:
-    """What is known of the laser, the air and the joints beside the estimate; type B.
+    """What is known of the laser and the air beside the estimate; type B."""
 
-    Attributes
-    ----------
-    wavelength_ppm
-        Half width of the rectangular distribution of the laser's vacuum wavelength.
-    temperature_k, pressure_hpa
-        Half widths of the air's temperature and pressure around those that the wavelength in air was worked out for.
-    resolution
-        Smallest step of each joint, shape (n_joints,), in um and rad; half of it is the half width of a rectangular
-        distribution. None: those that the paper prints for the built-in cell, zero for others.
-    """
-
-    wavelength_ppm: float = 1.0
+    wavelength_ppm: float = 1.0  # half width of the rectangular distribution of the laser's vacuum wavelength
+    # temperature_k, pressure_hpa: half widths of the air's temperature and pressure around those that the wavelength in
+    # air was worked out for
     temperature_k: float = 1.0
     pressure_hpa: float = 10.0
-    resolution: Floats | None = None
-
-    def resolution_of(self, cell: Cell) -> Floats:
-        """Smallest step of each joint of a cell, shape (n_joints,), in um and rad."""
-        if self.resolution is not None:
-            return self.resolution
-        if cell.name != "femto-st":
-            return np.zeros(len(cell.joints))
-        setup = paper_tables()["setup"]
-        goniometer, rotary = (1e-6 * setup[f"{name}_resolution_udeg"] for name in ("goniometer", "rotary"))
-        stage = 1e-3 * setup["stage_resolution_nm"]
-        return np.array([stage, stage, stage, *np.radians([goniometer, goniometer, rotary])])
 
     @property
     def index_ppm(self) -> float:
@@ -77,33 +55,17 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Line:
-    """One input of a budget.
-
-    Attributes
-    ----------
-    name
-        Of the input.
-    evaluation
-        ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined.
-    distribution
-        ``normal`` or ``rectangular``.
-    unit
-        Of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``.
-    estimate
-        Best estimate of the input; its deviation from what is used, zero here.
-    standard_uncertainty
-        In `unit`.
-    sensitivity
-        um of the measurand per `unit`; root of the sum of squares where an input acts more than once. Inputs that stand
-        for many parameters are given as their joint contribution, with sensitivity 1.
-    """
+    """One input of a budget."""
 
     name: str
+    # ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined
     evaluation: str
-    distribution: str
-    unit: str
-    estimate: float
-    standard_uncertainty: float
+    distribution: str  # ``normal`` or ``rectangular``
+    unit: str  # of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``
+    estimate: float  # best estimate of the input; its deviation from what is used, zero here
+    standard_uncertainty: float  # in `unit`
+    # um of the measurand per `unit`; root of the sum of squares where an input acts more than once. Inputs that stand
+    # for many parameters are given as their joint contribution, with sensitivity 1.
     sensitivity: float
 
     @property
@@ -114,27 +76,16 @@ class Line:
 
 @dataclass(frozen=True)
 class Budget:
-    """An uncertainty budget.
+    """An uncertainty budget."""
 
-    Attributes
-    ----------
-    task
-        Name of the task.
-    along, unit
-        Where on it the worst point stands.
-    lines
-        The inputs.
-    correlation
-        Correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n).
-    interval
-        Probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um.
-    """
-
-    task: str
+    task: str  # name of the task
+    # along, unit: where on it the worst point stands
     along: float
     unit: str
     lines: tuple[Line, ...]
+    # correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n)
     correlation: Floats
+    # probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um
     interval: tuple[float, float]
 
     @property
@@ -144,27 +95,12 @@ class Budget:
 
 
 def budget_of(
-    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None, seed: int = 0
+    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None
 ) -> Budget:
-    """The uncertainty budget of a task at its worst point.
+    """The uncertainty budget, at its worst point, of a task whose joint path was found with `estimate`.
 
-    Parameters
-    ----------
-    estimate
-        What the controller holds.
-    task
-        The joint path that was found with it.
-    sweeps
-        Measured sweeps that the estimate was made from, all parameters of the estimate being free.
-    conditions
-        Of laser, air and joints.
-    seed
-        Of the Monte Carlo evaluation.
-
-    Raises
-    ------
-    InputError
-        If a point of the task is out of reach, or the sweeps carry no measurement or are not those of the estimate.
+    `sweeps` are the measured ones that the estimate was made from, all parameters of the estimate being free;
+    `InputError` if they are not, or if a point of the task is out of reach.
     """
     conditions = Conditions() if conditions is None else conditions
     model = CavityModel.of(estimate.cell, estimate.parameters)
@@ -182,10 +118,10 @@ def budget_of(
         Line("laser wavelength", "B", "rectangular", "ppm", 0.0, conditions.wavelength_ppm / 3**0.5, 1e-6 * scale),
         Line("air index", "B", "rectangular", "ppm", 0.0, conditions.index_ppm / 3**0.5, 1e-6 * scale),
     ]
-    lines += _joint_lines(estimate, model, task, worst, conditions)
+    lines += _joint_lines(estimate, model, task, worst)
     full = np.eye(len(lines))
     full[: len(correlation), : len(correlation)] = correlation
-    interval = _monte_carlo(lines, full, np.random.default_rng(seed))
+    interval = _monte_carlo(lines, full, np.random.default_rng(0))
     return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, interval)
 
 
@@ -258,14 +194,15 @@ def _reading_sd(gain: Floats, sweeps: Sweeps) -> float:
     return float(np.sqrt(variance))
 
 
-def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int, conditions: Conditions) -> list[Line]:
+def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int) -> list[Line]:
     """Repeatability and resolution of the joints at the aligned pose and at the worst point."""
     slopes = model.joint_jacobian(estimate.values, np.array([task.start, task.q[worst]]))
     sensitivity = np.hypot(slopes[0], slopes[1])
     lines = []
     for kind, distribution, sizes in (
         ("repeatability", "normal", model.cell.repeatability),
-        ("resolution", "rectangular", conditions.resolution_of(model.cell) / 12**0.5),
+        # Half a step is the half width of the distribution.
+        ("resolution", "rectangular", model.cell.resolution / 12**0.5),
     ):
         for i, size in enumerate(sizes):
             if size > 0:
@@ -283,8 +220,7 @@ def _combined(lines: Sequence[Line], correlation: Floats) -> float:
 
 def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.Generator) -> tuple[float, float]:
     """Coverage interval of the sum of the inputs' contributions, in um."""
-    eigenvalues, vectors = np.linalg.eigh(correlation)
-    factor = vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+    factor = covariance_root(correlation)
     total = np.zeros(_DRAWS)
     normal = np.array([line.contribution if line.distribution == "normal" else 0.0 for line in lines])
     # Inputs that are not normal are independent of all others.
@@ -292,5 +228,5 @@ def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.G
     for line in lines:
         if line.distribution == "rectangular":
             total += 3**0.5 * line.contribution * random.uniform(-1.0, 1.0, _DRAWS)
-    low, high = np.quantile(total, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return float(low), float(high)
+    low, high = quantile_band(total, COVERAGE).tolist()
+    return low, high

@@ -23,30 +23,18 @@ from fpcal_bayes.motion.tasks import Task
 
 @dataclass(frozen=True)
 class AngularErrors:
-    """Errors of the mirror's direction along a path, in deg.
+    """Errors of the mirror's direction along a path, in deg."""
 
-    Attributes
-    ----------
-    normal
-        Angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame,
-        shape (n_draws, n_points).
-    turn
-        Angle of the rotation by which the true turn since the aligned pose differs from the one the estimate
-        expects, shape (n_draws, n_points).
-    """
-
+    # angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame, shape
+    # (n_draws, n_points)
     normal: Floats
+    # angle of the rotation by which the true turn since the aligned pose differs from the one the estimate expects,
+    # shape (n_draws, n_points)
     turn: Floats
 
 
 def task_rows(model: CavityModel, task: Task) -> Rows:
-    """The path of a task laid out for the kernels: each row is L(q) - L(q0).
-
-    Raises
-    ------
-    InputError
-        If a point of the path is out of reach, so that there is no joint vector.
-    """
+    """The path of a task laid out for the kernels: each row is L(q) - L(q0)."""
     if not np.isfinite(task.start).all():
         raise InputError(f"task {task.name!r}: the aligned pose that it starts from is out of reach")
     if not task.finite.all():
@@ -56,38 +44,18 @@ def task_rows(model: CavityModel, task: Task) -> Rows:
 
 
 def task_jacobian(model: CavityModel, values: Floats, task: Task) -> Floats:
-    """Derivatives of L(q) - L(q0) along a task by the free parameters.
+    """Derivatives of L(q) - L(q0) along a task by the model's free parameters, shape (n_points, n_free).
 
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters are meant.
-    values
-        Where to linearise, shape (n_free,), in um and rad.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_points, n_free), in um per um or rad.
+    They are taken at `values` (n_free,), in um and rad.
     """
     _, jacobian = model.predict_with_jacobian(values, task_rows(model, task))
     return jacobian
 
 
 def linear_task_sd(jacobian: Floats, covariance: Floats) -> Floats:
-    """Standard deviation of the task error along the path, to first order.
+    """Standard deviation of the task error along the path, to first order, in um, shape (n_points,).
 
-    Parameters
-    ----------
-    jacobian
-        From `task_jacobian`, shape (n_points, n_free).
-    covariance
-        Of the free parameters in um and rad, shape (n_free, n_free).
-
-    Returns
-    -------
-    ndarray
-        Shape (n_points,), in um.
+    `jacobian` (n_points, n_free) is from `task_jacobian`, `covariance` that of the free parameters in um and rad.
     """
     variance = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian, optimize=True)
     # Rounding may leave a variance of zero slightly below it.
@@ -96,44 +64,21 @@ def linear_task_sd(jacobian: Floats, covariance: Floats) -> Floats:
 
 
 def task_errors(model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task) -> Floats:
-    """Task error along the path for many truths.
+    """Task error along the path for many truths, in um, shape (n_draws, n_points), in the model's path model.
 
-    Parameters
-    ----------
-    model
-        Cavity model of the cell, whose path model counts.
-    truth_values
-        Free parameters of each truth, shape (n_draws, n_free), in um and rad.
-    estimate_values
-        Those that the controller holds, shape (n_free,), or one set a truth, shape (n_draws, n_free).
-    task
-        The joint path that was found with the estimate.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_draws, n_points), in um.
+    `truth_values` (n_draws, n_free) are in um and rad; `estimate_values` (n_free,) those that the controller holds, or
+    one set a truth (n_draws, n_free); `task` is the joint path that was found with the estimate.
     """
     rows = task_rows(model, task)
     truths = np.atleast_2d(truth_values)
-    error: Floats = model.predict(truths, rows) - model.predict(estimate_values, rows)
-    return error
+    return model.predict(truths, rows) - model.predict(estimate_values, rows)
 
 
 def turn_errors(model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task) -> tuple[Floats, Floats]:
-    """Rotations between the mirror as it stands and as the estimate expects it, for many truths.
+    """Rotations between the mirror as it stands and as the estimate expects it, for many truths; as in `task_errors`.
 
-    Parameters
-    ----------
-    model, truth_values, estimate_values, task
-        As in `task_errors`, with one estimate.
-
-    Returns
-    -------
-    tuple of ndarray
-        Tilts of the mirror normal, each seen from its own fibre frame, along the expected mirror's X and Y, shape
-        (n_draws, n_points, 2), and rotation vectors of the turn since the aligned pose, shape (n_draws, n_points, 3);
-        both in rad.
+    Tilts of the mirror normal, each seen from its own fibre frame, along the expected mirror's X and Y, shape (n_draws,
+    n_points, 2), and rotation vectors of the turn since the aligned pose, shape (n_draws, n_points, 3); in rad.
     """
     task_rows(model, task)
     true = _mirrors(model, np.atleast_2d(truth_values), task)
@@ -149,15 +94,7 @@ def turn_errors(model: CavityModel, truth_values: Floats, estimate_values: Float
 def angular_errors(
     model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task, *, linear: bool = False
 ) -> AngularErrors:
-    """Angular errors along the path for many truths.
-
-    Parameters
-    ----------
-    model, truth_values, estimate_values, task
-        As in `task_errors`, with one estimate.
-    linear
-        To first order in truth - estimate.
-    """
+    """Angular errors along the path for many truths, as in `task_errors`; `linear`: to first order."""
     if not linear:
         tilt, since = turn_errors(model, truth_values, estimate_values, task)
     else:
@@ -174,8 +111,7 @@ def angular_errors(
 
 def peak_to_peak(errors: Floats) -> Floats:
     """Peak to peak of errors (..., n_points) along the path; shape (...), in the unit of the errors."""
-    result: Floats = np.ptp(errors, axis=-1)
-    return result
+    return np.ptp(errors, axis=-1)
 
 
 def _mirrors(model: CavityModel, values: Floats, task: Task) -> Floats:
@@ -190,8 +126,7 @@ def _mirrors(model: CavityModel, values: Floats, task: Task) -> Floats:
     fibre = turns(np.column_stack([extrinsics[:, 2], zero, zero])) @ turns(
         np.column_stack([zero, zero, extrinsics[:, 3]])
     )
-    result: Floats = fibre.transpose(0, 2, 1)[:, None] @ tools @ mirror[:, None]
-    return result
+    return fibre.transpose(0, 2, 1)[:, None] @ tools @ mirror[:, None]
 
 
 def _rotation_vectors(rotations: Floats) -> Floats:
@@ -207,5 +142,4 @@ def _rotation_vectors(rotations: Floats) -> Floats:
     sine = np.linalg.norm(skew, axis=-1) / 2.0
     angle = np.arctan2(sine, (np.trace(rotations, axis1=-2, axis2=-1) - 1.0) / 2.0)
     factor = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 1.0)
-    result: Floats = skew / 2.0 * factor[..., None]
-    return result
+    return skew / 2.0 * factor[..., None]

@@ -6,11 +6,12 @@ would count errors that the posterior, which bends with the gauges, does not hav
 surface already and are propagated as they are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import (
     AngularErrors,
@@ -23,6 +24,7 @@ from fpcal_bayes.infer.tasks.error import (
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import Task, find_task
 
 #: Share of the probability inside a band.
@@ -33,47 +35,45 @@ _ANGLE_DRAWS = 2000
 
 @dataclass(frozen=True)
 class TaskPrediction:
-    """What an estimate leaves unknown of a task, as draws.
+    """What an estimate leaves unknown of a task, as draws."""
 
-    Attributes
-    ----------
-    task
-        As the controller drives it.
-    errors
-        Task error along the path, shape (n_draws, n_points), in um.
-    sd
-        Root mean square of the error along the path, shape (n_points,), in um.
-    angles
-        Angular errors along the path, of 2,000 of the draws at most.
-    linear
-        Whether the errors are propagated to first order from a covariance, or are those of posterior draws.
-    """
+    task: Task  # as the controller drives it
+    errors: Floats  # task error along the path, shape (n_draws, n_points), in um
+    sd: Floats  # root mean square of the error along the path, shape (n_points,), in um
+    angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
+    linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
+    trust: Trust = field(default_factory=Trust)  # of what the prediction is made from
 
-    task: Task
-    errors: Floats
-    sd: Floats
-    angles: AngularErrors
-    linear: bool
+    def require_usable(self) -> None:
+        """Raise `InputError` with the reason if what the prediction is made from is not to be used."""
+        if not self.trust.usable:
+            raise InputError(f"task {self.task.name}: no band and no probability: {self.trust.against}")
 
     def __repr__(self) -> str:
+        if not self.trust.usable:
+            return f"TaskPrediction({self.task.name}, not to be used)"
         low, high = 1e3 * self.peak_to_peak_band()
         return f"TaskPrediction({self.task.name}, {low:.2f} to {high:.2f} nm peak to peak, {len(self.errors)} errors)"
 
     @property
     def peak_to_peak(self) -> Floats:
         """Peak to peak of each draw along the path, shape (n_draws,), in um."""
+        self.require_usable()
         return peak_to_peak(self.errors)
 
-    def band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the errors at each point, shape (2, n_points), um."""
-        return np.quantile(self.errors, _edges(share), axis=0)
+    def band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the errors at each point, shape (2, n_points), um."""
+        self.require_usable()
+        return quantile_band(self.errors, BAND, axis=0)
 
-    def peak_to_peak_band(self, share: float = BAND) -> Floats:
-        """Lower and upper edge of the band that holds `share` of the peak-to-peak values, shape (2,), in um."""
-        return np.quantile(self.peak_to_peak, _edges(share))
+    def peak_to_peak_band(self) -> Floats:
+        """Lower and upper edge of the band that holds `BAND` of the peak-to-peak values, shape (2,), in um."""
+        self.require_usable()
+        return quantile_band(self.peak_to_peak, BAND)
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that the peak to peak exceeds `tolerance`, in um."""
+        self.require_usable()
         return float((self.peak_to_peak > tolerance).mean())
 
 
@@ -97,53 +97,31 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     _require_cell(estimate, task)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     jacobian = task_jacobian(model, estimate.values, task)
-    scale = estimate.parameters.prior_sd
-    eigenvalues, vectors = np.linalg.eigh(estimate.covariance / np.outer(scale, scale))
-    factor = scale[:, None] * vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
-    change = np.random.default_rng(seed).standard_normal((draws, len(scale))) @ factor.T
+    factor = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
+    change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
-    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True)
+    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=estimate.trust)
 
 
-def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: Task) -> TaskPrediction:
-    """Predict the error of a task from posterior draws of the truth.
+def predict_from_draws(
+    model: CavityModel, draws: Floats, values: Floats, task: Task, trust: Trust | None = None
+) -> TaskPrediction:
+    """Predict the error of a task from posterior draws of the truth, (n_draws, n_free) in um and rad.
 
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    values
-        What the controller holds, shape (n_free,).
-    task
-        The joint path that was found with it.
-
-    Raises
-    ------
-    InputError
-        If a point of the task is out of reach.
+    The controller holds `values` (n_free,), with which the joint path of the task was found. `InputError` if a point of
+    the task is out of reach.
     """
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
     angles = angular_errors(model, draws[:: -(-len(draws) // _ANGLE_DRAWS)], values, task)
-    return TaskPrediction(task, errors, sd, angles, linear=False)
+    return TaskPrediction(task, errors, sd, angles, linear=False, trust=trust or Trust())
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:
-    """The draw whose cavity lengths along a task are nearest to the mean over all draws, shape (n_free,).
+    """The draw (n_free,) whose cavity lengths along a task are nearest to the mean over all draws (n_draws, n_free).
 
     The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.
-
-    Parameters
-    ----------
-    model
-        Cavity model whose free parameters the draws hold.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    task_name, radius
-        As in `find_task`.
     """
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)
@@ -163,10 +141,6 @@ def estimate_of_draws(model: CavityModel, draws: Floats, values: Floats) -> Esti
         covariance=around.T @ around / len(draws),
         status=("identified",) * len(free),
     )
-
-
-def _edges(share: float) -> Floats:
-    return np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
 
 
 def _require_cell(estimate: Estimate, task: Task) -> None:

@@ -1,18 +1,14 @@
 """What a controller may hold: an estimate file, or the draws of a posterior file."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
-from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
-from fpcal_bayes.infer.posterior.proposal import Atlas
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
@@ -27,78 +23,9 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task, find_task
 
-N_DRAWS = 500
-#: Further draws are made until they are worth this share of those wanted, at most so many times.
-_LEAST_WORTH = 0.5
-_MOST_ROUNDS = 8
-#: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
-_DIGITS = 10
-
-
-def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima.
-
-    Parameters
-    ----------
-    found
-        Its minima are the reference points of the charts.
-    draws, seed
-        How many, and the seed of numpy's default generator.
-
-    Returns
-    -------
-    ndarray
-        Free parameters in um and rad, shape (draws, n_free). Points that the charts propose too rarely stand in it more
-        than once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
-    """
-    # The sampler brings emcee, which takes half a second to import.
-    from fpcal_bayes.infer.posterior.sample import make_target
-
-    target, references = make_target(found, "gaussian")
-    atlas, random = Atlas(target, references), np.random.default_rng(seed)
-    points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)
-    for _ in range(_MOST_ROUNDS):
-        solved = atlas.propose(random.standard_normal((draws, target.n_unknowns)), random.random(draws))
-        points = np.vstack([points, solved.points[solved.inside]])
-        fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
-        log_weights = np.concatenate([log_weights, fresh])
-        weights = np.exp(log_weights - log_weights.max()) if len(log_weights) else np.zeros(1)
-        worth = float(weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300))
-        if worth >= _LEAST_WORTH * draws:
-            break
-    else:
-        return np.zeros((0, found.problem.n_free))
-    # Systematic resampling: each point as often as its weight says, up to rounding.
-    places = (np.arange(draws) + random.random()) / draws
-    chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    values: Floats = found.problem.values(points[np.minimum(chosen, len(points) - 1)])
-    return values
-
-
-def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
-    """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
-
-    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
-    the data speak about these.
-    """
-    free = found.problem.model.free
-    if not found.converged or free.names != found.estimate.parameters.names:
-        return {}
-    values = independent_draws(found, draws)
-    if not len(values):
-        return {}
-    shown = np.round(free.to_shown(values), _DIGITS)
-    return {"draws": {"names": list(free.names), "rows": shown.tolist()}}
-
 
 def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:
-    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none.
-
-    Raises
-    ------
-    InputError
-        If they are not rows of finite numbers, one for each parameter of the file.
-    """
+    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none."""
     content = json.loads(read_text(Path(path)))
     stated = content.get("draws")
     if stated is None:
@@ -121,20 +48,12 @@ _MOST_DRAWS = 20_000
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of a cell's parameters when a task is planned.
-
-    Attributes
-    ----------
-    cell
-        The cell.
-    estimate
-        What the controller holds, or None: then the draws themselves say, task by task (see `central_draw`).
-    draws
-        Of the posterior, from its own file or from the estimate's; None where there is only the covariance.
-    """
+    """What is known of a cell's parameters when a task is planned."""
 
     cell: Cell
+    # what the controller holds, or None: then the draws themselves say, task by task (see `central_draw`)
     estimate: Estimate | None
+    # of the posterior, from its own file or from the estimate's; None where there is only the covariance
     draws: PosteriorDraws | None
 
     def held(self, task: str, *, radius: float = 100.0) -> Estimate:
@@ -144,7 +63,7 @@ class Knowledge:
             return self.estimate
         model = CavityModel.of(self.cell, self.draws.parameters)
         values = central_draw(model, self.draws.values, task, radius=radius)
-        return estimate_of_draws(model, self.draws.values, values)
+        return replace(estimate_of_draws(model, self.draws.values, values), trust=self.draws.trust)
 
     def predict(self, estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
         """The distribution of the error of a task that was found with `estimate`."""
@@ -152,7 +71,8 @@ class Knowledge:
             return predict_from_covariance(estimate, task, draws=draws, seed=seed)
         free = self.draws.parameters
         model = CavityModel.of(self.cell, free, estimate.vector())
-        return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task)
+        trust = self.draws.trust.because(*estimate.trust.reasons)
+        return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
     def plan(self, task: str, *, radius: float = 100.0, n_points: int = 61) -> tuple[Estimate, Task]:
         """The estimate that the controller holds for a task, and the joint path it makes with it."""
@@ -163,21 +83,13 @@ class Knowledge:
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
     """Read an estimate JSON, with the draws that it may hold, or a posterior netCDF file (suffix ``.nc``).
 
-    Parameters
-    ----------
-    path
-        The file.
-    held
-        Estimate JSON that the controller holds while the truth is drawn from the posterior.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used or is of another cell.
+    `held` is an estimate JSON that the controller holds while the truth is drawn from the posterior. `InputError` if a
+    file cannot be used or is of another cell.
     """
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":
         return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
     if held is not None:
         raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
-    return Knowledge(cell, read_estimate(path, cell), read_estimate_draws(path, cell))
+    estimate = read_estimate(path, cell)
+    return Knowledge(cell, estimate, read_estimate_draws(path, cell))

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.spectrum import spectrum_of, statuses
@@ -54,41 +55,21 @@ _OFF = 3.0
 
 @dataclass(frozen=True, eq=False)
 class TraceFit:
-    """Result of `fit_traces`.
+    """Result of `fit_traces`."""
 
-    Attributes
-    ----------
-    estimate
-        Maximum of the posterior with its Laplace covariance.
-    labels
-        Of the traces.
-    residual
-        Standard deviation of each trace's irradiance around the fit, in V, shape (n_traces,).
-    noise
-        What the fit took as the noise of a sample, in V, shape (n_traces,).
-    levels
-        Coefficients of mean a and amplitude b, then m, h and g, all in V, and the phase of each trace, (n_traces, 10).
-    n_samples, rank, steps
-        Samples used, rank of the Jacobian, Gauss-Newton steps taken.
-    converged
-        Whether a further step would change nothing.
-    seconds
-        Time of the fit.
-    warnings
-        Sentences about what is not to be trusted.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # maximum of the posterior with its Laplace covariance
     labels: tuple[str, ...]
-    residual: Floats
-    noise: Floats
+    residual: Floats  # standard deviation of each trace's irradiance around the fit, in V, shape (n_traces,)
+    noise: Floats  # what the fit took as the noise of a sample, in V, shape (n_traces,)
+    # coefficients of mean a and amplitude b, then m, h and g, all in V, and the phase of each trace, (n_traces, 10)
     levels: Floats
+    # n_samples, rank, steps: samples used, rank of the Jacobian, Gauss-Newton steps taken
     n_samples: int
     rank: int
     steps: int
-    converged: bool
-    seconds: float
-    warnings: tuple[str, ...]
+    converged: bool  # whether a further step would change nothing
+    seconds: float  # time of the fit
+    warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     def content(self) -> dict[str, Any]:
         """For JSON, without schema and command."""
@@ -138,12 +119,6 @@ def fit_traces(
         given, the noise of the photodiode is the cell's; else it is that of each trace's residuals.
     max_steps
         Gauss-Newton steps at most.
-
-    Raises
-    ------
-    InputError
-        If there is no trace, a joint does not move, a parameter name is unknown, or a trace has fewer samples than
-        nuisances.
     """
     began = time.perf_counter()
     chosen = cell.select(free)
@@ -270,12 +245,8 @@ class _Fit:
     def reduced(self, state: _State) -> tuple[Floats, Floats, Floats]:
         """Whitened rows of the scores and residuals without the nuisances, and how these answer.
 
-        What no sweep sees is zero in the rows to the last digit; their inner products would lose it.
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_traces * (NODES - 1), n_free), (n_traces * (NODES - 1),), (n_traces, n_levels, NODES).
+        What no sweep sees is zero in the rows to the last digit; their inner products would lose it. Shapes (n_traces *
+        (NODES - 1), n_free), (n_traces * (NODES - 1),), (n_traces, n_levels, NODES).
         """
         schur, pull, answers = self._eliminated(state)
         eigenvalues, vectors = np.linalg.eigh(schur)
@@ -339,10 +310,10 @@ def _result(
     converged: bool,
     seconds: float,
 ) -> TraceFit:
-    jacobian, n = fit.reduced(state)[0], len(chosen)
+    jacobian = fit.reduced(state)[0]
     spectrum = spectrum_of(jacobian)
-    triangle = linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
-    factor = fit.prior.slopes(state.scores) @ linalg.solve_triangular(triangle, np.eye(n))
+    inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(len(chosen)))
+    factor = fit.prior.slopes(state.scores) @ inverse
     covariance = factor @ factor.T
     status = statuses(spectrum.null_share, np.diag(covariance) / fit.prior.sd**2)
     residual = np.sqrt(state.squares / fit.samples.counts)

@@ -19,50 +19,24 @@ NODES = 20
 
 @dataclass(frozen=True, eq=False)
 class TraceSamples:
-    """Samples of all traces, one trace after the other.
-
-    Attributes
-    ----------
-    labels
-        Of the traces.
-    first
-        Samples of trace s are ``first[s]`` to ``first[s + 1]``, shape (n_traces + 1,).
-    place
-        Joint position along the sweep, from -1 to 1, shape (n_samples,).
-    time
-        From -1 to 1 in each trace, shape (n_samples,).
-    envelope
-        Amplitude of the fringes relative to the middle of the sweep, as the estimate's mirror makes it, (n_samples,).
-    irradiance
-        In V, shape (n_samples,).
-    nodes
-        Joint vectors at the Chebyshev nodes of each sweep, shape (n_traces * NODES, n_joints).
-    wave_number
-        4 pi n / lambda of each trace, shape (n_traces,).
-    """
+    """Samples of all traces, one trace after the other."""
 
     labels: tuple[str, ...]
-    first: Ints
-    place: Floats
-    time: Floats
+    first: Ints  # samples of trace s are ``first[s]`` to ``first[s + 1]``, shape (n_traces + 1,)
+    place: Floats  # joint position along the sweep, from -1 to 1, shape (n_samples,)
+    time: Floats  # from -1 to 1 in each trace, shape (n_samples,)
+    # amplitude of the fringes relative to the middle of the sweep, as the estimate's mirror makes it, (n_samples,)
     envelope: Floats
-    irradiance: Floats
-    nodes: Floats
-    wave_number: Floats
+    irradiance: Floats  # in V, shape (n_samples,)
+    nodes: Floats  # joint vectors at the Chebyshev nodes of each sweep, shape (n_traces * NODES, n_joints)
+    wave_number: Floats  # 4 pi n / lambda of each trace, shape (n_traces,)
 
     @classmethod
     def of(cls, model: CavityModel, values: Floats, index: TraceIndex) -> "TraceSamples":
         """Lay out the sweeps of an index; rows without a trace are left out.
 
-        Parameters
-        ----------
-        model, values
-            Whose mirror makes the envelopes; free parameters (n_free,).
-
-        Raises
-        ------
-        InputError
-            If there is no trace, or the joint of one does not move.
+        The mirror of `model` at free parameters `values` (n_free,) makes the envelopes. `InputError` if there is no
+        trace, or the joint of one does not move.
         """
         cell, sweeps = model.cell, index.sweeps
         rows = [i for i, trace in enumerate(index.traces) if len(trace) and sweeps.kind[i] == "sweep"]
@@ -126,14 +100,9 @@ class TraceSamples:
         return model.pose_rows(self.nodes)
 
     def series(self, model: CavityModel, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Chebyshev series of the cavity lengths and their derivatives by the free parameters.
+        """Chebyshev series of the cavity lengths (n_traces, NODES - 1), and derivatives (n_traces, NODES - 1, n_free).
 
         The constant of the series is left out: the phase of a trace stands for it.
-
-        Returns
-        -------
-        tuple of ndarray
-            Shapes (n_traces, NODES - 1) and (n_traces, NODES - 1, n_free).
         """
         lengths, jacobian = model.predict_with_jacobian(values, rows)
         # Without the length of the first node the digits of the changes survive.

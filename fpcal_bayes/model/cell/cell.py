@@ -98,6 +98,11 @@ class Cell:
         return np.array([j.repeatability for j in self.joints])
 
     @cached_property
+    def resolution(self) -> NDArray[np.float64]:
+        """Smallest step of each joint, shape (n_joints,); `sha256` leaves it out, for it changes no cavity length."""
+        return np.array([j.resolution for j in self.joints])
+
+    @cached_property
     def free(self) -> ParameterSet:
         """The parameters identified by default: those with a prior that are not optional."""
         return ParameterSet(p for p in self.parameters if p.prior_sd > 0 and not p.optional)
@@ -117,11 +122,6 @@ class Cell:
                 ],
             }
         )
-
-    @cached_property
-    def drift_sha256(self) -> str:
-        """Hash of the drift sizes, which `sha256` leaves out: they change no cavity length."""
-        return content_sha256([size.content() for size in self.drift])
 
     def with_opd(self, opd: Opd) -> "Cell":
         """The same cell with the other path model."""
@@ -176,12 +176,8 @@ def make_parameters(
 ) -> ParameterSet:
     """Every parameter of the model vector of a chain.
 
-    Parameters
-    ----------
-    entries
-        By name; what is missing is zero and cannot be freed.
-    n_joints
-        Number of links of the chain.
+    entries: by name; what is missing is zero and cannot be freed.
+    n_joints: number of links of the chain.
     """
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
     names += [(name, UNITS[name], "extrinsic") for name in EXTRINSICS]
@@ -200,12 +196,8 @@ def check_joints(
 ) -> None:
     """Raise `InputError` at the first joint value outside the cell's limits.
 
-    Parameters
-    ----------
-    q
-        Joint vectors in internal units, shape (n, n_joints).
-    file, rows, columns
-        For the message: the source, the line of each row, the column of each joint.
+    q: joint vectors in internal units, shape (n, n_joints).
+    file, rows, columns: for the message: the source, the line of each row, the column of each joint.
     """
     # The tolerance lets a limit written in degrees survive its conversion to radians.
     slack = 1e-9 * (1.0 + np.abs(q))

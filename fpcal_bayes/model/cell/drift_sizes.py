@@ -9,26 +9,16 @@ class DriftSize:
     """Drift of one parameter: a sum of independent parts, each of which may be absent (zero).
 
     Lengths in um, angles in rad, times in days unless a name says otherwise.
-
-    Attributes
-    ----------
-    name
-        Of the parameter.
-    walk
-        Standard deviation of a random walk after one day; it grows with the square root of time.
-    rate_sd
-        Standard deviation of a steady rate per day, unknown beforehand.
-    bounded_sd, bounded_hours
-        Standard deviation and time constant of a motion that returns (Ornstein-Uhlenbeck).
-    temperature, temperature_sd
-        Change per kelvin of the logged temperature: expected value and its standard deviation.
     """
 
-    name: str
-    walk: float = 0.0
-    rate_sd: float = 0.0
+    name: str  # of the parameter
+    walk: float = 0.0  # standard deviation of a random walk after one day; it grows with the square root of time
+    rate_sd: float = 0.0  # standard deviation of a steady rate per day, unknown beforehand
+    #: bounded_sd, bounded_hours: Standard deviation and time constant of a motion that returns (Ornstein-Uhlenbeck).
     bounded_sd: float = 0.0
     bounded_hours: float = 0.0
+    #: temperature, temperature_sd: Change per kelvin of the logged temperature: expected value and its standard
+    #: deviation.
     temperature: float = 0.0
     temperature_sd: float = 0.0
 

@@ -1,6 +1,6 @@
 """Compiled kernels: joint values at which the tool frame takes a given pose, for many vectors and poses at once.
 
-Chains of three revolute and three prismatic joints are solved in closed form (see `kernel_turns`); Newton only removes
+Chains of three revolute and three prismatic joints are solved in closed form (see `turns`); Newton only removes
 what rounding leaves. Other chains are solved by damped Newton steps from several starts.
 """
 
@@ -81,21 +81,11 @@ def solve_pose(
 ) -> tuple[int, int]:
     """Joint values of one pose: the solution nearest to `near`, inside the limits if one is.
 
-    Parameters
-    ----------
-    between
-        From `constant_rotations`; used where three joints turn.
-    starts
-        Where Newton begins if the chain has no closed form, after `near`, shape (n_starts, n_joints).
-    branch
-        0 or 1: that solution of the closed form, or that start, only; -1: all.
-    best
-        Written, shape (n_joints,), whatever the status is, NaN if the pose is out of reach.
-
-    Returns
-    -------
-    tuple of int
-        Status, and the joint that is saturated or -1.
+    between: from `constant_rotations`; used where three joints turn.
+    starts: where Newton begins if the chain has no closed form, after `near`, shape (n_starts, n_joints).
+    branch: 0 or 1: that solution of the closed form, or that start, only; -1: all.
+    best: written, shape (n_joints,), whatever the status is, NaN if the pose is out of reach.
+    Returns status, and the joint that is saturated or -1.
     """
     n = revolute.size
     closed = np.count_nonzero(revolute) == 3
@@ -166,25 +156,13 @@ def batch_inverse(
 ) -> tuple[Floats, Ints, Ints]:
     """Joint values of many tool poses for many model vectors.
 
-    Parameters
-    ----------
-    vectors
-        Model vectors, shape (n_vectors, model size), in um and rad.
-    revolute, low, high
-        Kind and limits of each joint, shape (n_joints,).
-    targets
-        wTe, shape (n_vectors, n_poses, 4, 4), or (1, n_poses, 4, 4) for all vectors.
-    near
-        Where to look for a solution first, and near which to choose among several, shape (n_joints,).
-    follow
-        Whether each pose is looked for near the one before it instead.
-    starts, branch
-        As in `solve_pose`.
-
-    Returns
-    -------
-    tuple of ndarray
-        Joint values (n_vectors, n_poses, n_joints), status and saturated joint, each (n_vectors, n_poses).
+    vectors: model vectors, shape (n_vectors, model size), in um and rad.
+    revolute, low, high: kind and limits of each joint, shape (n_joints,).
+    targets: wTe, shape (n_vectors, n_poses, 4, 4), or (1, n_poses, 4, 4) for all vectors.
+    near: where to look for a solution first, and near which to choose among several, shape (n_joints,).
+    follow: whether each pose is looked for near the one before it instead.
+    starts, branch: as in `solve_pose`.
+    Returns joint values (n_vectors, n_poses, n_joints), status and saturated joint, each (n_vectors, n_poses).
     """
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], targets.shape[1]
     q = np.empty((n_vectors, n_poses, n))

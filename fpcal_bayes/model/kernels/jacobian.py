@@ -45,17 +45,9 @@ TURN, SHIFT, TRAVEL, FIBRE, OPTICAL, TURN_GAIN, RUNOUT_AS_COS, RUNOUT_AS_SIN = r
 def derivative_columns(revolute: Bools, slots: Ints) -> Ints:
     """Say for each parameter what it does: mode, link, axis and point in `chain_axes`, prismatic joints before it.
 
-    Parameters
-    ----------
-    revolute
-        Shape (n_links,).
-    slots
-        Positions in the model vector, shape (n,).
-
-    Returns
-    -------
-    ndarray
-        Shape (n, 5).
+    revolute: shape (n_links,).
+    slots: positions in the model vector, shape (n,).
+    Returns shape (n, 5).
     """
     n_links = len(revolute)
     by_extrinsic = {
@@ -108,16 +100,11 @@ def chain_axes(
 ) -> None:
     """Axes and points of one group's chain in the world frame, prismatic joints at zero.
 
-    Parameters
-    ----------
-    vector, cosine, sine
-        One model vector and its trigonometry, shape (model size,).
-    frame
-        Work space, shape (4, 3): X, Y, Z and origin of the frame that has been reached.
-    axes
-        Written, shape (n_links + 1, 5, 3). For link i: Y of the frame before it (axis of beta), X after beta (of alpha
-        and d), Z (of theta and r), origin before it, origin after d. Last row: X of the tool (axis of beta_et), Y after
-        beta_et (of theta_et), Z of the tool (of z_et), mirror normal, mirror origin.
+    vector, cosine, sine: one model vector and its trigonometry, shape (model size,).
+    frame: work space, shape (4, 3): X, Y, Z and origin of the frame that has been reached.
+    axes: written, shape (n_links + 1, 5, 3). For link i: Y of the frame before it (axis of beta), X after beta (of
+    alpha and d), Z (of theta and r), origin before it, origin after d. Last row: X of the tool (axis of beta_et), Y
+    after beta_et (of theta_et), Z of the tool (of z_et), mirror normal, mirror origin.
     """
     n_links = revolute.size
     first = STRIDE * n_links
@@ -188,12 +175,9 @@ def group_changes(
 ) -> None:
     """Derivatives of N, D and the prismatic slopes of one group.
 
-    Parameters
-    ----------
-    columns
-        From `derivative_columns`.
-    changes
-        Written, shape (2 + n_prismatic, n_columns): parameters side by side, so that one instruction serves several.
+    columns: from `derivative_columns`.
+    changes: written, shape (2 + n_prismatic, n_columns): parameters side by side, so that one instruction serves
+    several.
     """
     n_links, n_prismatic = axes.shape[0] - 1, prismatic_axes.shape[0]
     nx, ny, nz = axes[n_links, 3, 0], axes[n_links, 3, 1], axes[n_links, 3, 2]
@@ -258,10 +242,7 @@ def batch_jacobians(
 
     Parameters are those of `fpcal_bayes.model.kernels.lengths.batch_lengths`; `columns` come from `derivative_columns`.
 
-    Returns
-    -------
-    tuple of ndarray
-        Changes, shape (n_vectors, n_rows), in um, and derivatives, shape (n_vectors, n_rows, n_wanted).
+    Returns changes, shape (n_vectors, n_rows), in um, and derivatives, shape (n_vectors, n_rows, n_wanted).
     """
     n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]

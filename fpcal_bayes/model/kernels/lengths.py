@@ -109,18 +109,11 @@ def carry_plane(
 ) -> None:
     """Carry the mirror plane of one group to the world frame, prismatic joints at zero, for a block of vectors.
 
-    Parameters
-    ----------
-    vector, cosine, sine
-        Model vectors and their trigonometry, shape (model size, LANES).
-    used
-        Whether an entry of the model vector may differ from zero in some lane, shape (model size,).
-    joint_q, joint_cos, joint_sin
-        The group's joint values, shape (n_links,).
-    plane, slope
-        Written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
-    n_lanes
-        Columns in use; the others are neither read nor written.
+    vector, cosine, sine: model vectors and their trigonometry, shape (model size, LANES).
+    used: whether an entry of the model vector may differ from zero in some lane, shape (model size,).
+    joint_q, joint_cos, joint_sin: the group's joint values, shape (n_links,).
+    plane, slope: written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
+    n_lanes: columns in use; the others are neither read nor written.
     """
     n_links = revolute.size
     first = STRIDE * n_links
@@ -181,19 +174,11 @@ def batch_lengths(
 ) -> Floats:
     """Changes of cavity length, L(end) - L(start), for many parameter vectors.
 
-    Parameters
-    ----------
-    base
-        Model vector of the values that are held.
-    slots, values
-        Positions in the model vector of the free parameters, shape (n,), and their values, shape (n_vectors, n).
-    starts, ends
-        Pose of each row; a start of -1 gives L(end) itself.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_vectors, n_rows), in um.
+    base: model vector of the values that are held.
+    slots, values: positions in the model vector of the free parameters, shape (n,), and their values, shape (n_vectors,
+    n).
+    starts, ends: pose of each row; a start of -1 gives L(end) itself.
+    Returns shape (n_vectors, n_rows), in um.
     """
     n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]

@@ -31,14 +31,10 @@ def pose_error(
 ) -> None:
     """What is missing between the tool frame at `q` and its target; prismatic joints are in.
 
-    Parameters
-    ----------
-    target
-        wTe that is wanted, shape (4, 4).
-    joint_cos, joint_sin, frame, axes
-        Work space; `frame` and `axes` are written as by `chain_axes`, the origin of `frame` with prismatic joints in.
-    error
-        Written, shape (6,): position in um, rotation vector in rad, both in the world frame.
+    target: wTe that is wanted, shape (4, 4).
+    joint_cos, joint_sin, frame, axes: work space; `frame` and `axes` are written as by `chain_axes`, the origin of
+    `frame` with prismatic joints in.
+    error: written, shape (6,): position in um, rotation vector in rad, both in the world frame.
     """
     for link in range(revolute.size):
         joint_cos[link], joint_sin[link] = math.cos(q[link]), math.sin(q[link])
@@ -237,17 +233,9 @@ def first_bad_pose(targets: Floats, tolerance: float) -> int:
 def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
     """Tool frames wTe, paper equation (12), of joint vectors `q`.
 
-    Parameters
-    ----------
-    vectors
-        Shape (n_vectors, model size).
-    q
-        Shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
-
-    Returns
-    -------
-    ndarray
-        Shape (n_vectors, n_poses, 4, 4).
+    vectors: shape (n_vectors, model size).
+    q: shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
+    Returns shape (n_vectors, n_poses, 4, 4).
     """
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], q.shape[1]
     poses = np.zeros((n_vectors, n_poses, 4, 4))

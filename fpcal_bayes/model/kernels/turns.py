@@ -47,19 +47,10 @@ def constant_rotations(cosine: Floats, sine: Floats, revolute: Bools, between: F
 def three_turns(between: Floats, target: Floats, turns: Floats) -> int:
     """Turns of three revolute joints that give the target's orientation.
 
-    Parameters
-    ----------
-    between
-        From `constant_rotations`, shape (4, 3, 3).
-    target
-        wTe that is wanted, shape (4, 4).
-    turns
-        Written, shape (2, 3), in rad: the two solutions, equal where they meet.
-
-    Returns
-    -------
-    int
-        Number of solutions: 2, or 0 where the orientation is out of reach.
+    between: from `constant_rotations`, shape (4, 3, 3).
+    target: wTe that is wanted, shape (4, 4).
+    turns: written, shape (2, 3), in rad: the two solutions, equal where they meet.
+    Returns number of solutions: 2, or 0 where the orientation is out of reach.
     """
     m, half_way = np.empty((3, 3)), np.empty((3, 3))
     first, last = between[0], between[3]

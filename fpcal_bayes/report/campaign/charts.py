@@ -1,4 +1,4 @@
-"""The log of a campaign's report: what was decided, what it gave, and how long each estimate held."""
+"""What moves on the page of a campaign: the data of its charts, and the log of its sessions."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals, saved_decisions, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
-from fpcal_bayes.report.table import Cell, PageTable, figure_of, table
-from fpcal_bayes.tracking.record import decisions_of
+from fpcal_bayes.report.table import Cell, Table, figure_of, plain_table
 
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
@@ -33,13 +32,7 @@ def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
                 alone[place] = values[parameter.name][0]
         marked = np.full(len(hours), np.nan)
         marked[alarms] = mean[alarms]
-        series = {
-            "filter": mean,
-            "low": mean - 2 * sd,
-            "high": mean + 2 * sd,
-            "session alone": alone,
-            "alarm": marked,
-        }
+        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "session alone": alone, "alarm": marked}
         if found.truth is not None:
             series["truth"] = found.truth[:, i]
         parameters.append(
@@ -92,34 +85,30 @@ _SLACK_H = 0.1
 _DONE = {"hold": "held", "extrinsic": "re-identified", "full": "recalibrated"}
 
 
-def log_table(facts: CampaignFacts) -> PageTable | None:
-    """A line a session: the saved decision that led to it, until when its estimate held, and what the tests say.
+def log_table(facts: CampaignFacts) -> Table | None:
+    """One line per session: the saved decision that led to it, until when its estimate held, and what the tests say.
 
     None where the sessions cannot be followed, or the tasks cannot be judged.
     """
-    if facts.track is None or facts.forecast is None:
+    log, decided = session_log(facts), saved_decisions(facts)
+    if log is None:
         return None
-    decided = _decided(facts)
-    rows, outcomes, forecast = [], facts.track.outcomes, facts.forecast
-    for i, outcome in enumerate(outcomes):
-        last = i + 1 == len(outcomes)
-        until = facts.now_h if last else outcomes[i + 1].time_h
-        horizon = max(until - outcome.time_h, facts.costs.horizon_h)
-        held = forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
-        at_least = "at least " if held >= horizon else ""
-        rows.append(
-            [
-                Cell(outcome.session),
-                figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-                *([Cell(decided.get(outcome.session, ""))] if decided else []),
-                figure_of(held, f"{at_least}{held:.1f} h"),
-                _next(until - outcome.time_h - held, last=last),
-                Cell("; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report"),
-            ]
+    heads = ["session", "time", *(["decision before it"] if decided else [])]
+    heads += ["estimate good for", "next session", "evidence and warnings"]
+    table = plain_table("Log", heads, words=(0, *([2] if decided else []), -2, -1))
+    for entry in log:
+        outcome = entry.outcome
+        action, reason = decided.get(outcome.session, ("", ""))
+        said = f"{_DONE.get(action, action)}: {reason}" if outcome.session in decided else ""
+        table.add_row(
+            outcome.session,
+            figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
+            *([said] if decided else []),
+            figure_of(entry.held, f"{'at least ' if entry.at_least else ''}{entry.held:.1f} h"),
+            _next(entry.late, last=entry.last),
+            "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
-    decision = ["decision before it"] if decided else []
-    columns = ("session", "time", *decision, "estimate good for", "next session", "evidence and warnings")
-    return table("Log", columns, rows, (0, *([2] if decided else []), len(columns) - 2, len(columns) - 1))
+    return table
 
 
 def _next(late: float, *, last: bool) -> Cell:
@@ -127,14 +116,3 @@ def _next(late: float, *, last: bool) -> Cell:
     if late <= _SLACK_H:
         return Cell("latest" if last else "in time", f"{late:.6g}", "good")
     return Cell(f"overdue by {late:.1f} h" if last else f"{late:.1f} h late", f"{late:.6g}", "caution")
-
-
-def _decided(facts: CampaignFacts) -> dict[str, str]:
-    """The decisions that the file holds, in words, by the session that followed."""
-    if facts.campaign is None or facts.campaign.track is None:
-        return {}
-    found = {}
-    for entry in decisions_of(facts.campaign.track):
-        action, reason = str(entry.get("action", "")), str(entry.get("reason", ""))
-        found[str(entry.get("session", ""))] = f"{_DONE.get(action, action)}: {reason}"
-    return found

@@ -6,7 +6,8 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
-from fpcal_bayes.report.svg import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
+from fpcal_bayes.analysis.parameters import intervals
+from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
 _MOST_SESSIONS, _MOST_LABELS = 6, 80
 _HOURS_PER_DAY = 24.0
@@ -24,11 +25,12 @@ def task_figure(facts: CampaignFacts) -> str:
             axis.remove()
         half = 1e3 * facts.goal.tolerance / 2
         for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=False)):
-            found = outlook.prediction
+            found, prediction = outlook.numbers, outlook.prediction
             assert found is not None
-            low, high = 1e3 * found.band()
-            axis.fill_between(found.task.along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
-            axis.plot(found.task.along, 1e3 * found.errors[0], color=BLUE, linewidth=0.9, label="one possible error")
+            assert prediction is not None
+            along, low, high = found.task.along, found.low, found.high
+            axis.fill_between(along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
+            axis.plot(along, 1e3 * prediction.errors[0], color=BLUE, linewidth=0.9, label="one possible error")
             label = f"tolerance, {2 * half:g} nm peak to peak"
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
@@ -151,38 +153,19 @@ def _chosen(parts: list[SessionResiduals], alarmed: set[str]) -> list[SessionRes
 
 def posterior_figure(facts: CampaignFacts) -> str:
     """Intervals of prior, draws and normal approximation of each parameter, in prior standard deviations."""
-    found, first = facts.posterior, facts.observability.identification
+    found = facts.posterior
     assert found is not None
-    assert first is not None
-    parameters = found.parameters
-    scale = parameters.to_shown(parameters.prior_sd)
-    centre = parameters.to_shown(parameters.nominal)
-    n = len(parameters)
+    n = len(found.parameters)
     with svg_figure(7.2, 1.0 + 0.26 * n) as (figure, svg):
         axis = figure.subplots()
         place = np.arange(n)
-        draws = (found.draws.reshape(-1, n) - centre) / scale
-        prior = (found.prior - centre) / scale
-        shown = first.estimate.shown()
-        laplace = np.array([(shown[p.name]["value"], shown[p.name]["sd"]) for p in parameters])
-        values, sds = (laplace[:, 0] - centre) / scale, laplace[:, 1] / scale
-        styles = (
-            (np.quantile(prior, [0.025, 0.5, 0.975], axis=0), GREY, 5.0, 0.25, "prior", 0.0),
-            (
-                np.array([values - 1.96 * sds, values, values + 1.96 * sds]),
-                ORANGE,
-                1.2,
-                1.0,
-                "normal approximation",
-                0.18,
-            ),
-            (np.quantile(draws, [0.025, 0.5, 0.975], axis=0), BLUE, 2.2, 1.0, "posterior draws", -0.18),
-        )
-        for edges, colour, width, alpha, label, shift in styles:
+        styles = ((GREY, 5.0, 0.25, 0.0), (ORANGE, 1.2, 1.0, 0.18), (BLUE, 2.2, 1.0, -0.18))
+        edges_of = intervals(found, facts.calibration.estimate)
+        for (label, edges), (colour, width, alpha, shift) in zip(edges_of.items(), styles, strict=True):
             axis.hlines(place + shift, edges[0], edges[2], color=colour, linewidth=width, alpha=alpha, label=label)
             if label != "prior":
                 axis.plot(edges[1], place + shift, "o" if shift < 0 else "|", color=colour, markersize=3.5)
-        axis.set_yticks(place, parameters.names)
+        axis.set_yticks(place, found.parameters.names)
         axis.set_ylim(n - 0.4, -0.6)
         axis.set_xlabel("95 % interval, from nominal [prior sd]")
         axis.grid(axis="x", alpha=0.3)

@@ -1,10 +1,8 @@
 """The report of a campaign: one page that needs nothing else."""
 
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, gather
@@ -17,9 +15,10 @@ from fpcal_bayes.report import observe_figures
 from fpcal_bayes.report.campaign import charts as data
 from fpcal_bayes.report.campaign import figures, words
 from fpcal_bayes.report.campaign.charts import log_table
-from fpcal_bayes.report.table import Cell as Entry
-from fpcal_bayes.report.table import PageTable, of_text, table
+from fpcal_bayes.report.pages import ENVIRONMENT, packaged
 from fpcal_bayes.report.track import sweep_table
+
+_SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
 
 
 def write_campaign_report(
@@ -45,7 +44,8 @@ def write_campaign_report(
     goal
         What must be held; by default a circle of 100 um radius within 50 nm.
     now
-        Time that the report is for, as in `gather`.
+        Time that the report is for: hours since the campaign began, or a clock time; by default this machine's clock
+        where rows carry clock times, else the last session.
     posterior
         Draws of the calibration's posterior (.nc), or None.
     command
@@ -59,7 +59,8 @@ def write_campaign_report(
     Raises
     ------
     InputError
-        If a file cannot be used or the page cannot be written.
+        If a file cannot be used, sessions overlap or repeat, a task that must be held is unknown, or the page cannot be
+        written.
     """
     facts = gather(file, cell, goal=goal, now=now, posterior=posterior, command=command)
     write_text(Path(output), campaign_html(facts))
@@ -68,14 +69,6 @@ def write_campaign_report(
 
 def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
-    environment = Environment(
-        loader=PackageLoader("fpcal_bayes.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
     seen = facts.observability
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
     alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
@@ -94,13 +87,12 @@ def campaign_html(facts: CampaignFacts) -> str:
         "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
         "residuals": data.residual_chart(rows),
     }
-    flat = [(part.session, label, float(v)) for part in rows for label, v in zip(part.labels, part.values, strict=True)]
-    return environment.get_template("campaign.html").render(
+    return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
         summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows",
-        style=Markup(_vendored("uPlot.min.css") + _template("campaign.css")),
-        scripts=Markup(_vendored("sortable.auto.min.js") + _vendored("uPlot.iife.min.js") + _template("campaign.js")),
+        style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
+        scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),
         data=charts,
         verdict=words.verdict(facts),
         level=f"{100 * facts.goal.level:g} %",
@@ -114,10 +106,10 @@ def campaign_html(facts: CampaignFacts) -> str:
         parameters=words.parameter_table(facts),
         headline=observe_words.headline(seen),
         gauges=[(observe_words.gauge_sentence(g), observe_words.gauge_direction(g, seen)) for g in seen.gauges],
-        blocks=of_text(observe_words.block_table(seen), "Parts of the sweeps, and additions"),
+        blocks=observe_words.block_table(seen),
         posterior=words.posterior_table(facts),
         posterior_sentence=words.posterior_sentence(facts),
-        worst=words.residual_table(flat),
+        worst=words.residual_table(rows),
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,
@@ -141,16 +133,5 @@ def _next_sweeps(facts: CampaignFacts) -> dict[str, Any]:
     decision = facts.decision
     if decision is None or decision.sweeps is None or decision.action == "hold":
         return {"next_sweeps": None, "next_title": ""}
-    columns = sweep_table(decision.sweeps, facts.cell).columns
-    rows = zip(*(map(str, column.cells) for column in columns), strict=True)
-    heads = [str(column.header) for column in columns]
-    content: PageTable = table("Recommended sweeps", heads, [[Entry(text) for text in row] for row in rows], (0, 1))
-    return {"next_sweeps": content, "next_title": f"To be measured now, about {decision.minutes:.0f} min:"}
-
-
-def _vendored(name: str) -> str:
-    return files("fpcal_bayes.report").joinpath("vendor", name).read_text(encoding="utf-8") + "\n"
-
-
-def _template(name: str) -> str:
-    return files("fpcal_bayes.report").joinpath("templates", name).read_text(encoding="utf-8")
+    title = f"To be measured now, about {decision.minutes:.0f} min:"
+    return {"next_sweeps": sweep_table(decision.sweeps, facts.cell), "next_title": title}

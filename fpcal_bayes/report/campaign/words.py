@@ -7,37 +7,34 @@ from platform import python_version
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskOutlook
+from fpcal_bayes.analysis.history import SessionResiduals, session_bounds, session_numbers
+from fpcal_bayes.analysis.parameters import saved_parameters
+from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
-from fpcal_bayes.report.fit import number
-from fpcal_bayes.report.table import Cell, PageTable, figure_of, table
-from fpcal_bayes.report.track import decision_sentence, time_text
-from fpcal_bayes.tracking.tracker import innovation_bounds
+from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
+from fpcal_bayes.report.tasks import angle_text
+from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
+from fpcal_bayes.tracking.session import SessionOutcome
 
 _ACTIONS = {
     "hold": ("Hold", "good", "The cell keeps its tolerance; nothing is to be measured now."),
     "extrinsic": ("Re-identify", "caution", "A few sweeps now bring mirror and fibre back into tolerance."),
     "full": ("Recalibrate", "bad", "The whole calibration is to be made again."),
 }
+_MOST_RESIDUALS = 12
 _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to do, first thing on the page.
-
-    Attributes
-    ----------
-    word, style
-        One word, and its class in the style sheet: ``good``, ``caution``, ``bad``.
-    meaning, sentences
-        The word in a sentence, and the sentences below it.
-    """
+    """What to do, first thing on the page."""
 
     word: str
-    style: str
-    meaning: str
+    style: str  # good, caution, bad: its class in the style sheet
+    meaning: str  # the word in a sentence
     sentences: tuple[str, ...]
 
 
@@ -65,12 +62,11 @@ def _task_sentence(facts: CampaignFacts) -> str:
     for outlook in facts.tasks:
         if not outlook.asked:
             continue
-        if outlook.prediction is None:
+        found = outlook.numbers
+        if found is None:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
             continue
-        median = 1e3 * float(np.median(outlook.prediction.peak_to_peak))
-        high = 1e3 * float(outlook.prediction.peak_to_peak_band()[1])
-        parts.append(f"{outlook.name} {median:.1f} nm peak to peak (at most {high:.1f} nm with 97.5 %)")
+        parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
     return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance:g} nm."
 
 
@@ -78,44 +74,35 @@ def standing(outlook: TaskOutlook, facts: CampaignFacts) -> tuple[str, str]:
     """Where a task stands against the tolerance, in words, and the class of the style sheet."""
     if facts.unusable:
         return "not known", "bad"
-    if outlook.prediction is None:
+    risk = None if outlook.numbers is None else outlook.numbers.exceeds
+    if risk is None:
         return "cannot be driven", "bad"
-    risk = outlook.prediction.exceeds(facts.goal.tolerance)
     if risk <= facts.goal.level:
         return "within tolerance", "good"
     return ("at risk", "caution") if risk <= 0.5 else ("out of tolerance", "bad")
 
 
-def task_table(facts: CampaignFacts) -> PageTable:
+def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
-    rows = []
+    heads = ["task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]"]
+    heads += [f"P(above {1e3 * facts.goal.tolerance:g} nm)", "mirror direction, 95 % [deg]"]
+    table = plain_table("Error of each task now", heads, words=(0, 1, 2))
     for outlook in facts.tasks:
-        words, style = standing(outlook, facts)
-        asked = "yes" if outlook.asked else "no"
-        if outlook.prediction is None:
-            rows.append(
-                [Cell(outlook.name), Cell(asked), Cell(f"{words}: {outlook.reason}", words, style), *[Cell("")] * 4]
-            )
+        said, style = standing(outlook, facts)
+        asked, found = "yes" if outlook.asked else "no", outlook.numbers
+        if found is None or found.exceeds is None:
+            table.add_row(outlook.name, asked, Cell(f"{said}: {outlook.reason}", said, style), "", "", "", "")
             continue
-        found = outlook.prediction
-        low, high = 1e3 * found.peak_to_peak_band()
-        normal = float(np.quantile(found.angles.normal.max(axis=1), 0.95))
-        rows.append(
-            [
-                Cell(outlook.name),
-                Cell(asked),
-                Cell(words, style=style),
-                figure_of(1e3 * float(np.median(found.peak_to_peak)), f"{1e3 * np.median(found.peak_to_peak):.2f}"),
-                figure_of(high, f"{low:.2f} to {high:.2f}"),
-                figure_of(found.exceeds(facts.goal.tolerance), f"{found.exceeds(facts.goal.tolerance):.3f}"),
-                figure_of(normal, f"{normal:.2g}" if normal > 1e-9 else "0"),
-            ]
+        table.add_row(
+            outlook.name,
+            asked,
+            Cell(said, style=style),
+            figure_of(found.median, f"{found.median:.2f}"),
+            figure_of(found.most, f"{found.least:.2f} to {found.most:.2f}"),
+            figure_of(found.exceeds, f"{found.exceeds:.3f}"),
+            figure_of(found.normal[1], angle_text(found.normal[1])),
         )
-    columns = (
-        "task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]",
-        f"P(above {1e3 * facts.goal.tolerance:g} nm)", "mirror direction, 95 % [deg]",
-    )  # fmt: skip
-    return table("Error of each task now", columns, rows, (0, 1, 2))
+    return table
 
 
 def measured_sentence(facts: CampaignFacts) -> str:
@@ -135,114 +122,88 @@ def measured_sentence(facts: CampaignFacts) -> str:
     return f"{sentence}; of {len(later)} after the calibration {len(moved)} raised an alarm: {named}{more}."
 
 
-def session_table(facts: CampaignFacts) -> PageTable:
+def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
-    rows = []
-    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
-    for i, name in enumerate(facts.sweeps.sessions):
-        part = facts.sweeps.of_session(name)
-        outcome = outcomes.get(name)
-        unsigned = int((~part.signed).sum())
-        rows.append(
-            [
-                Cell(name),
-                figure_of(float(part.time_h.max()), shown_time(float(part.time_h.max()), facts)),
-                figure_of(len(part), str(len(part))),
-                figure_of(1e3 * float(np.median(part.sigma))),
-                figure_of(unsigned, str(unsigned)),
-                *([Cell("not followed"), Cell(""), Cell("")] if outcome is None else _tested(outcome, first=i == 0)),
-            ]
+    heads = ["session", "time", "rows", "sigma, median [nm]", "without sign", "verdict", "innovation", "95 % bounds"]
+    table = plain_table("Sessions", heads, words=(0, 5))
+    for i, found in enumerate(session_numbers(facts)):
+        rows, time_h = found.rows, float(found.rows.time_h.max())
+        unsigned = int((~rows.signed).sum())
+        table.add_row(
+            str(rows.session[0]),
+            figure_of(time_h, shown_time(time_h, facts)),
+            figure_of(len(rows), str(len(rows))),
+            figure_of(1e3 * found.sigma),
+            figure_of(unsigned, str(unsigned)),
+            *_tested(found.outcome, first=i == 0),
         )
-    columns = ("session", "time", "rows", "sigma, median [nm]", "without sign", "verdict", "innovation", "95 % bounds")
-    return table("Sessions", columns, rows, (0, 5))
+    return table
 
 
-def _tested(outcome: object, *, first: bool) -> list[Cell]:
-    from fpcal_bayes.tracking.session import SessionOutcome
+def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | Cell]:
+    """Verdict, innovation and bounds."""
+    if outcome is None:
+        return ["not followed", "", ""]
+    word = Cell("calibration", style="good") if first else Cell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
+    bounds = session_bounds(outcome)
+    if bounds is None:
+        return [word, "", ""]
+    low, high = bounds
+    return [word, figure_of(outcome.nis, f"{outcome.nis:.1f}"), Cell(f"{low:.1f} to {high:.1f}", f"{high:.6g}")]
 
-    assert isinstance(outcome, SessionOutcome)
-    low, high = innovation_bounds(outcome.dof) if outcome.dof else (np.nan, np.nan)
-    bounds = Cell(f"{low:.1f} to {high:.1f}", f"{high:.6g}") if outcome.dof else Cell("")
-    style = {"as-modelled": "good", "extrinsics-moved": "caution", "intrinsics-moved": "bad"}[outcome.verdict]
-    word = Cell("calibration", style="good") if first else Cell(outcome.verdict, style=style)
-    return [word, figure_of(outcome.nis, f"{outcome.nis:.1f}") if outcome.dof else Cell(""), bounds]
 
-
-def parameter_table(facts: CampaignFacts) -> PageTable:
+def parameter_table(facts: CampaignFacts) -> Table:
     """Each parameter now: value, 95 % interval, status; beside it the calibration and the prior."""
-    estimate, first = facts.estimate, facts.observability
-    found = first.identification
-    assert found is not None
-    before, now = found.estimate.shown(), estimate.shown()
-    rows = []
+    heads = ["parameter", "belongs to", "unit", "status"]
+    heads += ["value", "sd", "95 % interval", "at calibration", "sd / prior sd"]
+    table = plain_table("Parameters now", heads, words=(0, 1, 2, 3))
+    estimate, before = facts.estimate, facts.calibration.estimate.shown()
+    now = estimate.shown()
     for parameter, status in zip(estimate.parameters, estimate.status, strict=True):
         value, sd = now[parameter.name]["value"], now[parameter.name]["sd"]
-        low, high = number(value - 1.96 * sd, sd), number(value + 1.96 * sd, sd)
+        low, high = value - 1.96 * sd, value + 1.96 * sd
         was = before.get(parameter.name)
-        prior = parameter.shown(parameter.prior_sd)
-        rows.append(
-            [
-                Cell(parameter.name),
-                Cell(parameter.kind),
-                Cell(parameter.unit),
-                Cell(status, style=status),
-                figure_of(value, number(value, sd)),
-                figure_of(sd, number(sd, sd)),
-                figure_of(low_key(value, sd), f"{low} to {high}"),
-                Cell("") if was is None else figure_of(was["value"], number(was["value"], was["sd"])),
-                figure_of(sd / prior, f"{100 * sd / prior:.1f} %"),
-            ]
+        share = sd / parameter.shown(parameter.prior_sd)
+        table.add_row(
+            parameter.name,
+            parameter.kind,
+            parameter.unit,
+            Cell(status, style=status),
+            figure_of(value, number(value, sd)),
+            figure_of(sd, number(sd, sd)),
+            figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
+            "" if was is None else figure_of(was["value"], number(was["value"], was["sd"])),
+            figure_of(share, f"{100 * share:.1f} %"),
         )
-    columns = (
-        "parameter",
-        "belongs to",
-        "unit",
-        "status",
-        "value",
-        "sd",
-        "95 % interval",
-        "at calibration",
-        "sd / prior sd",
-    )
-    return table("Parameters now", columns, rows, (0, 1, 2, 3))
+    return table
 
 
-def low_key(value: float, sd: float) -> float:
-    """Lower end of the 95 % interval."""
-    return value - 1.96 * sd
-
-
-def residual_table(residuals: list[tuple[str, str, float]], most: int = 12) -> PageTable:
+def residual_table(parts: list[SessionResiduals]) -> Table:
     """The rows that the estimate of their session meets worst."""
-    worst = sorted(residuals, key=lambda entry: -abs(entry[2]))[:most]
-    rows = [[Cell(session), Cell(label), figure_of(value, f"{value:+.2f}")] for session, label, value in worst]
-    return table("Largest residuals", ("session", "sweep", "residual / sigma"), rows, (0, 1))
+    residuals = [(part.session, *row) for part in parts for row in zip(part.labels, part.values.tolist(), strict=True)]
+    table = plain_table("Largest residuals", ["session", "sweep", "residual / sigma"])
+    for session, label, value in sorted(residuals, key=lambda entry: -abs(entry[2]))[:_MOST_RESIDUALS]:
+        table.add_row(session, label, figure_of(value, f"{value:+.2f}"))
+    return table
 
 
-def posterior_table(facts: CampaignFacts) -> PageTable | None:
+def posterior_table(facts: CampaignFacts) -> Table | None:
     """Mean, interval and worth of the draws of each parameter."""
-    found = facts.posterior
-    if found is None:
+    if facts.posterior is None:
         return None
-    flat = found.draws.reshape(-1, len(found.parameters))
-    rows = []
-    for i, parameter in enumerate(found.parameters):
-        values = flat[:, i]
-        sd = float(values.std(ddof=1))
-        low, middle, high = (float(q) for q in np.quantile(values, [0.025, 0.5, 0.975]))
-        rows.append(
-            [
-                Cell(parameter.name),
-                Cell(parameter.unit),
-                figure_of(middle, number(middle, sd)),
-                figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
-                figure_of(float(found.ess_bulk[i]), f"{found.ess_bulk[i]:.0f}"),
-                figure_of(float(found.ess_tail[i]), f"{found.ess_tail[i]:.0f}"),
-                figure_of(float(found.rhat[i]), f"{found.rhat[i]:.4f}"),
-            ]
+    heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
+    table = plain_table("Posterior of the calibration", heads)
+    for found in saved_parameters(facts.posterior):
+        table.add_row(
+            found.name,
+            found.unit,
+            figure_of(found.median, number(found.median, found.sd)),
+            figure_of(found.low, f"{number(found.low, found.sd)} to {number(found.high, found.sd)}"),
+            figure_of(found.ess_bulk, f"{found.ess_bulk:.0f}"),
+            figure_of(found.ess_tail, f"{found.ess_tail:.0f}"),
+            figure_of(found.rhat, f"{found.rhat:.4f}"),
         )
-    columns = ("parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat")
-    return table("Posterior of the calibration", columns, rows, (0, 1))
+    return table
 
 
 def posterior_sentence(facts: CampaignFacts) -> str:
@@ -253,8 +214,6 @@ def posterior_sentence(facts: CampaignFacts) -> str:
             f"Not sampled. The intervals on this page are those of a normal distribution at the maximum. Draw with: "
             f"fpcal sample {facts.file} -o posterior.nc, then give the report --posterior posterior.nc."
         )
-    from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
-
     good = bool(found.rhat.max() < MOST_RHAT)
     word = "The draws have converged" if good else "The draws have NOT converged"
     outside = int((np.abs(found.residuals) > 1.96).sum())
@@ -265,30 +224,29 @@ def posterior_sentence(facts: CampaignFacts) -> str:
     )
 
 
-def budget_table(budget: Budget) -> PageTable:
+def budget_table(budget: Budget) -> Table:
     """Each input of the budget and what it contributes; shares where the inputs are independent."""
-    total = budget.combined**2
-    independent = total > 0 and bool(np.allclose(budget.correlation, np.eye(len(budget.lines)), atol=1e-6))
-    rows = [
-        [
-            Cell(line.name),
-            Cell(line.evaluation),
-            Cell(line.distribution),
+    shares = variance_shares(budget)
+    heads = ["input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
+    heads += [] if shares is None else ["share of the variance"]
+    title = f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration"
+    table = plain_table(title, heads, words=(0, 1, 2))
+    for i, line in enumerate(budget.lines):
+        table.add_row(
+            line.name,
+            line.evaluation,
+            line.distribution,
             figure_of(line.standard_uncertainty, f"{line.standard_uncertainty:.3g} {line.unit}"),
             figure_of(1e3 * line.sensitivity, f"{1e3 * line.sensitivity:.3g} / {line.unit}"),
             figure_of(1e3 * line.contribution),
-            *([figure_of(line.contribution**2 / total, f"{100 * line.contribution**2 / total:.1f} %")] * independent),
-        ]
-        for line in budget.lines
-    ]
-    columns = ("input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]")
-    caption = f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration"
-    return table(caption, (*columns, *(["share of the variance"] * independent)), rows, (0, 1, 2))
+            *([] if shares is None else [figure_of(shares[i], f"{100 * shares[i]:.1f} %")]),
+        )
+    return table
 
 
 def budget_sentence(facts: CampaignFacts) -> str:
     """What the inputs combine to, and what is left of it now."""
-    budget, now = facts.budget, facts.tasks[0].prediction
+    budget, now = facts.budget, facts.tasks[0].numbers
     if budget is None:
         return ""
     low, high = (1e3 * edge for edge in budget.interval)
@@ -298,7 +256,7 @@ def budget_sentence(facts: CampaignFacts) -> str:
     )
     if now is None:
         return sentence
-    left = f"{1e3 * now.sd.max():.2f} nm"
+    left = f"{now.worst_sd:.2f} nm"
     return f"{sentence} Now, after all sessions and the drift since, {left} are left at the worst point."
 
 

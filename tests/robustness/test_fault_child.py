@@ -1,10 +1,7 @@
-"""What the study of faults takes for whole, begun or damaged."""
-
-import sys
-from pathlib import Path
+"""What the program of faults takes for whole, begun or damaged."""
 
 import numpy as np
-import pytest
+from fault_child import is_part
 from toy_study import ToyStudy
 
 from fpcal_bayes.io.cell import load_cell
@@ -12,16 +9,7 @@ from fpcal_bayes.study.runner import run_alone
 from fpcal_bayes.study.store import StudyStore, packed
 
 
-@pytest.fixture
-def is_part(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "studies"))
-    import fault_child
-
-    yield fault_child.is_part
-    sys.modules.pop("fault_child")
-
-
-def test_a_store_that_was_cut_short_is_part_of_the_whole_one(tmp_path, is_part):
+def test_a_store_that_was_cut_short_is_part_of_the_whole_one(tmp_path):
     study = ToyStudy(cell=load_cell())
     whole, begun = tmp_path / "whole.h5", tmp_path / "begun.h5"
     run_alone(study, StudyStore(whole, study), 3)

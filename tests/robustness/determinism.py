@@ -3,7 +3,7 @@
 Compared are the JSON and every file beside it. Each command runs as a program of its own: twice bound to one core, and
 on all cores.
 
-    python studies/determinism.py
+    python tests/robustness/determinism.py
 """
 
 import argparse

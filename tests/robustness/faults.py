@@ -4,8 +4,8 @@ Faults: an input cut at a random byte; SIGKILL at a random moment, then the comm
 some bytes; a folder that may not be written; a clock that jumps; two writers on one campaign. Each command runs in a
 process of its own, forked from this one, in a fresh folder.
 
-    python studies/faults.py --faults 2000
-    python studies/faults.py --faults 100 --commands week study
+    python tests/robustness/faults.py --faults 2000
+    python tests/robustness/faults.py --faults 100 --commands week study
 """
 
 import os

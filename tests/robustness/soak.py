@@ -4,7 +4,7 @@ Each week: a full calibration, then a few sweeps a day, recorded as traces (`sim
 followed (`track`), judged (`decide`) and driven (`control`). Each command is killed once or more before it may end. The
 first week also runs in peace: every file must say the same. In all weeks no row may be missing.
 
-    python studies/soak.py --weeks 8
+    python tests/robustness/soak.py --weeks 8
 """
 
 import argparse
@@ -20,7 +20,7 @@ from fault_child import Child, meaning
 
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.csv import write_csv
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 

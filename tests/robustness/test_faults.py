@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-STUDY = Path(__file__).parents[1] / "studies" / "faults.py"
+PROGRAM = Path(__file__).parent / "faults.py"
 
 
 @pytest.mark.slow
 def test_fifty_faults():
-    """Cut inputs, kills, full disks, read-only folders, jumping clocks, two writers. The study injects thousands."""
-    command = [sys.executable, str(STUDY), "--faults", "50", "--quick"]
+    """Cut inputs, kills, full disks, read-only folders, jumping clocks, two writers. The program injects thousands."""
+    command = [sys.executable, str(PROGRAM), "--faults", "50", "--quick"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr
     assert "50 faults injected" in found.stdout

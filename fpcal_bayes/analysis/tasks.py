@@ -1,0 +1,103 @@
+"""The numbers that are shown of a predicted task error and of its uncertainty budget."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.tasks.budget import Budget
+from fpcal_bayes.infer.tasks.prediction import TaskPrediction
+from fpcal_bayes.motion.tasks import Task
+
+
+@dataclass(frozen=True)
+class TaskNumbers:
+    """A predicted task error: lengths in nm, angles in deg, bands that hold 95 %.
+
+    All of them are NaN, and the probability is None, where what the prediction is made from is not to be used.
+    """
+
+    task: Task  # as it is driven: points that cannot be reached are left out
+    linear: bool  # to first order from a covariance, else from posterior draws
+    n_draws: int
+    sd: Floats  # (n_points,)
+    low: Floats  # (n_points,)
+    high: Floats  # (n_points,)
+    median: float  # peak to peak
+    least: float  # lower edge of its band
+    most: float
+    normal: tuple[float, float]  # median and 95 % quantile of the largest angle along the path
+    turn: tuple[float, float]
+    tolerance: float | None
+    exceeds: float | None  # probability of a larger peak to peak than the tolerance
+
+    @classmethod
+    def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
+        """Of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
+        if not prediction.trust.usable:
+            return cls._nothing(prediction, tolerance)
+        low, high = 1e3 * prediction.band()
+        least, most = 1e3 * prediction.peak_to_peak_band()
+        return cls(
+            task=prediction.task,
+            linear=prediction.linear,
+            n_draws=len(prediction.errors),
+            sd=1e3 * prediction.sd,
+            low=low,
+            high=high,
+            median=float(1e3 * np.median(prediction.peak_to_peak)),
+            least=float(least),
+            most=float(most),
+            normal=_largest(prediction.angles.normal),
+            turn=_largest(prediction.angles.turn),
+            tolerance=None if tolerance is None else 1e3 * tolerance,
+            exceeds=None if tolerance is None else prediction.exceeds(tolerance),
+        )
+
+    @classmethod
+    def _nothing(cls, prediction: TaskPrediction, tolerance: float | None) -> "TaskNumbers":
+        unknown, nan = np.full(len(prediction.sd), np.nan), float("nan")
+        return cls(
+            task=prediction.task,
+            linear=prediction.linear,
+            n_draws=len(prediction.errors),
+            sd=unknown,
+            low=unknown,
+            high=unknown,
+            median=nan,
+            least=nan,
+            most=nan,
+            normal=(nan, nan),
+            turn=(nan, nan),
+            tolerance=None if tolerance is None else 1e3 * tolerance,
+            exceeds=None,
+        )
+
+    @property
+    def worst_sd(self) -> float:
+        """The largest standard deviation along the path."""
+        return float(self.sd.max())
+
+
+def _largest(angles: Floats) -> tuple[float, float]:
+    median, high = np.quantile(angles.max(axis=1), [0.5, 0.95])
+    return float(median), float(high)
+
+
+def variance_shares(budget: Budget) -> list[float] | None:
+    """Share of each input in the variance of a budget, or None where the inputs are not independent."""
+    total = budget.combined**2
+    if not (total > 0 and np.allclose(budget.correlation, np.eye(len(budget.lines)), atol=1e-6)):
+        return None
+    return [line.contribution**2 / total for line in budget.lines]
+
+
+def correlated_inputs(budget: Budget) -> list[tuple[str, str, float]]:
+    """Pairs of inputs whose contributions are correlated by half a per cent or more, with the correlation."""
+    names = [line.name for line in budget.lines]
+    return [
+        (names[j], names[i], float(budget.correlation[i, j]))
+        for i in range(len(names))
+        for j in range(i)
+        if abs(budget.correlation[i, j]) >= 0.005
+    ]

@@ -1,0 +1,1 @@
+"""Options of all commands; nothing here is slow to import."""

@@ -1,0 +1,94 @@
+"""What the options of several commands have in common; nothing here is slow to import."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+Commands = Any  # argparse names the type of its subparsers only privately
+
+
+def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
+    """Add a command with the options that every command takes."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)"
+    )
+    parser.add_argument("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
+    return parser
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--json``."""
+    parser.add_argument("--json", metavar="OUT", type=Path, help="write the result as JSON")
+
+
+def add_prior(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--prior``."""
+    parser.add_argument(
+        "--prior", metavar="ESTIMATE", help="estimate JSON whose values and covariance replace the cell's priors"
+    )
+
+
+def add_goal(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what the cell must hold."""
+    parser.add_argument(
+        "--tolerance-nm", type=positive, default=50.0, help="largest peak to peak of a task's error (default: 50)"
+    )
+    parser.add_argument(
+        "--task", metavar="TASK", action="append", help="to be held: circle (default), line-x, line-z, tilt-x, tilt-z, "
+        "spin, or PATH.csv; may be given several times"
+    )  # fmt: skip
+    parser.add_argument("--radius-um", type=positive, default=100.0, help="of the circle (default: 100)")
+    parser.add_argument("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
+
+
+def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """Add the options that choose a task."""
+    parser.add_argument(
+        "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
+    )
+    parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    parser.add_argument("--points", type=count, default=61, metavar="N", help="points of the path (default: 61)")
+
+
+def positive(text: str) -> float:
+    """Parse an option that must be a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    return value
+
+
+def share(text: str) -> float:
+    """Parse an option that must lie between 0 and 1."""
+    value = positive(text)
+    if value >= 1:
+        raise argparse.ArgumentTypeError(f"expected a number between 0 and 1, found {text!r}")
+    return value
+
+
+def seed(text: str) -> int:
+    """Parse a seed: a whole number from 0."""
+    if not (text.isascii() and text.isdigit() and len(text) < 19):
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, found {text!r}")
+    return int(text)
+
+
+def count(text: str) -> int:
+    """Parse an option that must be a whole number above zero."""
+    value = seed(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"expected a whole number above zero, found {text!r}")
+    return value

@@ -1,0 +1,187 @@
+"""Options of the commands that find the parameters of a cell, and of those that use them."""
+
+from pathlib import Path
+
+from fpcal_bayes.cli.arguments.common import (
+    Commands,
+    add_command,
+    add_json,
+    add_prior,
+    add_task_options,
+    count,
+    positive,
+    seed,
+    share,
+)
+
+_IDENTIFY = """\
+--free takes groups and names, for example `--free extrinsic` or `--free all,gain_4`. Parameters that are not free are
+held at --start (or at nominal), and their uncertainty reaches the result; --hold exact takes them as known.
+
+Status of a parameter: identified (the data tell it); weak (the data halve its prior variance at best); gauge (the data
+see it only together with others: its value is the prior's); fixed (held).
+"""
+
+
+def identify(commands: Commands) -> None:
+    """Add ``fpcal identify``."""
+    parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
+    add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
+    add_prior(parser)
+    add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
+    add_json(parser)
+
+
+_SAMPLE = """\
+Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
+same draws as one that was not.
+"""
+
+
+def sample(commands: Commands) -> None:
+    """Add ``fpcal sample``."""
+    parser = add_command(commands, "sample", "draw from the posterior of a cell", _SAMPLE)
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    add(
+        "--likelihood",
+        choices=("gaussian", "student", "slip"),
+        default="gaussian",
+        help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
+        "(default: gaussian)",
+    )
+    add("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
+    add_prior(parser)
+    add("--resume", action="store_true", help="go on with a run that was killed")
+    add("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
+    add("--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)")
+    add_json(parser)
+
+
+_COMPARE = """\
+Models stand between commas, settings of one model between plus signs: `opd=axis,opd=perpendicular`, or
+`likelihood=gaussian,opd=perpendicular+likelihood=slip`. What is not set is the cell's path model and Gaussian noise.
+
+Models are compared by how well they predict each row from all others (leave-one-out): elpd is the sum of these log
+densities, per um. Rows whose Pareto k is too large for importance sampling ("bad k") are left out in earnest
+("refitted"). A difference below 4, or below twice its standard error, tells nothing.
+"""
+
+
+def compare(commands: Commands) -> None:
+    """Add ``fpcal compare``."""
+    parser = add_command(commands, "compare", "say which of several models the data favour", _COMPARE)
+    add = parser.add_argument
+    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
+    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    add_json(parser)
+
+
+_TASK_ERROR = """\
+TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, all of these (the default), or a PATH.csv (see fpcal control).
+
+The task error is the change of cavity length along the task that the controller does not know of, where the joints can
+follow. It is worked out from posterior draws, which an estimate of fpcal identify holds too (500); from an estimate
+without draws, to first order from its covariance. --budget prints the uncertainty budget of the worst point (GUM, JCGM
+100 and 101), always to first order; with --sweeps, the file that the estimate was made from, it tells the noise, the
+prior and the wavelength apart.
+
+Of bands of 95 % after the paper's end-point sweeps 94 to 95 % hold the true value in simulation, for every task; to
+first order from the covariance 91 % do for spin, 93 to 95 % for the others (studies/task_coverage.py).
+"""
+
+
+def task_error(commands: Commands) -> None:
+    """Add ``fpcal task-error``."""
+    parser = add_command(commands, "task-error", "predict by how much tasks will be off", _TASK_ERROR)
+    add = parser.add_argument
+    add("file", metavar="ESTIMATE|POSTERIOR", help="estimate JSON, or posterior draws (.nc)")
+    add_task_options(parser, required=False)
+    add("--tolerance-nm", type=positive, metavar="T", help="probability that the peak to peak exceeds T")
+    add("--estimate", metavar="ESTIMATE", help="with draws: what the controller holds")
+    add("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
+    add("--seed", type=seed, default=0, help="of these draws (default: 0)")
+    add("--budget", action="store_true", help="print the uncertainty budget of each task")
+    add("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
+    add("--session", metavar="NAME", help="session of these sweeps (default: the first)")
+    add_json(parser)
+
+
+_CONTROL = """\
+TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, or a PATH.csv with the columns x_um,y_um,z_um,rx_deg,ry_deg,rz_deg
+in the fibre frame, relative to the aligned pose, turns in the order x, y, z about the reflection point.
+
+JOINTS has the columns q1_um .. q6_deg, status (ok, or the reason), predicted_sd_nm (what the cavity length may be off
+by, one standard deviation, from the aligned pose to this one). Points that are not ok have neither joint values nor a
+prediction, and do not count for the peak to peak.
+"""
+
+
+def control(commands: Commands) -> None:
+    """Add ``fpcal control``."""
+    parser = add_command(commands, "control", "find the joint path of a task", _CONTROL)
+    add = parser.add_argument
+    add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
+    add_task_options(parser, required=True)
+    add(
+        "--now", metavar="TIME_H|UTC", help="when the task is driven: says if the estimate is past its horizon "
+        "(default: this clock, where the estimate carries a clock time)"
+    )  # fmt: skip
+    add("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
+    add_json(parser)
+
+
+_CHECK = """\
+TRACE is a CSV with the columns part,t_s,q1_um .. q6_deg,irradiance_v. Lines of part `reference` come first: the robot
+stands at the start of the path, and the joint along the optical axis (q2) goes through one fringe or more and back.
+Lines of part `path` follow: the path that the controller drove with the estimate (fpcal control). A second reference
+scan after the path is welcome: it tells how the signal drifted. `fpcal simulate --path JOINTS.csv --traces` makes such
+a file on the simulated cell.
+
+Start at half fringe height (quadrature): move q2 there before the path. At the fringe's maximum 20 nm change the signal
+by 0.7 % of its height only, at half height by 8 %.
+
+A calibration is refuted if an error as large as the one measured would be less probable than --level, did the estimate
+hold; what the estimate predicts is worked out from its posterior draws, or to first order from its covariance. With
+--time-h the cell may have drifted since the time of the estimate as it states; without, the check asks whether the
+estimate holds as it is.
+
+-o writes the check as a row of kind `path` for a campaign: dl_um is the peak to peak of the error, signed 0. --points N
+adds N sweeps from the path's start to points along it, in one group, which `fpcal track` takes in as measurements.
+"""
+
+
+def check(commands: Commands) -> None:
+    """Add ``fpcal check``."""
+    parser = add_command(commands, "check", "check a calibration by a path recorded on the cell", _CHECK)
+    add = parser.add_argument
+    add("trace", metavar="TRACE", help="recorded path: .csv")
+    add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")
+    add("--tolerance-nm", type=positive, metavar="T", help="say whether the path is within T")
+    add("--level", type=share, default=0.01, metavar="P", help="refuted below this (default: 0.01)")
+    add(
+        "--stability-percent",
+        type=positive,
+        default=0.5,
+        metavar="P",
+        help="how gain and offset may wander during the path, one standard deviation (default: 0.5)",
+    )
+    add("-o", dest="output", metavar="CHECK", type=Path, help="the check as sweeps: .csv or .h5")
+    add("--points", type=count, metavar="N", help="with -o: sweeps to N points of the path too")
+    add("--session", metavar="NAME", default="check", help="with -o: its session (default: check)")
+    add("--time-h", type=float, default=None, metavar="T", help="when it was recorded, in hours since day 0")
+    for name, unit in (("temperature-c", "C"), ("pressure-hpa", "hPa"), ("humidity-pct", "%%")):
+        add(f"--{name}", type=float, metavar="X", help=f"of the air in {unit}; all three or none")
+    add("--seed", type=seed, default=0, help="of the draws (default: 0)")
+    add_json(parser)

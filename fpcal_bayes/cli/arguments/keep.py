@@ -1,0 +1,219 @@
+"""Options of the commands that keep a cell calibrated, and of those that simulate weeks of it."""
+
+import argparse
+from pathlib import Path
+
+from fpcal_bayes.cli.arguments.common import Commands, add_command, add_goal, add_json, count, positive, seed
+
+_PLAN = """\
+Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
+task, in units of what the paper's 69 sweeps leave, is expected to be known best; then they are varied to serve better,
+and at the end all of them move together to where the criterion is smallest nearby.
+Without an estimate the plan is averaged over draws of the prior, so that it is good before the cell is known.
+
+--reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
+task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
+--after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
+
+SWEEPS holds whole sweeps. --rows writes the readings of each as rows of one group, for `fpcal simulate --protocol`.
+Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
+"""
+
+
+def plan(commands: Commands) -> None:
+    """Add ``fpcal plan``."""
+    parser = add_command(commands, "plan", "choose which sweeps to measure", _PLAN)
+    add = parser.add_argument
+    add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
+    add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
+    add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
+    add("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
+    add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
+    add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
+    add("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
+    add("--session", metavar="NAME", help="session of these (default: the first)")
+    add("--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too")
+    add("--readings", type=count, metavar="K", help="readings of a sweep after its start, evenly spaced")
+    add("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add("--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)")
+    add("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
+    add("--draws", type=count, default=64, metavar="N", help="of the prior (default: 64)")
+    add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
+    add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
+    add("--single-joints", action="store_true", help="move one joint at a time only")
+    add(
+        "--variations", type=count, default=30, metavar="N", help="of each sweep in a round of refinement (default: 30)"
+    )
+    add("--seed", type=seed, default=0, help="of the search (default: 0)")
+    add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
+    add("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
+    add_json(parser)
+
+
+_TRACK = """\
+The first session of CAMPAIGN is the full calibration, the following ones update it: any number of sweeps, at any time.
+Sessions may stand in any order; one that arrives late takes its place. In an HDF5 campaign the states are saved, and
+the next run takes in what is new; a CSV is never changed.
+
+Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
+widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
+
+ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
+session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
+fpcal decide says what to do then.
+"""
+
+
+def track(commands: Commands) -> None:
+    """Add ``fpcal track``."""
+    parser = add_command(commands, "track", "follow the parameters from session to session", _TRACK)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
+    add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
+    add(
+        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
+        "sample) in place of a few that are made here; takes in all sessions again"
+    )  # fmt: skip
+    add_goal(parser)
+    add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
+    add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
+    add("--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell")
+    add_json(parser)
+
+
+_DECIDE = """\
+hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
+error of the tasks; full: calibrate in full, since the robot itself moved or no few sweeps reach the tolerance.
+
+The error of a task is what the controller does not know of the cavity length along its path, peak to peak. LEVEL is the
+probability of being out of tolerance that is accepted before the next measurement; the share of time spent outside is
+about a third of it. With --cost-out the level is the one at which measuring and errors together cost least.
+"""
+
+
+def decide(commands: Commands) -> None:
+    """Add ``fpcal decide``."""
+    parser = add_command(commands, "decide", "decide whether to measure now, and what", _DECIDE)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add_goal(parser)
+    add(
+        "--now", metavar="TIME_H|UTC", help="time of the decision (default: this clock where rows carry utc, else the "
+        "last session)"
+    )  # fmt: skip
+    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
+    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
+    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
+    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
+    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
+    add(
+        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
+        "be trusted (default: 1)"
+    )  # fmt: skip
+    add(
+        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
+        "can show a change of the robot itself (default: 24)"
+    )  # fmt: skip
+    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
+    add("-o", dest="output", metavar="SWEEPS.csv", type=Path, help="write the sweeps as a plan")
+    add_json(parser)
+
+
+_REPORT = """\
+The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
+with intervals, what the calibration can tell, residuals, drift with alarms, the log of all sessions, an uncertainty
+budget and where every number comes from. It needs no network, and prints well.
+
+A calibration that did not converge or does not fit is said to be of no use; the exit status is then 1. The numbers of
+the page are those of fpcal track, decide, task-error and observe with the same options.
+"""
+
+
+def report(commands: Commands) -> None:
+    """Add ``fpcal report``."""
+    parser = add_command(commands, "report", "write a campaign's report as one HTML page", _REPORT)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
+    add("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
+    add_goal(parser)
+    add(
+        "--now", metavar="TIME_H|UTC", help="time of the report (default: this clock where rows carry utc, else the "
+        "last session)"
+    )  # fmt: skip
+    add_json(parser)
+
+
+_WEEK = """\
+The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
+protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
+same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm.
+
+Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
+policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
+(the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
+truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
+irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, courses.svg.
+"""
+
+
+def week(commands: Commands) -> None:
+    """Add ``fpcal week``."""
+    parser = add_command(commands, "week", "run the paper's week on a simulated cell", _WEEK)
+    add = parser.add_argument
+    add("-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add("--seed", type=seed, default=0, help="of the noise (default: 0)")
+    add(
+        "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
+        "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
+    )  # fmt: skip
+    add("--no-page", dest="page", action="store_false", help="leave out report.html")
+
+
+_STUDY = """\
+coverage  does the truth lie in the predicted bands of each task?
+sbc       simulation-based calibration: are the truths uniformly ranked among posterior draws?
+policy    weeks of drift under several policies: share of time in tolerance against sweeps spent
+plan      does a plan do as well as the paper's sweeps?
+
+Replicate K is the same whenever and wherever it runs. Each is put into STORE as soon as it is there. A study that was
+stopped, or killed, goes on when the command is given again, and leaves the same file byte for byte; a larger
+--replicates adds to it. Workers that die lose nothing: what they had is given to others.
+
+Without --scheduler the workers are processes of this machine. A cluster is started with `dask scheduler` and, wherever
+fpcal_bayes of the same version is installed, `dask worker tcp://HOST:PORT --nthreads 1`. Dask hands pickles on: name
+a scheduler that you trust only.
+"""
+
+
+def study(commands: Commands) -> None:
+    """Add ``fpcal study``."""
+    parser = add_command(commands, "study", "run many independent replicates of a question", _STUDY)
+    add = parser.add_argument
+    add("study", metavar="NAME", choices=("coverage", "sbc", "policy", "plan"), help="coverage, sbc, policy or plan")
+    add("--replicates", type=count, required=True, metavar="N", help="how many in all")
+    add("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.h5)")
+    add("--anew", action="store_true", help="forget what the store holds")
+    add("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster that runs already")
+    add("--workers", type=count, metavar="N", help="processes on this machine (default: its cores)")
+    add("--seed", type=seed, default=0, help="of the study (default: 0)")
+    add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
+    add(
+        "--protocol",
+        default="paper",
+        metavar="paper|paper-mid|SWEEPS",
+        help="coverage, sbc: sweeps of each calibration (default: paper); sbc also: random",
+    )
+    add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
+    add("--plan", metavar="SWEEPS", help="plan: whole sweeps, as fpcal plan writes them")
+    add("--readings", type=count, default=2, metavar="K", help="plan: of each sweep (default: 2)")
+    add("--policies", metavar="NAME;..", help="policy: which (a wrong name lists all)")
+    add("--hours", type=positive, default=192.0, help="policy: length of a week (default: 192)")
+    add("--harder", action="store_true", help="policy: weeks that drift otherwise than modelled too")
+    add_goal(parser)
+    add_json(parser)

@@ -1,0 +1,59 @@
+"""Linear algebra and distributions that every room needs; each formula stands here once."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg, special
+
+from fpcal_bayes.core.typing import Floats
+
+#: Eigenvalues and eigenvectors of a symmetric matrix. NumPy and SciPy call LAPACK routines whose last digits differ:
+#: callers name the one that their results were always made with.
+Eigh = Callable[[Floats], Any]
+
+
+def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Eigh = np.linalg.eigh) -> Floats:
+    """A matrix whose product with its transpose is `covariance` (n, n), which may be singular.
+
+    Rounding is judged in units of `scale` (n,), by default the standard deviations themselves.
+    """
+    if scale is None:
+        own = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+        scale = np.where(own > 0, own, 1.0)
+    values, vectors = eigh(covariance / np.outer(scale, scale))
+    root: Floats = scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
+    return root
+
+
+def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.linalg.eigh) -> Floats:
+    """The symmetric matrix whose square is `covariance` (n, n); it moves smoothly with it, as no other root does.
+
+    Eigenvalues below `least` are raised to it.
+    """
+    values, vectors = eigh(covariance)
+    root: Floats = (vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T
+    return root
+
+
+def posterior_triangle(jacobian: Floats) -> Floats:
+    """Upper triangular R with R'R = J'J + 1, of whitened, prior-scaled rows J (n_rows, n); shape (n, n)."""
+    n = jacobian.shape[1]
+    return linalg.qr(np.vstack([jacobian, np.eye(n)]), mode="r")[0][:n]
+
+
+def symmetric(matrix: Floats) -> Floats:
+    """A matrix without the skew part that rounding leaves."""
+    return (matrix + matrix.T) / 2.0
+
+
+def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> Floats:
+    """Lower and upper edge of the central band that holds `share` of the values; the edges come first in the shape."""
+    share = np.asarray(share)
+    return np.asarray(np.quantile(values, np.stack([(1.0 - share) / 2.0, (1.0 + share) / 2.0], axis=-1), axis=axis))
+
+
+def chi2_tail(value: float, dof: float) -> float:
+    """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
+    return float(special.gammaincc(dof / 2.0, value / 2.0))

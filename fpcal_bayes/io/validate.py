@@ -1,0 +1,102 @@
+"""Values of nested tables (TOML, JSON) held to what a file may say, with messages that name the file and the key."""
+
+import math
+from collections.abc import Callable, Collection
+from typing import Any
+
+from fpcal_bayes.core.errors import InputError
+
+
+def shown(value: object) -> str:
+    """A value as it stands in a message: quoted and no longer than a line."""
+    text = str(value)
+    return repr(text if len(text) <= 40 else text[:40] + "...")
+
+
+def literal(value: object) -> str:
+    """A value as a program writes it, and short; also for an integer of more digits than Python prints."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number out of range"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def is_number(value: object, largest: float = math.inf) -> bool:
+    """Whether a value is a finite number, smaller in size than `largest`."""
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(float(value)) < largest
+    except OverflowError:
+        return False
+
+
+class Tables:
+    """Reads the tables of one file; every refusal names the file and the key, and shows a value as `shown` does."""
+
+    def __init__(self, file: object, shown: Callable[[object], str] = literal) -> None:
+        self.file, self.shown = file, shown
+
+    def error(self, key: str, expected: str) -> InputError:
+        """The refusal of a key."""
+        return InputError(f"{self.file}: key {key}: {expected}")
+
+    def keys(
+        self,
+        table: dict[str, Any],
+        place: str,
+        known: Collection[str],
+        *,
+        named: Collection[str] = (),
+        unknown: str = "unknown key",
+    ) -> None:
+        """Refuse keys that are not `known`; the message lists those that are, or those `named`."""
+        for key in table:
+            if key not in known:
+                raise self.error(_at(place, key), f"{unknown}, expected one of {', '.join(sorted(named or known))}")
+
+    def table(self, parent: dict[str, Any], place: str, key: str, expected: str = "expected a table") -> dict[str, Any]:
+        """A table in a table."""
+        value = parent.get(key)
+        if not isinstance(value, dict):
+            raise self.error(_at(place, key), expected)
+        return value
+
+    def text(self, table: dict[str, Any], place: str, key: str) -> str:
+        """A line of text."""
+        value = table.get(key)
+        if not isinstance(value, str) or not 0 < len(value.strip()) <= 1000 or not value.isprintable():
+            raise self.error(_at(place, key), "expected a line of text in quotes")
+        return value
+
+    def choice[T: str](
+        self, table: dict[str, Any], place: str, key: str, choices: tuple[T, ...], default: T | None
+    ) -> T:
+        """One of some words."""
+        value = table.get(key, default)
+        for choice in choices:
+            if value == choice:
+                return choice
+        raise self.error(_at(place, key), f"expected one of {', '.join(choices)}, found {self.shown(value)}")
+
+    def number(
+        self,
+        table: dict[str, Any],
+        place: str,
+        key: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        largest: float = math.inf,
+        default: float | None = None,
+    ) -> float:
+        """A finite number from `low` to `high`; one as large as `largest` counts as infinite."""
+        value = table.get(key, default)
+        if value is None or not is_number(value, largest):
+            raise self.error(_at(place, key), f"expected a finite number, found {self.shown(value)}")
+        if not low <= value <= high:
+            raise self.error(_at(place, key), f"expected a number from {low:g} to {high:g}, found {self.shown(value)}")
+        return float(value)
+
+
+def _at(place: str, key: str) -> str:
+    return f"{place}.{key}" if place else key

@@ -1,0 +1,142 @@
+"""May a result be used? One rule, which an estimate carries and every file that holds a result repeats."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+#: Fits whose data, or data and prior, are met with a smaller probability are poor.
+POOR_FIT_BELOW = 1e-3
+
+Verdict = Literal["usable", "doubtful", "unusable"]
+
+#: What can be held against a result, and whether it forbids the use of it. The others are said and leave it usable.
+KINDS: dict[str, bool] = {
+    "not-converged": True,
+    "poor-fit": True,
+    "intrinsics-moved": True,
+    "stale": True,
+    "too-good-fit": False,
+    "second-solution": False,
+    "signs": False,
+    "nothing-determined": False,
+    "unrecorded": False,
+}
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One thing that is held against a result: its kind, a key of `KINDS`, and a sentence for a person."""
+
+    kind: str
+    text: str
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"unknown kind of reason {self.kind!r}: expected one of {', '.join(KINDS)}")
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whether a result may be used, and what is held against it."""
+
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether bands, probabilities and horizons may be made from the result."""
+        return not any(KINDS[reason.kind] for reason in self.reasons)
+
+    @property
+    def verdict(self) -> Verdict:
+        """``usable``, ``doubtful`` (usable, with reasons to look at it) or ``unusable``."""
+        return "unusable" if not self.usable else "doubtful" if self.reasons else "usable"
+
+    @property
+    def against(self) -> str:
+        """The sentences that forbid the use of the result, or an empty text."""
+        return "; ".join(reason.text for reason in self.reasons if KINDS[reason.kind])
+
+    def because(self, *reasons: Reason) -> "Trust":
+        """The same with further reasons; a kind and text that stand already are not repeated."""
+        return Trust(tuple(dict.fromkeys((*self.reasons, *reasons))))
+
+    def content(self) -> dict[str, Any]:
+        """The JSON content ``{usable, verdict, reasons: [{kind, text}]}``."""
+        said = [{"kind": reason.kind, "text": reason.text} for reason in self.reasons]
+        return {"usable": self.usable, "verdict": self.verdict, "reasons": said}
+
+
+#: What is held against a result of a program that kept no verdict.
+UNRECORDED = Reason("unrecorded", "the file is of an older program and holds no verdict on the fit")
+
+
+def trust_of(content: Any) -> Trust:
+    """The trust that a file states; `ValueError` if it contradicts itself or is not as `Trust.content` writes it.
+
+    Parameters
+    ----------
+    content
+        What stands under ``trust``; None where a file of an older program has nothing there.
+    """
+    if content is None:
+        return Trust((UNRECORDED,))
+    if not isinstance(content, Mapping) or set(content) != {"usable", "verdict", "reasons"}:
+        raise ValueError("expected usable, verdict and reasons")
+    reasons = content["reasons"]
+    if not isinstance(reasons, list):
+        raise ValueError("expected a list of reasons")
+    for reason in reasons:
+        if not isinstance(reason, Mapping) or set(reason) != {"kind", "text"} or not isinstance(reason["text"], str):
+            raise ValueError("expected reasons with kind and text")
+    found = Trust(tuple(Reason(str(reason["kind"]), reason["text"]) for reason in reasons))
+    if (content["usable"], content["verdict"]) != (found.usable, found.verdict):
+        raise ValueError(f"the reasons say {found.verdict}, the verdict {content['verdict']!r:.40}")
+    return found
+
+
+@dataclass(frozen=True)
+class FitEvidence:
+    """What a fit says of itself: the numbers that the rule looks at."""
+
+    converged: bool
+    starts: int
+    n_rows: int
+    chi2_data: float  # of the whitened data rows
+    expected: float  # of chi2_data, if model, prior and noise are right
+    p_value: float  # probability of a larger chi2_data
+    sum_of_squares: float  # of data and prior
+    p_total: float  # probability of a larger sum_of_squares
+    rank: int
+
+
+def judge_fit(fit: FitEvidence, *more: Reason) -> Trust:
+    """What is to be held against a fit, in the order in which it is said; `more` comes after it."""
+    return Trust((*_reasons(fit), *more))
+
+
+def _reasons(fit: FitEvidence) -> Iterable[Reason]:
+    if not fit.converged:
+        text = f"the fit did not converge from {fit.starts} starting points: do not use this estimate"
+        yield Reason("not-converged", text)
+    if fit.p_value < POOR_FIT_BELOW:
+        yield Reason(
+            "poor-fit",
+            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
+            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, "
+            "or held values are stale",
+        )
+    elif fit.p_total < POOR_FIT_BELOW:
+        yield Reason(
+            "poor-fit",
+            f"poor fit: sum of squares {fit.sum_of_squares:.1f} over data and prior, expected {fit.n_rows} "
+            f"(p = {fit.p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
+            "something that is not free (a gain, a runout)",
+        )
+    elif fit.p_value > 1.0 - POOR_FIT_BELOW and fit.expected > 5.0:
+        yield Reason(
+            "too-good-fit",
+            f"the fit is too good: chi-square of the data {fit.chi2_data:.3g}, expected {fit.expected:.1f}: "
+            "sigma_um is too large, and every band with it",
+        )
+    if fit.rank == 0:
+        yield Reason("nothing-determined", "the data determine nothing: every value and sd is the prior's")

@@ -101,7 +101,7 @@ def test_the_whole_way(words, tmp_path):
     def fpcal(command: str, *arguments: object) -> None:
         assert main([command, "--cell", str(cell), "--quiet", *map(str, arguments)]) == 0
 
-    quick = ("--draws", 8, "--candidates", 150, "--variations", 4, "--iterations", 3, "--radius-um", 60)
+    quick = ("--draws", 8, "--candidates", 150, "--radius-um", 60)
     fpcal("plan", "--n", 14, *quick, "-o", tmp_path / "plan.csv", "--rows", rows)
     fpcal("simulate", "--protocol", rows, "--truth", truth, "-o", tmp_path / "sweeps.csv")
     fpcal("identify", tmp_path / "sweeps.csv", "--json", tmp_path / "estimate.json")

@@ -26,7 +26,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.motion.tasks import TASKS, Task, find_task
+from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.record import resume
@@ -205,7 +205,7 @@ def gather(
     found = observability.identification
     assert found is not None
     estimate = found.estimate if followed is None else _estimate_now(followed, now_h)
-    judged = [*goal.tasks, *(name for name in TASKS if name not in goal.tasks)]
+    judged = [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
     budget, budget_reason = _budget(found, goal)
     return CampaignFacts(
         file=path.name,

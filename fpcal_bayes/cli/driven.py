@@ -21,7 +21,7 @@ def warm_up_inverse(cell: Cell) -> None:
     """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
     inverse = InverseModel(cell)
     warm_up(cell)
-    if needs_compilation(batch_inverse):
+    if len(cell.joints) == 6 and needs_compilation(batch_inverse):
         print("fpcal: compiling the inverse model; this happens once and takes about 30 s", file=sys.stderr)
     nominal = cell.parameters.nominal
     inverse.solve(nominal, inverse.tool_poses(nominal, inverse.home[None]))

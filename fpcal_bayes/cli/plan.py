@@ -21,6 +21,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
 from fpcal_bayes.tracking.drift import aged
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
     settings = _settings(options)
-    tasks = _tasks(options, targets)
+    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
@@ -151,9 +152,9 @@ def _targets(text: str | None) -> dict[str, float]:
     return targets
 
 
-def _tasks(options: argparse.Namespace, targets: dict[str, float]) -> list[str]:
+def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
     if options.tasks is None:
-        return list(targets) if targets else list(DEFAULT_TASKS)
+        return list(targets) if targets else list(possible_tasks(cell, DEFAULT_TASKS))
     tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
     if not tasks:
         raise InputError("--tasks: expected one task at least")

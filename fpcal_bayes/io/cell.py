@@ -8,8 +8,11 @@ from typing import Any, get_args
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
+from fpcal_bayes.io.cell_envelope import read_envelope
+from fpcal_bayes.io.cell_tasks import read_tasks
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
+from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
 from fpcal_bayes.model.cell.optics import Beams, Interferometer
@@ -52,7 +55,7 @@ _OPTICS_KEYS = {
 }
 
 
-def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cell:
+def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None, check: bool = True) -> Cell:
     """Read a cell by the name of a built-in one or from a TOML file.
 
     Parameters
@@ -61,6 +64,8 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cel
         ``femto-st`` or the path of a TOML file.
     opd
         Overrides the path model of the file.
+    check
+        Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
 
     Raises
     ------
@@ -79,7 +84,10 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cel
         raise InputError(f"{source}: not a TOML file: {error}") from error
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
-    cell = _Reader(source).cell(table)
+    reader = _Reader(source)
+    cell = reader.cell(table)
+    for key, what in impossible(cell) if check else ():
+        raise reader.error(key, what)
     if text[-1:].isdigit():
         require_line_end(path, text)
     return cell if opd is None else cell.with_opd(opd)
@@ -89,13 +97,13 @@ class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "task"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
-        wavelength = self.number(optics, "optics", "wavelength_nm", low=1.0, high=100_000.0) * 1e-3
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=0.1, high=100_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 
@@ -130,6 +138,8 @@ class _Reader(Tables):
             optical_axis=optical_axis,
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
+            envelope=read_envelope(self, table.get("envelope"), len(joints)),
+            tasks=read_tasks(self, table.get("task", [])),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
@@ -149,7 +159,8 @@ class _Reader(Tables):
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
-        own = {f"{key}_{unit}" for key in ("limits", "repeatability", "resolution")}
+        speed_key = f"speed_{unit}_per_s"
+        own = {speed_key, *(f"{key}_{unit}" for key in ("limits", "repeatability", "resolution"))}
         self.keys(table, place, {"kind", "controller", "drift", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
@@ -164,7 +175,8 @@ class _Reader(Tables):
             for key in ("repeatability", "resolution")
         )
         controller = self.controller(table, place, kind) if "controller" in table else None
-        return Joint(kind, low, high, repeatability, controller, resolution)
+        speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
+        return Joint(kind, low, high, repeatability, controller, resolution, speed)
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")

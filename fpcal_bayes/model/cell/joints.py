@@ -37,10 +37,11 @@ class ControllerAxis:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution.
+    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution, speed.
 
     Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position, `resolution` the
-    smallest step (zero where it is not stated).
+    smallest step (zero where it is not stated), `speed` what the joint travels or turns in a second at most, None where
+    the cell does not say.
     """
 
     kind: JointKind
@@ -49,6 +50,7 @@ class Joint:
     repeatability: float
     controller: ControllerAxis | None
     resolution: float = 0.0
+    speed: float | None = None
 
     @property
     def unit(self) -> str:

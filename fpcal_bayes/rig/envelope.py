@@ -7,9 +7,10 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.envelope import breaches, estimate_draws, prior_draws, require_envelope
+from fpcal_bayes.model.envelope import breaches
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.joint_path import JointPath
+from fpcal_bayes.model.margin import estimate_draws, prior_draws, require_envelope
 
 #: Poses on the straight line between two stops, and per turning joint of the box around a move.
 _LINE, _TURNING = 9, 3

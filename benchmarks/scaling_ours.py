@@ -16,7 +16,7 @@ from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.infer.posterior.draws import make_target
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
@@ -43,7 +43,7 @@ def by_rows(cell: Cell, sizes: list[int]) -> Iterator[Point]:
         model, values, start = problem.model, cell.free.nominal, np.zeros(problem.n_unknowns)
         rows = model.rows(sweeps.q_start, sweeps.q_end)
         found = identify(cell, sweeps)
-        atlas = Atlas(*make_target(found, "gaussian"))
+        atlas = ProposalMixture(*make_target(found, "gaussian"))
         normal, choice = random.standard_normal((PROPOSALS, problem.n_unknowns)), random.random(PROPOSALS)
         yield timed("changes of length", n, lambda m=model, v=values, r=rows: m.predict(v, r))
         yield timed("Jacobian", n, lambda m=model, v=values, r=rows: m.predict_with_jacobian(v, r))

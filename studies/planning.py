@@ -35,7 +35,7 @@ from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import draw_plan
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.study.planning import compare, largest_errors
-from fpcal_bayes.tracking.drift import aged
+from fpcal_bayes.tracking.drift import propagated
 
 SIGMA = 0.005
 #: Standard deviations or errors by task in um, one a truth.
@@ -239,7 +239,9 @@ def extrinsic(options: argparse.Namespace) -> None:
     calibration = simulate(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )
-    ground = estimate_ground(aged(identify(cell, calibration).estimate, options.hours), tasks=tuple(options.tasks))
+    ground = estimate_ground(
+        propagated(identify(cell, calibration).estimate, options.hours), tasks=tuple(options.tasks)
+    )
     paper = ground.expected_sd(paper_protocol(cell), readings=1)
     middle = ground.expected_sd(paper_protocol(cell), readings=2)
     for name, sd in (("before", ground.expected_sd(None)), ("paper's 69", paper), ("with midpoints", middle)):

@@ -18,7 +18,7 @@ import numpy as np
 from fpcal_bayes.core.files import write_json
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.diagnosis import is_diagnosis
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -67,7 +67,7 @@ def planned(setting: Setting, goal: Goal, costs: Costs) -> Rule:
             taken = plan.with_measurement(np.zeros(len(plan)), np.full(len(plan), setting.sigma))
             if is_diagnosis(policy.drift, setting.model, before, outcome, taken, policy.limits):
                 diagnosed = outcome.time_h
-        forecast = Forecast.of(policy.drift, setting.model, goal, outcome.state.mean)
+        forecast = Forecaster.of(policy.drift, setting.model, goal, outcome.state.mean)
         due = "the robot moved" if outcome.verdict == "intrinsics-moved" else None
         wait = 0.0 if due else policy.hold_hours(forecast, outcome.state, diagnosed)
         # `follow` begins sessions on a step.

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.tasks.error import task_rows
 from fpcal_bayes.io.cell import load_cell
@@ -76,7 +76,7 @@ def diagnosis_plan(cell: Cell, values: np.ndarray, count: int, hours: float, see
     measured = simulate(cell, Truth(cell.free, np.zeros(1), values[None]), plan, sigma=0.005, seed=seed)
     known = calibrate(cell, drift, measured)[0].state
     policy = Policy.of(drift, model, goal, Costs(diagnosis_sweeps=count), plan)
-    return policy.choose_diagnosis(Forecast.of(drift, model, goal, known.mean), predict(drift, known, hours))
+    return policy.choose_diagnosis(Forecaster.of(drift, model, goal, known.mean), predict(drift, known, hours))
 
 
 def change_of(cell: Cell, kind: str, random: np.random.Generator) -> np.ndarray:

@@ -13,7 +13,7 @@ from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, campaign
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.decision import Costs, expected_after
 from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy, decide_track, valid_until
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
 from fpcal_bayes.measure.truth import paper_truth
@@ -30,12 +30,12 @@ MODEL = CavityModel.of(CELL)
 GOAL = Goal(0.05)
 _, SWEEPS = campaign(3, sessions=0)
 CALIBRATED = calibrate(CELL, DRIFT, SWEEPS)[0].state
-FORECAST = Forecast.of(DRIFT, MODEL, GOAL, CALIBRATED.mean)
+FORECAST = Forecaster.of(DRIFT, MODEL, GOAL, CALIBRATED.mean)
 POLICY = Policy.of(DRIFT, MODEL, GOAL, Costs(), PROTOCOL)
 
 
-def forecast(*tasks: str, tolerance: float = 0.05, level: float = 0.1) -> Forecast:
-    return Forecast.of(DRIFT, MODEL, Goal(tolerance, tasks, level), CALIBRATED.mean)
+def forecast(*tasks: str, tolerance: float = 0.05, level: float = 0.1) -> Forecaster:
+    return Forecaster.of(DRIFT, MODEL, Goal(tolerance, tasks, level), CALIBRATED.mean)
 
 
 def circle_probability(state: State, tolerance: float) -> float:
@@ -96,7 +96,7 @@ def test_a_known_rate_moves_the_error_of_an_estimate_that_stays():
     drift = DRIFT.resized(lambda size: replace(size, rate_sd=rate) if size.name == "theta_et" else size)
     mean, covariance = drift.initial(paper_truth(CELL).at(0.0), 1e-16 * np.eye(len(CELL.free)))
     mean[-1], covariance[-1, -1] = 1.0, 1e-12
-    found = Forecast.of(drift, MODEL, GOAL, mean)
+    found = Forecaster.of(drift, MODEL, GOAL, mean)
     still = DriftModel(drift.parameters, tuple(DriftSize(s.name, rate_sd=s.rate_sd) for s in drift.sizes))
     ahead = replace(found, drift=still).ahead(State(0.0, mean, covariance), 24.0)
     # One day at 0.02 deg a day tips a circle of 200 um across by 70 nm.

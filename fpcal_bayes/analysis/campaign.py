@@ -10,7 +10,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import decide_track
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -119,7 +119,7 @@ def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
 
 
 @dataclass(frozen=True)
-class TaskOutlook:
+class TaskStanding:
     """What is expected of one task now."""
 
     name: str
@@ -145,11 +145,11 @@ class CampaignFacts:
     observability: Observability  # of the first session: the calibration
     track: Track | None  # all sessions followed
     track_reason: str  # why they cannot be
-    forecast: Forecast | None  # of the last estimate; None where tasks cannot be judged
+    forecast: Forecaster | None  # of the last estimate; None where tasks cannot be judged
     decision: Decision | None  # what to do now
     decision_reason: str  # why that cannot be said
     estimate: Estimate  # what the controller holds, with the covariance of the truth now
-    tasks: tuple[TaskOutlook, ...]
+    tasks: tuple[TaskStanding, ...]
     budget: Budget | None  # of the first task that must be held, after the calibration
     budget_reason: str  # why there is none
     posterior: PosteriorSummary | None  # of the calibration
@@ -233,13 +233,13 @@ def gather(
 
 def _decide(
     followed: Track | None, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float
-) -> tuple[Forecast | None, Decision | None, str]:
+) -> tuple[Forecaster | None, Decision | None, str]:
     """The forecast of the last estimate and the decision, or None for what cannot be had, and why."""
     if followed is None:
         return None, None, "the sessions cannot be followed, so that nothing is known about drift"
     model = CavityModel.of(followed.cell, followed.drift.parameters)
     try:
-        forecast = Forecast.of(followed.drift, model, goal, followed.last.state.mean)
+        forecast = Forecaster.of(followed.drift, model, goal, followed.last.state.mean)
     except InputError as error:
         return None, None, str(error)
     try:
@@ -257,13 +257,13 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
     return replace(now, trust=followed.trust)
 
 
-def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskOutlook:
+def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
     try:
         task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius, n_points=_POINTS)
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
-        return TaskOutlook(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance))
+        return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance))
     except InputError as error:
-        return TaskOutlook(name, asked, None, None, None, str(error))
+        return TaskStanding(name, asked, None, None, None, str(error))
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:

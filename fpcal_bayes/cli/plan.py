@@ -24,7 +24,7 @@ from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
-from fpcal_bayes.tracking.drift import aged
+from fpcal_bayes.tracking.drift import propagated
 
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
@@ -97,7 +97,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     if options.purpose == "extrinsic":
         if options.estimate is None:
             raise InputError("--for extrinsic: expected --estimate ESTIMATE, what is known of the cell")
-        estimate = aged(read_estimate(options.estimate, cell), 24.0 if options.hours is None else options.hours)
+        estimate = propagated(read_estimate(options.estimate, cell), 24.0 if options.hours is None else options.hours)
     elif options.estimate is not None or options.hours is not None:
         raise InputError("--estimate and --hours: expected beside --for extrinsic only; --after takes measured sweeps")
     warm_up_inverse(cell)

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.decision.forecast import Forecast, Outlook
+from fpcal_bayes.decision.forecast import Forecaster, TaskForecast
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.drift import State
@@ -16,7 +16,7 @@ from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 Action = Literal["hold", "extrinsic", "full"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
-Chooser = Callable[[Forecast, State, int], Sweeps]
+Chooser = Callable[[Forecaster, State, int], Sweeps]
 
 #: Times at which the running cost of a session is compared.
 _COST_STEPS = 40
@@ -89,9 +89,9 @@ class Decision:
     then_hours: float  # hours that the tolerance is expected to hold after it, up to the horizon
     # now, at_horizon, after: error of the tasks now, at the horizon if nothing is measured, and after what is
     # recommended (for ``hold``, at its end)
-    now: Outlook
-    at_horizon: Outlook
-    after: Outlook
+    now: TaskForecast
+    at_horizon: TaskForecast
+    after: TaskForecast
     reason: str
 
 
@@ -102,11 +102,11 @@ class _Session:
     sweeps: Sweeps
     minutes: float
     state: State
-    outlook: Outlook
+    outlook: TaskForecast
     hours: float
 
 
-def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
+def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
     """The state expected after measuring a plan at the time of `state`, to first order.
 
     Measurements in the plan are not looked at; `sigma` is the standard deviation of each change of cavity length, in
@@ -121,7 +121,7 @@ def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: S
 
 
 def decide(
-    forecast: Forecast,
+    forecast: Forecaster,
     model: CavityModel,
     state: State,
     costs: Costs,
@@ -149,7 +149,7 @@ def decide(
         forecast = _with_level_of_cost(forecast, sessions, costs)
     goal = forecast.goal
 
-    def made(action: Action, hold: float, taken: _Session | None, after: Outlook, reason: str) -> Decision:
+    def made(action: Action, hold: float, taken: _Session | None, after: TaskForecast, reason: str) -> Decision:
         sweeps, minutes, then = (None, 0.0, 0.0) if taken is None else (taken.sweeps, taken.minutes, taken.hours)
         return Decision(
             action, state.time_h, hold, goal.level, sweeps, minutes, then, now, at_horizon, after, reason
@@ -184,7 +184,13 @@ def decide(
 
 
 def measure_instead(
-    decision: Decision, forecast: Forecast, model: CavityModel, state: State, costs: Costs, sweeps: Sweeps, reason: str
+    decision: Decision,
+    forecast: Forecaster,
+    model: CavityModel,
+    state: State,
+    costs: Costs,
+    sweeps: Sweeps,
+    reason: str,
 ) -> Decision:
     """The decision to measure other sweeps now; arguments as in `decide`."""
     taken = _session(forecast, model, state, costs, sweeps)
@@ -200,14 +206,14 @@ def measure_instead(
     )
 
 
-def _session(forecast: Forecast, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
+def _session(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
     after = expected_after(forecast, model, state, plan, costs.sigma)
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
 
 
-def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
+def _sessions(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
     """Sessions of the fewest sweeps, of one more, and so on."""
     chosen = choose(forecast, state, costs.most_sweeps)
     counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
@@ -215,7 +221,7 @@ def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs
 
 
 def _if_it_lasts(
-    forecast: Forecast, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
+    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
 ) -> _Session:
     """The longer of two sessions where its further sweeps pay in the sessions that follow.
 
@@ -235,7 +241,7 @@ def _if_it_lasts(
     return long if long.hours - short.hours >= loss * between else short
 
 
-def _with_level_of_cost(forecast: Forecast, sessions: Sequence[_Session], costs: Costs) -> Forecast:
+def _with_level_of_cost(forecast: Forecaster, sessions: Sequence[_Session], costs: Costs) -> Forecaster:
     """The forecast with the level at which measuring costs least in the long run.
 
     A session of m minutes is followed by T hours in which an hour out of tolerance costs c minutes. The cost an hour,

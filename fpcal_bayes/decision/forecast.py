@@ -70,7 +70,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class TaskForecast:
     """Error of the tasks at one time."""
 
     time_h: float  # hours since the campaign began
@@ -101,7 +101,7 @@ class Outlook:
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Forecaster:
     """Errors of tasks under one estimate, at any later time and after any further measurement."""
 
     drift: DriftModel  # what the states mean and how they move
@@ -117,7 +117,7 @@ class Forecast:
     draws: Floats  # standard normal, shape (rank, n_draws)
 
     @classmethod
-    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecast":
+    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecaster":
         """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
         values = drift.values(mean)
         vector = model.vector(values)
@@ -138,11 +138,11 @@ class Forecast:
         )
         return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws)
 
-    def following(self, mean: Floats) -> "Forecast":
+    def following(self, mean: Floats) -> "Forecaster":
         """The same for a controller that takes over another estimate; its tasks move by too little to matter."""
         return replace(self, estimate=np.array(mean))
 
-    def outlook(self, state: State) -> Outlook:
+    def outlook(self, state: State) -> TaskForecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_parameters
         spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
@@ -150,7 +150,7 @@ class Forecast:
         change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
-        return Outlook(state.time_h, np.array(peaks))
+        return TaskForecast(state.time_h, np.array(peaks))
 
     def ahead(self, state: State, hours: float) -> State:
         """The state after some hours in which nothing is measured and the temperature stays."""

@@ -19,7 +19,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
 from fpcal_bayes.model.trust import Trust
 
-Verdict = Literal["confirmed", "refuted", "not evaluated"]
+CheckVerdict = Literal["confirmed", "refuted", "not evaluated"]
 
 #: Residuals this many times the noise of the reference scan: the curve does not follow the trace.
 _LOST = 3.0
@@ -78,7 +78,7 @@ class PathCheck:
     probability: float  # of at least the measured peak to peak, if the calibration holds
     #: ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
     #: too uncertain to confirm what the estimate predicts (see `blunt`).
-    verdict: Verdict
+    verdict: CheckVerdict
     level: float  # see `verdict`
     trust: Trust = field(default_factory=Trust)  # of the estimate; nothing is evaluated against one not to be used
 

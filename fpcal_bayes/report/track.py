@@ -7,11 +7,11 @@ from typing import Any
 from fpcal_bayes.analysis.history import session_bounds
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
-from fpcal_bayes.decision.forecast import Goal, Outlook
+from fpcal_bayes.decision.forecast import Goal, TaskForecast
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.table import Cell as Entry
 from fpcal_bayes.report.table import Table, plain_table
+from fpcal_bayes.report.table import TableCell as Entry
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track
 
@@ -136,7 +136,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
     }
 
 
-def _band(outlook: Outlook) -> list[float]:
+def _band(outlook: TaskForecast) -> list[float]:
     return [1e3 * edge for edge in outlook.band()]
 
 

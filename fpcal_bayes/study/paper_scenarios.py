@@ -29,7 +29,7 @@ _GOAL = Goal(0.05)
 
 
 @dataclass(frozen=True)
-class Course:
+class Scenario:
     """One way through the week."""
 
     name: str
@@ -67,7 +67,7 @@ class Followed:
     # goal, costs: of the policy
     goal: Goal
     costs: Costs
-    courses: tuple[Course, ...]  # the paper's, the filter's, the policy's
+    courses: tuple[Scenario, ...]  # the paper's, the filter's, the policy's
 
 
 def follow_week(
@@ -108,7 +108,7 @@ def follow_week(
         "policy": (_held(drift, loop.outcomes), np.array([len(first), *(len(part) for part in loop.sweeps)])),
     }
     courses = tuple(
-        Course(
+        Scenario(
             name,
             np.array([time for time, _ in estimates]),
             counts,

@@ -94,7 +94,7 @@ Free = Literal["all", "extrinsic"]
 
 
 @dataclass(frozen=True)
-class Session:
+class PaperSession:
     """One session of the week."""
 
     # name, day: as in the campaign
@@ -105,11 +105,11 @@ class Session:
 
 
 SESSIONS = (
-    Session("full-T0", 0.0, "all", "Tables II and III"),
-    Session("full-day1", 1.0, "all", "Tables V and IV"),
-    Session("full-day2", 2.0, "all", "Tables VI and IV"),
-    Session("extrinsic-day7", 7.0, "extrinsic", "Table IV"),
-    Session("full-day8", 8.0, "all", "Tables VII and IV"),
+    PaperSession("full-T0", 0.0, "all", "Tables II and III"),
+    PaperSession("full-day1", 1.0, "all", "Tables V and IV"),
+    PaperSession("full-day2", 2.0, "all", "Tables VI and IV"),
+    PaperSession("extrinsic-day7", 7.0, "extrinsic", "Table IV"),
+    PaperSession("full-day8", 8.0, "all", "Tables VII and IV"),
 )
 
 
@@ -152,7 +152,7 @@ def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady"
 
 
 def identify_session(
-    cell: Cell, sweeps: Sweeps, session: Session, full: Identification | None, data: dict[str, str]
+    cell: Cell, sweeps: Sweeps, session: PaperSession, full: Identification | None, data: dict[str, str]
 ) -> Identification:
     """Identify one session; `full` is the last full identification, at which an extrinsic one holds the rest."""
     start = None if session.free == "all" or full is None else full.estimate

@@ -12,7 +12,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -69,7 +69,7 @@ def ours(setting: Setting, goal: Goal, costs: Costs, fixed_hours: float | None =
         nonlocal diagnosed
         if now == 0.0 or outcome.dof >= costs.diagnosis_sweeps:
             diagnosed = now
-        forecast = Forecast.of(drift, model, goal, outcome.state.mean)
+        forecast = Forecaster.of(drift, model, goal, outcome.state.mean)
         state: State = forecast.ahead(outcome.state, now - outcome.state.time_h)
         if fixed_hours is not None:
             return fixed_hours, policy.choose(forecast, forecast.ahead(state, fixed_hours), costs.most_sweeps)

@@ -15,7 +15,7 @@ from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_fro
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
 from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
-from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture, learn_proposals
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 N_ENSEMBLES = 4
@@ -76,9 +76,9 @@ def sample(
     target, references = make_target(identification, likelihood, noise_scale)
     children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
     if target.dof is None:
-        references = learn_charts(target, references, np.random.default_rng(children[-1]))
+        references = learn_proposals(target, references, np.random.default_rng(children[-1]))
     # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
-    atlas = Atlas(target, references)
+    atlas = ProposalMixture(target, references)
     runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
     limit = max(5000, 20 * least) if max_steps is None else max_steps
@@ -139,7 +139,7 @@ def _listed(numbers: Floats | None) -> list[object] | None:
 class _Ensemble:
     """One ensemble of walkers with its own random numbers."""
 
-    def __init__(self, target: PosteriorTarget, atlas: Atlas, seed: np.random.SeedSequence) -> None:
+    def __init__(self, target: PosteriorTarget, atlas: ProposalMixture, seed: np.random.SeedSequence) -> None:
         self.target, self.atlas = target, atlas
         self._from_charts = RandomiseThenOptimiseMove(atlas, ahead=BLOCK_STEPS)
         moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]
@@ -197,7 +197,7 @@ def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
 
 
 def _gather(
-    identification: Identification, atlas: Atlas, target: PosteriorTarget, blocks: list[Block], draws: int
+    identification: Identification, atlas: ProposalMixture, target: PosteriorTarget, blocks: list[Block], draws: int
 ) -> Posterior:
     kept = blocks[_WARM_UP_BLOCKS:]
     points = np.concatenate([block.points for block in kept], axis=1)

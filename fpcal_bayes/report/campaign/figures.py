@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.analysis.parameters import intervals
 from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
@@ -46,7 +46,7 @@ def task_figure(facts: CampaignFacts) -> str:
     return svg[0]
 
 
-def outlook_figure(facts: CampaignFacts, found: Outlooks) -> str:
+def outlook_figure(facts: CampaignFacts, found: TaskForecasts) -> str:
     """Error of the worst task through time: it grows between sessions and falls at each."""
     with svg_figure(9.6, 3.4) as (figure, svg):
         axis = figure.subplots()

@@ -154,7 +154,7 @@ def _targets(text: str | None) -> dict[str, float]:
 
 def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
     if options.tasks is None:
-        return list(targets) if targets else list(possible_tasks(cell, DEFAULT_TASKS))
+        return list(targets or possible_tasks(cell, DEFAULT_TASKS) or possible_tasks(cell))
     tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
     if not tasks:
         raise InputError("--tasks: expected one task at least")

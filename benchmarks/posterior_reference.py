@@ -28,7 +28,7 @@ from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.base import drawn_truth
 from fpcal_bayes.study.sbc import PROTOCOLS, sbc_plan
 
@@ -158,7 +158,7 @@ def main() -> int:
         began = time.perf_counter()
         random = np.random.default_rng([7, number])
         protocol, sigma = PROTOCOLS[number % len(PROTOCOLS)], NOISES[number % len(NOISES)]
-        sweeps = simulate(cell, drawn_truth(cell, random), sbc_plan(protocol, cell), sigma=sigma, seed=number)
+        sweeps = simulate_um(cell, drawn_truth(cell, random), sbc_plan(protocol, cell), sigma=sigma, seed=number)
         found = identify(cell, sweeps)
         posterior = sample(found, draws=options.draws, seed=number)
         ours = posterior.points.reshape(-1, found.problem.n_unknowns)

@@ -25,7 +25,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.tracker import track
 
 #: Proposals of a step of the sampler.
@@ -114,7 +114,7 @@ def by_parameters(sizes: list[int]) -> Iterator[Point]:
     for n in sizes:
         cell = wide_cell(n)
         at = drawn_near(cell)
-        sweeps = simulate(cell, at, random_sweeps(cell, 1000), sigma=SIGMA, seed=4)
+        sweeps = simulate_um(cell, at, random_sweeps(cell, 1000), sigma=SIGMA, seed=4)
         problem = Problem.of(CavityModel.of(cell), sweeps)
         model, truth, start = problem.model, at.values[0], np.zeros(problem.n_unknowns)
         rows = model.rows(sweeps.q_start, sweeps.q_end)

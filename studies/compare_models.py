@@ -26,7 +26,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 SIGMA = 0.005
 PATHS = ("axis", "perpendicular")
@@ -39,7 +39,7 @@ def compare_once(made_on: str, number: int, *, seed: int, draws: int) -> Compari
     random = np.random.default_rng(np.random.SeedSequence([seed, PATHS.index(made_on), number]))
     values = cell.free.nominal + cell.free.prior_sd * random.standard_normal(len(cell.free))
     noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    sweeps = simulate(
+    sweeps = simulate_um(
         cell, Truth(cell.free, np.zeros(1), values[None]), paper_protocol(cell), sigma=SIGMA, seed=noise_seed
     )
     return compare(cell, sweeps, parse_models(MODELS, cell), draws=draws, seed=sampler_seed)

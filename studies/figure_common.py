@@ -16,7 +16,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 SIGMA = 0.005
 #: Visibility of the fringes: bare fibre and mirror, coupling as in the paper's Fig 1.
@@ -38,7 +38,7 @@ class Rig:
 
     def calibrated(self, free: str = "all", hold: str = "consider", seed: int = 0) -> Estimate:
         """The estimate from the paper's 69 sweeps at 5 nm noise; what is not free is held at nominal."""
-        sweeps = simulate(self.cell, paper_truth(self.cell), paper_protocol(self.cell), sigma=SIGMA, seed=seed)
+        sweeps = simulate_um(self.cell, paper_truth(self.cell), paper_protocol(self.cell), sigma=SIGMA, seed=seed)
         return identify(self.cell, sweeps, free=free, hold=hold).estimate
 
     def lengths(self, q: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def traces(cell: Cell, points: int) -> Sweeps:
     travel = (plan.q_end - plan.q_start)[:, None]
     ends = (plan.q_start[:, None] + share[None, :, None] * travel).reshape(-1, plan.q_start.shape[1])
     names = np.repeat(plan.label, points)
-    return Sweeps.make(np.repeat(plan.q_start, points, axis=0), ends, session="full-T0", label=names, group=names)
+    return Sweeps.of_um_rad(np.repeat(plan.q_start, points, axis=0), ends, session="full-T0", label=names, group=names)
 
 
 def absolute_row(cell: Cell) -> Sweeps:

@@ -33,7 +33,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import draw_plan
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.planning import compare, largest_errors
 from fpcal_bayes.tracking.drift import propagated
 
@@ -220,7 +220,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
         truth = Truth(cell.free, np.zeros(1), values[None])
-        measured = simulate(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
+        measured = simulate_um(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
         now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
         second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
         # Judged at the truth, under the cell's own prior.
@@ -236,7 +236,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
 def extrinsic(options: argparse.Namespace) -> None:
     """Best few sweeps some hours after a calibration at the paper's truth."""
     cell = load_cell()
-    calibration = simulate(
+    calibration = simulate_um(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )
     ground = estimate_ground(

@@ -49,7 +49,7 @@ def fixed_at_task(setting: Setting, hours: float) -> Rule:
         vector = setting.model.vector(setting.drift.values(outcome.state.mean))
         pose = task_path(CELL, vector, "circle", n_points=5).start
         ends = (np.where(moved, end, pose) for end in (two.q_start, two.q_end))
-        return hours, Sweeps.make(*ends, label=two.label)
+        return hours, Sweeps.of_um_rad(*ends, label=two.label)
 
     return rule
 
@@ -83,7 +83,7 @@ def planned(setting: Setting, goal: Goal, costs: Costs) -> Rule:
 
 def rules(options: argparse.Namespace, setting: Setting) -> dict[str, MakeRule]:
     """All policies by name."""
-    goal, two = Goal(options.tolerance * 1e-3, tuple(options.tasks)), translations(len(CELL.joints), 3, 1)
+    goal, two = Goal(options.tolerance, tuple(options.tasks)), translations(len(CELL.joints), 3, 1)
     found: dict[str, MakeRule] = {
         "never": lambda: never(setting),
         "69 sweeps every 8 h": lambda: fixed(8.0, setting.paper),
@@ -92,7 +92,7 @@ def rules(options: argparse.Namespace, setting: Setting) -> dict[str, MakeRule]:
         found[f"q3 and q1 at joint zero every {hours:g} h"] = lambda hours=hours: fixed(hours, two)
     for hours in (0.7, 1.0, 1.3, 1.6, 2.0, 4.0):
         found[f"q3 and q1 at the task every {hours:g} h"] = lambda hours=hours: fixed_at_task(setting, hours)
-    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance, two)
+    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance_um, two)
     chosen = Costs(most_sweeps=options.most)
     for hours in options.chosen:
         found[f"{options.most} chosen every {hours:g} h"] = lambda hours=hours: ours(setting, goal, chosen, hours)

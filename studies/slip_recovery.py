@@ -18,7 +18,7 @@ from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 SIGMA = 0.005
 
@@ -40,7 +40,7 @@ def recover(cell: Cell, number: int, *, protocol: str, share: float, draws: int)
     rng = np.random.default_rng(number)
     values = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
     truth = Truth(cell.free, np.zeros(1), values[None])
-    clean = simulate(cell, truth, protocol_by_name(protocol, cell), sigma=SIGMA, seed=number)
+    clean = simulate_um(cell, truth, protocol_by_name(protocol, cell), sigma=SIGMA, seed=number)
     counts = np.zeros(len(clean), dtype=int)
     n_slipped = max(1, round(share * len(clean)))
     counts[rng.choice(len(clean), n_slipped, replace=False)] = rng.choice([-2, -1, 1, 2], n_slipped)

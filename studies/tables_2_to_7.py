@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.paper_week import SESSIONS
 
 
@@ -23,7 +23,7 @@ def main() -> None:
     full, rows, pulls = None, [], []
     for number, session in enumerate(SESSIONS):
         plan = paper_protocol(rig.cell, session=session.name, time_h=24.0 * session.day)
-        sweeps = simulate(rig.cell, truth, plan, sigma=SIGMA, seed=number)
+        sweeps = simulate_um(rig.cell, truth, plan, sigma=SIGMA, seed=number)
         found = identify(rig.cell, sweeps, free=session.free, start=None if session.free == "all" else full)
         if session.free == "all":
             full = found.estimate

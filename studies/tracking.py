@@ -24,7 +24,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.smoother import smooth
@@ -67,13 +67,13 @@ def session_plan(count: int, kind: str, random: np.random.Generator) -> Sweeps:
         start[rows, joint], end[rows, joint] = -high[joint], high[joint]
     else:
         end[rows, joint] = random.uniform(-high[joint], high[joint])
-    return Sweeps.make(start, end, label=[f"q{j + 1}" for j in joint])
+    return Sweeps.of_um_rad(start, end, label=[f"q{j + 1}" for j in joint])
 
 
 def diagnosis_plan(cell: Cell, values: np.ndarray, count: int, hours: float, seed: int) -> Sweeps:
     """The sweeps by which the policy would look at the robot some hours after a calibration at `values` (n,)."""
-    drift, model, plan, goal = DriftModel.of(cell), CavityModel.of(cell), protocol("paper"), Goal(0.05)
-    measured = simulate(cell, Truth(cell.free, np.zeros(1), values[None]), plan, sigma=0.005, seed=seed)
+    drift, model, plan, goal = DriftModel.of(cell), CavityModel.of(cell), protocol("paper"), Goal(50.0)
+    measured = simulate_um(cell, Truth(cell.free, np.zeros(1), values[None]), plan, sigma=0.005, seed=seed)
     known = calibrate(cell, drift, measured)[0].state
     policy = Policy.of(drift, model, goal, Costs(diagnosis_sweeps=count), plan)
     return policy.choose_diagnosis(Forecaster.of(drift, model, goal, known.mean), predict(drift, known, hours))
@@ -122,7 +122,7 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> Simulat
         plan = session_plan(count, options.sweeps, random) if look is None else look.take(np.arange(count))
         parts.append(replace(plan, session=np.full(count, f"{number:04d}"), time_h=np.full(count, hour)))
     truth = Truth(cell.free, times, values)
-    sweeps = simulate(cell, truth, join(parts), sigma=0.005, seed=int(random.integers(2**31)))
+    sweeps = simulate_um(cell, truth, join(parts), sigma=0.005, seed=int(random.integers(2**31)))
     return SimulatedWeek(truth, sweeps, changed)
 
 

@@ -30,7 +30,7 @@ from fpcal_bayes.model.interferometer import fringe
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.optics import RecorderSettings
 from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 VIBRATION, POINTS = 0.005, 40
 TASKS = ("circle", "tilt-x", "tilt-z", "spin")
@@ -86,7 +86,7 @@ def main() -> None:
     vibrating = RecorderSettings(rate_hz=POINTS / 10.0, length_noise=VIBRATION)
 
     def from_sweeps(protocol, sigma: float, seed: int) -> Estimate:  # type: ignore[no-untyped-def]
-        return identify(cell, simulate(cell, truth, protocol, sigma=sigma, seed=seed)).estimate
+        return identify(cell, simulate_um(cell, truth, protocol, sigma=sigma, seed=seed)).estimate
 
     def from_traces(rig: Cell, settings: RecorderSettings, noise: float, seed: int) -> Estimate:
         start = from_sweeps(plan, VIBRATION, seed)

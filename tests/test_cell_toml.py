@@ -73,7 +73,7 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
     controller = cell.joints[0].controller
     assert controller is not None
     assert (controller.name, controller.channel, controller.sign, controller.zero) == ("m", "2", -1, 3.0)
-    assert controller.to_controller(np.radians([1.0])) == pytest.approx([-997.0])
+    assert controller.reading_of(np.radians([1.0])) == pytest.approx([-997.0])
 
 
 # What is replaced in the built-in cell, by what, and how the refusal goes on behind the file's name.

@@ -13,7 +13,7 @@ from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell()
 #: What is said of the paper's sweeps, good as they are.
@@ -22,7 +22,7 @@ ALWAYS = {"rank", "gauges", "limits"}
 
 @pytest.fixture(scope="module")
 def good():
-    return simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=4)
+    return simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=4)
 
 
 def kinds(sweeps, cell=CELL) -> set[str]:
@@ -73,7 +73,7 @@ def test_repeats_tell_the_noise(good):
 
 def test_the_other_path_model(good):
     truth = paper_truth(CELL)
-    other = simulate(CELL.with_opd("perpendicular"), truth, paper_protocol(CELL), sigma=0.005, seed=1)
+    other = simulate_um(CELL.with_opd("perpendicular"), truth, paper_protocol(CELL), sigma=0.005, seed=1)
     finding = next(f for f in examine(other, CELL) if f.kind == "path model")
     assert "opd=perpendicular" in finding.remedy
 
@@ -116,7 +116,7 @@ def test_what_changed_between_sessions(good):
     knocked = replace(truth, values=truth.values.copy())
     knocked.values[:, truth.parameters.position("beta_et")] += np.radians(0.3)
     plan = paper_protocol(CELL, session="later", time_h=8.0)
-    later = simulate(CELL, knocked, plan, sigma=0.005, seed=3)
+    later = simulate_um(CELL, knocked, plan, sigma=0.005, seed=3)
     found = [f for f in examine(join([good, later]), CELL) if f.kind == "extrinsics-moved"]
     assert [finding.where for finding in found] == ["later"]
 

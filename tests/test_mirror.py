@@ -8,7 +8,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell()
 FREE = CELL.free
@@ -16,7 +16,7 @@ FREE = CELL.free
 
 def problem_of(cell: Cell = CELL, midpoints: bool = False, rows: slice = slice(None)) -> Problem:
     plan = paper_protocol(cell, midpoints=midpoints)
-    sweeps = simulate(cell, paper_truth(cell), plan, sigma=0.005, seed=2).take(np.arange(len(plan))[rows])
+    sweeps = simulate_um(cell, paper_truth(cell), plan, sigma=0.005, seed=2).take(np.arange(len(plan))[rows])
     return Problem.of(CavityModel.of(cell), sweeps)
 
 
@@ -83,7 +83,7 @@ def test_other_data(cell, midpoints, rows):
 def test_considered_unknowns_are_left_where_they_are():
     from fpcal_bayes.infer.fit.problem import Considered
 
-    sweeps = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=2)
+    sweeps = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=2)
     free, held = CELL.select("intrinsic"), CELL.select("extrinsic")
     considered = Considered.of(held, np.diag(1e-4 * held.prior_sd**2))
     vector = CELL.parameters.nominal.copy()

@@ -8,13 +8,13 @@ from fpcal_bayes.infer.posterior.proposal import Proposal
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 @pytest.fixture(scope="module", params=["paper", "midpoints"])
 def chart(request, femto) -> Proposal:
     plan = paper_protocol(femto, midpoints=request.param == "midpoints")
-    found = identify(femto, simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=3))
+    found = identify(femto, simulate_um(femto, paper_truth(femto), plan, sigma=0.005, seed=3))
     return Proposal(PosteriorTarget(found.problem), found.solution.unknowns)
 
 

@@ -185,7 +185,7 @@ def gather(
     command: str = "",
 ) -> CampaignFacts:
     """Read a campaign and work out all that its report says; arguments as in `write_campaign_report`."""
-    goal = Goal(0.05) if goal is None else goal
+    goal = Goal(50.0) if goal is None else goal
     path = Path(file)
     measured = _Measured.read(path, cell, now)
     sweeps, parts = measured.sweeps, measured.parts
@@ -200,7 +200,7 @@ def gather(
     now_h = hours_now(sweeps, last_h) if measured.now_h is None else measured.now_h
     if now_h < last_h:
         raise InputError(f"{path}: now is {now_h:g} h, before the last session at {last_h:g} h: expected a time after")
-    costs = Costs(sigma=float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
+    costs = Costs(sigma_nm=1e3 * float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
     forecast, decision, decision_reason = _decide(followed, sweeps, goal, costs, now_h)
     found = observability.identification
     assert found is not None
@@ -259,9 +259,9 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
 
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
     try:
-        task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius, n_points=_POINTS)
+        task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=_POINTS)
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
-        return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance))
+        return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance_um))
     except InputError as error:
         return TaskStanding(name, asked, None, None, None, str(error))
 
@@ -272,7 +272,7 @@ def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
     if not estimate.trust.usable:
         return None, estimate.trust.against
     try:
-        driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius).driven()
+        driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius_um).driven()
         try:
             return budget_of(estimate, driven, sweeps=found.problem.sweeps), ""
         except InputError:

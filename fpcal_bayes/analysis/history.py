@@ -130,7 +130,7 @@ def outlooks(facts: CampaignFacts) -> TaskForecasts | None:
         state = followed.outcomes[number].state
         held = forecast.following(state.mean)
         found = held.outlook(held.ahead(state, float(time_h) - state.time_h))
-        rows.append((found.median, *found.band(), found.exceeds(facts.goal.tolerance)))
+        rows.append((found.median, *found.band(), found.exceeds(facts.goal.tolerance_um)))
     median, low, high, risk = np.array(rows).T
     return TaskForecasts(hours, median, low, high, risk)
 

@@ -48,8 +48,8 @@ class TaskNumbers:
             median=float(1e3 * np.median(prediction.peak_to_peak)),
             least=float(least),
             most=float(most),
-            normal=_largest(prediction.angles.normal),
-            turn=_largest(prediction.angles.turn),
+            normal=_largest(np.degrees(prediction.angles.normal)),
+            turn=_largest(np.degrees(prediction.angles.turn)),
             tolerance=None if tolerance is None else 1e3 * tolerance,
             exceeds=None if tolerance is None else prediction.exceeds(tolerance),
         )

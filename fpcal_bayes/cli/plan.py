@@ -118,7 +118,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
 def _absolute(cell: Cell) -> Sweeps:
     """One absolute length at joint vector zero."""
     home = np.zeros((1, len(cell.joints)))
-    return Sweeps.make(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
+    return Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
 
 def _labelled(sweeps: Sweeps) -> Sweeps:

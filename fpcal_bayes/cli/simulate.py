@@ -20,7 +20,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import check_recordable, record_path, record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 _PROTOCOLS = ("paper", "paper-mid")
 
@@ -67,7 +67,7 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     """Changes of length with Gaussian noise."""
     warm_up(cell)
     sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
-    sweeps = simulate(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
+    sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     if options.output.suffix.lower() in HDF5_SUFFIXES:
         campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record())

@@ -35,8 +35,8 @@ class Costs:
     least_sweeps, most_sweeps
         Of a session with few sweeps. One sweep looks at one direction of the tasks and trusts the drift sizes for the
         others; as many as the tasks have directions (two for a circle) trust them less and cost more.
-    sigma
-        Standard deviation of each change of cavity length, in um.
+    sigma_nm
+        Standard deviation of each change of cavity length.
     horizon_h
         How far ahead is looked, in hours.
     diagnosis_h
@@ -55,7 +55,7 @@ class Costs:
     out_of_tolerance: float | None = None
     least_sweeps: int = 1
     most_sweeps: int = 6
-    sigma: float = 0.005
+    sigma_nm: float = 5.0
     horizon_h: float = 24.0
     diagnosis_h: float | None = None
     diagnosis_sweeps: int = 8
@@ -63,11 +63,16 @@ class Costs:
     def __post_init__(self) -> None:
         choices = [value for value in (self.out_of_tolerance, self.diagnosis_h) if value is not None]
         counts = (self.least_sweeps, self.most_sweeps, self.diagnosis_sweeps)
-        positive = (self.minutes_per_sweep, self.sigma, self.horizon_h, *choices, *counts)
+        positive = (self.minutes_per_sweep, self.sigma_nm, self.horizon_h, *choices, *counts)
         if not (np.isfinite(positive).all() and min(positive) > 0 and 0 <= self.minutes_per_session < np.inf):
             raise InputError("costs: expected times, sigma, horizon and number of sweeps above zero")
         if self.least_sweeps > self.most_sweeps:
             raise InputError(f"costs: at least {self.least_sweeps} sweeps, expected no more than {self.most_sweeps}")
+
+    @property
+    def sigma_um(self) -> float:
+        """The standard deviation as the filter has it."""
+        return 1e-3 * self.sigma_nm
 
     def minutes(self, n_sweeps: int) -> float:
         """How long a session of so many sweeps takes."""
@@ -155,7 +160,7 @@ def decide(
             action, state.time_h, hold, goal.level, sweeps, minutes, then, now, at_horizon, after, reason
         )  # fmt: skip
 
-    passes = f"P(error > {1e3 * goal.tolerance:g} nm)"
+    passes = f"P(error > {1e3 * goal.tolerance_um:g} nm)"
     if calibration_due is None:
         hold = 0.0 if measure else forecast.hold_hours(state, costs.horizon_h)
         if hold > 0.0:
@@ -163,19 +168,19 @@ def decide(
             beyond = "stays below" if hold >= costs.horizon_h else "reaches"
             return made("hold", hold, None, after, f"{passes} {beyond} {goal.level:.0%} at the end of this time")
         sessions = sessions or _sessions(forecast, model, state, costs, choose)
-        able = [s for s in sessions if s.outlook.exceeds(goal.tolerance) <= goal.level]
+        able = [s for s in sessions if s.outlook.exceeds(goal.tolerance_um) <= goal.level]
         if able:
             # A session that holds for less than a minute is no better than one that holds for a minute.
             best = min(able, key=lambda s: s.minutes / max(s.hours, 1.0 / 60.0))
             best = _if_it_lasts(forecast, model, costs, choose, best, max(able, key=lambda s: s.hours))
-            reason = f"{passes} is {now.exceeds(goal.tolerance):.0%} now, {goal.level:.0%} is accepted"
+            reason = f"{passes} is {now.exceeds(goal.tolerance_um):.0%} now, {goal.level:.0%} is accepted"
             return made("extrinsic", 0.0, best, best.outlook, reason)
     full = _session(forecast, model, state, costs, calibration)
-    if full.outlook.exceeds(goal.tolerance) > goal.level:
+    if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         raise InputError(
-            f"tolerance {1e3 * goal.tolerance:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
+            f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
             f"met with probability {1.0 - goal.level:g} is {1e3 * best.outlook.attainable(goal.level):.1f} nm, right "
             f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
         )
@@ -207,7 +212,7 @@ def measure_instead(
 
 
 def _session(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
-    after = expected_after(forecast, model, state, plan, costs.sigma)
+    after = expected_after(forecast, model, state, plan, costs.sigma_um)
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)

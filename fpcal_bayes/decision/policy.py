@@ -40,7 +40,7 @@ def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
     start[rows, joint], end[rows, joint] = low[joint], high[joint]
     good = (high > low)[joint] & can_be_followed(model, values, start, end, limits)
     labels = [f"q{j + 1}" for j in joint[good]]
-    return Sweeps.make(start[good], end[good], label=labels, file="task sweeps")
+    return Sweeps.of_um_rad(start[good], end[good], label=labels, file="task sweeps")
 
 
 #: Random sweeps to choose from, beside those of the calibration.
@@ -131,7 +131,7 @@ class Policy:
 
     def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:
         """Probability that sweeps at the time of `state` show a jump of the watched parameter."""
-        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma))
+        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma_um))
         found = session_power(self.drift, self.model, state, planned, hours, self.limits)
         return float(found[watched(self.drift, self.limits)])
 
@@ -140,7 +140,7 @@ class Policy:
         values = self.drift.values(forecast.estimate)
         near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
         candidates = join([near, self.candidates], file="candidates")
-        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma)
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma_um)
         return _Pool(candidates, rows * self.drift.scale)
 
     def decide(

@@ -230,7 +230,7 @@ def check_rows(
     """
     q = trace.q[trace.path]
     name = Path(trace.file).name or "path"
-    row = Sweeps.make(
+    row = Sweeps.of_um_rad(
         q[:1],
         q[-1:],
         session=session,
@@ -251,7 +251,7 @@ def check_rows(
     ends = q[measured.places[chosen]]
     starts = np.repeat(q[:1], len(ends), axis=0)
     expected = model.predict(estimate.values, model.rows(starts, ends))
-    sweeps = Sweeps.make(
+    sweeps = Sweeps.of_um_rad(
         starts,
         ends,
         session=session,

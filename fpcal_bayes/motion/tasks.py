@@ -193,7 +193,15 @@ def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
 
 
 def find_task(cell: Cell, vector: Floats, task: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
-    """A task by name, or a user's path by file name; as `task_path` and `user_path`."""
+    """A task by name, or a user's path by file name; as `task_path` and `user_path`.
+
+    Raises
+    ------
+    InputError
+        If no task has the name, or `vector` is not of the cell's model.
+    """
+    if vector.shape != (len(cell.parameters),) or not np.isfinite(vector).all():
+        raise InputError(f"vector of shape {vector.shape}: expected {len(cell.parameters)} finite numbers")
     if task in TASKS or not task.lower().endswith(".csv"):
         return task_path(cell, vector, task, radius=radius, n_points=n_points)
     return user_path(cell, vector, task)

@@ -73,7 +73,7 @@ def sweeps_of(
     for name in ("time_h", "dl", "temperature_c", "t_start_h", "t_end_h"):
         table[name] = np.array(table[name], dtype=float)
     known = {name: values for name, values in table.items() if name in _FIELDS}
-    return Sweeps.make(q_start, q_end, sigma=sigma, file="session", **known)
+    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", **known)
 
 
 def doubtful_of(orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]]) -> DoubtfulRecord | None:
@@ -108,7 +108,7 @@ def recordings_of(
     for (_, outcome), moves in zip(kept, moved, strict=True):
         scale = float(cell.joint_scales[int(np.argmax(moves))])
         traces.append(read_trace(folder / outcome["trace"], scale))
-    sweeps = Sweeps.make(
+    sweeps = Sweeps.of_um_rad(
         ends[0],
         # A joint that was not moved stands where it stood, to the last bit of its encoder's noise.
         np.where(moved, ends[1], ends[0]),

@@ -33,7 +33,23 @@ def noise_free(
     return dl
 
 
-def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int) -> Sweeps:
+def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma_nm: float | Floats, seed: int) -> Sweeps:
+    """Measure sweeps on the simulated cell with noise of `sigma_nm`; all else as in `simulate_um`.
+
+    Parameters
+    ----------
+    sigma_nm
+        Standard deviation of a row's noise: one, or one per row, shape (n,).
+
+    Raises
+    ------
+    InputError
+        As `simulate_um`.
+    """
+    return simulate_um(cell, truth, sweeps, sigma=1e-3 * np.asarray(sigma_nm, dtype=float), seed=seed)
+
+
+def simulate_um(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int) -> Sweeps:
     """Measure sweeps on the simulated cell.
 
     A row's reading is the difference of one at its end and one at its start, each with the noise sigma / sqrt(2).

@@ -20,7 +20,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task, task_path
 from fpcal_bayes.simulator.recorder import record_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 #: The paper's Fig 13: every 2 h for 14 h.
 CHECK_HOURS = tuple(2.0 * number for number in range(8))
@@ -148,7 +148,7 @@ def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady"
     """
     truth = week_truth(cell, between, seed)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")
-    return truth, simulate(cell, truth, plan, sigma=sigma, seed=seed)
+    return truth, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)
 
 
 def identify_session(

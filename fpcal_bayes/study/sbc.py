@@ -20,7 +20,7 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 #: Draws among which a truth is ranked; 200 ranks can be split into 20 bins and into the intervals below.
@@ -111,7 +111,7 @@ def ranks_of(
     truth = drawn_truth(cell, random)
     values = truth.values[0]
     noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    found = identify(cell, simulate(cell, truth, plan, sigma=sigma, seed=noise_seed))
+    found = identify(cell, simulate_um(cell, truth, plan, sigma=sigma, seed=noise_seed))
     charts = 1 + len(found.other_minima)
     if not found.converged:
         return Replicate(None, ("not identified",), charts)

@@ -82,7 +82,9 @@ def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
             break
         order[i : j + 1], turned[i : j + 1] = order[i : j + 1][::-1].copy(), 1 - turned[i : j + 1][::-1]
     ordered = sweeps.take(order)
-    return Sweeps.make(ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file)
+    return Sweeps.of_um_rad(
+        ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file
+    )
 
 
 def duration(cell: Cell, sweeps: Sweeps, readings: int, limits: SweepLimits) -> float:

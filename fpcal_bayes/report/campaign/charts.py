@@ -50,7 +50,7 @@ def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
     return {
         "hours": _numbers(_increasing(found.hours), 9),
         "now": facts.now_h,
-        "tolerance": 1e3 * facts.goal.tolerance,
+        "tolerance": 1e3 * facts.goal.tolerance_um,
         "series": {name: _numbers(1e3 * values) for name, values in series.items()},
         "risk": _numbers(found.risk, 4),
     }

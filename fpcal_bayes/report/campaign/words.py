@@ -69,7 +69,7 @@ def _task_sentence(facts: CampaignFacts) -> str:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
             continue
         parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
-    return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance:g} nm."
+    return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance_um:g} nm."
 
 
 def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
@@ -87,7 +87,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
     heads = ["task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]"]
-    heads += [f"P(above {1e3 * facts.goal.tolerance:g} nm)", "mirror direction, 95 % [deg]"]
+    heads += [f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "mirror direction, 95 % [deg]"]
     table = plain_table("Error of each task now", heads, words=(0, 1, 2))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)

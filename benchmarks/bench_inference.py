@@ -6,17 +6,11 @@ import lmfit
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.minimise import minimise
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.infer import Problem, identify, minimise, observe
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps, paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.simulator import simulate_um
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell.cell import Cell, make_parameters
-from fpcal_bayes.model.cell.joints import Joint
-from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth
+from fpcal_bayes.model import EXTRINSICS, LINK_SLOTS, UNITS, Cell, Joint, make_parameters
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 

@@ -8,25 +8,24 @@ import numpy as np
 from measuring import Point, timed
 from scaling_inputs import SIGMA, drawn_near, measured, random_poses, random_sweeps, sessions, wide_cell
 
-from fpcal_bayes.fringes.ingest import ingest
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings
-from fpcal_bayes.infer.design.problem import prior_ground
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.minimise import minimise
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.infer.posterior.draws import make_target
-from fpcal_bayes.infer.posterior.proposal import ProposalMixture
-from fpcal_bayes.io.sweeps import write_csv
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.report.campaign.page import write_campaign_report
-from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate_um
-from fpcal_bayes.tracking.tracker import track
+from fpcal_bayes.fringes import ingest
+from fpcal_bayes.infer import (
+    Planner,
+    PlanSettings,
+    Problem,
+    ProposalMixture,
+    identify,
+    make_target,
+    minimise,
+    observe,
+    prior_ground,
+)
+from fpcal_bayes.io import write_csv
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell, InverseModel
+from fpcal_bayes.report import write_campaign_report
+from fpcal_bayes.simulator import record_sweeps, simulate_um
+from fpcal_bayes.tracking import track
 
 #: Proposals of a step of the sampler.
 PROPOSALS = 32

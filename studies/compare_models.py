@@ -21,12 +21,11 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult, compare, parse_models
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.infer import Comparison, ModelResult, compare, parse_models
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Truth, paper_protocol
+from fpcal_bayes.report import plain_table
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 PATHS = ("axis", "perpendicular")

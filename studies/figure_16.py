@@ -7,12 +7,10 @@ import numpy as np
 from figure_common import SIGMA, Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.infer import identify, observe
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import simulate_um
 
 
 def main() -> None:

@@ -19,23 +19,27 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.core.files import write_json
-from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, in_short_order
-from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
-from fpcal_bayes.infer.design.rows import read_often
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.sweeps import write_sweeps
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import draw_plan
-from fpcal_bayes.simulator.sweeps import simulate_um
-from fpcal_bayes.study.planning import compare, largest_errors
-from fpcal_bayes.tracking.drift import propagated
+from fpcal_bayes.core import write_json
+from fpcal_bayes.infer import (
+    DEFAULT_TASKS,
+    Ground,
+    Planner,
+    PlanSettings,
+    SweepLimits,
+    candidate_sweeps,
+    estimate_ground,
+    identify,
+    in_short_order,
+    prior_ground,
+    read_often,
+)
+from fpcal_bayes.io import load_cell, write_sweeps
+from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth
+from fpcal_bayes.model import Cell
+from fpcal_bayes.report import draw_plan, save_figure
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.study import compare, largest_errors
+from fpcal_bayes.tracking import propagated
 
 SIGMA = 0.005
 #: Standard deviations or errors by task in um, one a truth.

@@ -15,18 +15,27 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.core.files import write_json
-from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.diagnosis import is_diagnosis
-from fpcal_bayes.decision.forecast import Forecaster, Goal
-from fpcal_bayes.decision.policy import Policy
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.study.drifting_week import STEP, DriftingWeek, Rule, Run, Setting, follow, simulate_week
-from fpcal_bayes.study.policies import MakeRule, check_circle, fixed, never, ours, translations
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.core import write_json
+from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy, is_diagnosis
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.study import (
+    STEP,
+    DriftingWeek,
+    MakeRule,
+    Rule,
+    Run,
+    Setting,
+    check_circle,
+    fixed,
+    follow,
+    never,
+    ours,
+    simulate_week,
+    translations,
+)
+from fpcal_bayes.tracking import DriftModel, SessionOutcome
 
 CELL = load_cell()
 

@@ -13,22 +13,14 @@ from functools import cache
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.forecast import Forecaster, Goal
-from fpcal_bayes.decision.policy import Policy
-from fpcal_bayes.infer.tasks.error import task_rows
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import PROTOCOLS
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate_um
-from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.smoother import smooth
-from fpcal_bayes.tracking.tracker import Track, calibrate, track
+from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy
+from fpcal_bayes.infer import task_rows
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import PROTOCOLS, Sweeps, Truth, join, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.tracking import DriftModel, State, Track, calibrate, predict, smooth, track
 
 HOURS = 192.0
 #: What a reference that judges all tasks together may err by, in um.

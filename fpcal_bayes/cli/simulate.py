@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.joint_paths import read_joint_path
-from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.io.traces import write_path_trace
 from fpcal_bayes.io.truth import read_truth, write_truth
@@ -87,7 +87,7 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     check_recordable(plan)
     warm_up(cell)
     index = record_sweeps(cell, truth, plan, _settings(options), seed=options.seed, scans=plan.signed)
-    write_index(options.output, index, cell)
+    write_recordings(options.output, index, cell)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
     samples = sum(map(len, index.traces))

@@ -146,6 +146,53 @@ def measure_path(
     )
 
 
+def check(
+    estimate: Estimate,
+    trace: PathTrace,
+    *,
+    draws: Floats | None = None,
+    drift: Floats | None = None,
+    index: float = 1.0,
+    stability: float = STABILITY,
+    level: float = 0.01,
+    seed: int = 0,
+) -> PathCheck:
+    """Hold an estimate against a path that was recorded on the cell.
+
+    Parameters
+    ----------
+    estimate
+        What the path was made with. One that is not to be used gives the verdict ``not evaluated``.
+    trace
+        The recording, with its reference scans.
+    draws
+        Of the parameters from the posterior, shape (n_draws, n_free), in um and rad; by default the error is predicted
+        to first order from the covariance.
+    drift
+        Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
+    index
+        Refractive index of the air.
+    stability
+        How gain and offset may wander during the path, relative, one standard deviation.
+    level
+        Probability below which the calibration is refuted.
+    seed
+        Of numpy's default generator.
+
+    Raises
+    ------
+    InputError
+        If the recording lacks a part.
+    """
+    cell, model = estimate.cell, CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
+    measured = measure_path(cell, estimate, trace, index=index, stability=stability, seed=seed)
+    found = check_path(
+        measured, model, estimate.values, draws, estimate.covariance, trace, drift=drift, level=level, seed=seed
+    )
+    verdict = found.verdict if estimate.trust.usable else "not evaluated"
+    return replace(found, trust=estimate.trust, verdict=verdict)
+
+
 def check_path(
     measured: PathError,
     model: CavityModel,

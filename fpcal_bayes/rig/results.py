@@ -9,7 +9,6 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.campaign import write_campaign
-from fpcal_bayes.io.recordings import write_index
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
@@ -127,11 +126,6 @@ def write_session(path: Path, sweeps: Sweeps, doubtful: DoubtfulRecord | None, c
         write_campaign(path, replace(Campaign.of(sweeps, cell, command=command), doubtful=doubtful), cell)
     else:
         write_sweeps(path, sweeps, cell)
-
-
-def write_recordings(path: Path, index: TraceIndex, cell: Cell) -> None:
-    """Write recordings for ``fpcal ingest``."""
-    write_index(path, index, cell)
 
 
 def _approach(moved: Floats, planned: Floats) -> str:

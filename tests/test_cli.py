@@ -446,13 +446,10 @@ def test_bad_cells(capsys, old, new, message):
 
 
 def test_cell_with_other_joints(capsys):
-    text = data_file("femto-st.toml").read_text()
-    last = text.rindex("[[joint]]")
-    five = text[:last] + text[text.index("[extrinsic]") :]
-    Path("cell.toml").write_text(five.replace("femto-st", "five", 1))
-    line = refused(capsys, "identify", CASE_A, "--cell", "cell.toml")
-    assert "does not fit: cell 'five' has 5 joints" in line or "has 5 joints" in line
-    assert "the paper's protocol is for a chain" in refused(capsys, "simulate", "-o", "a.csv", "--cell", "cell.toml")
+    three = Path(__file__).parent / "data" / "xy-theta.toml"
+    line = refused(capsys, "identify", CASE_A, "--cell", three)
+    assert "does not fit: cell 'xy-theta' has 3 joints" in line or "has 3 joints" in line
+    assert "the paper's protocol is for a chain" in refused(capsys, "simulate", "-o", "a.csv", "--cell", three)
 
 
 class TestCampaigns:

@@ -29,6 +29,7 @@ INPUTS = (
     "simulate --traces -o index.h5",
 )
 COMMANDS = {
+    "cell": "cell femto-st",
     "identify": "identify sweeps.csv",
     "observe": "observe sweeps.csv",
     "task-error": "task-error estimate.json --task spin --tolerance-nm 50",

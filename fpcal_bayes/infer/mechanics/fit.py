@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fpcal_bayes.infer.least_squares import Solution, minimise
+from fpcal_bayes.infer.mechanics.judge import Doubt, doubts_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
@@ -84,6 +85,11 @@ class MechanicsFit:
     def draws(self) -> MechanicsDraws:
         """Draws of geometry and weights, the same for the same seed."""
         return _draw(self)
+
+    @cached_property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Reasons not to trust the fit, by the name of the term."""
+        return doubts_of(self)
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""

@@ -199,30 +199,65 @@ def sample_scales(
     density: ScaleDensity, mode: Floats, rng: np.random.Generator, *, n_draws: int = 100
 ) -> ScalePosterior:
     """Draw scales from their posterior by importance sampling, adapted once."""
-    centre = mode
-    covariance = np.linalg.inv(density.curvature(mode))
-    points, log_densities, log_mixture = [], [], []
-    proposals: list[tuple[Floats, Floats]] = []
-    for count in (_FIRST, _SECOND):
-        proposals.append((centre, np.linalg.cholesky(_SWELL**2 * covariance)))
-        drawn = _draw_t(*proposals[-1], count, rng)
-        points.append(drawn)
-        log_densities.append(np.array([density.value(log) for log in drawn]))
-        every = np.concatenate(points)
-        values = np.concatenate(log_densities)
-        shares = np.array([_FIRST, _SECOND][: len(proposals)], dtype=float)
-        each = np.array([_log_t(every, *proposal) for proposal in proposals])
-        log_mixture = np.logaddexp.reduce(each + np.log(shares / shares.sum())[:, None], axis=0)
-        weights = np.exp(values - log_mixture - np.max(values - log_mixture))
-        weights /= weights.sum()
-        # Tempered for the adaptation, so that few heavy draws do not make it narrow.
-        soft = weights**0.5 / (weights**0.5).sum()
-        centre = soft @ every
-        covariance = (every - centre).T @ ((every - centre) * soft[:, None])
-    effective = float(1.0 / (weights**2).sum())
-    places = (np.arange(n_draws) + rng.random()) / n_draws
-    chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)
-    return ScalePosterior(density.names, every[chosen], mode, effective)
+    pool = _Pool(density, mode, (_FIRST, _SECOND), rng)
+    return ScalePosterior(density.names, pool.log[pool.resample(n_draws, rng)], mode, pool.effective)
+
+
+def independent_scales(
+    density: ScaleDensity, mode: Floats, count: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Draws of scales (count, n_scales) by an independence Metropolis chain, and their log posterior (count,)."""
+    # Every fifth step of a chain that accepts about one proposal in four.
+    pool = _Pool(density, mode, (_FIRST, 5 * count), rng)
+    ratios = (pool.values - pool.log_mixture)[_FIRST:]
+    at = pool.resample(1, rng)[0]
+    best, places = (pool.values - pool.log_mixture)[at], []
+    for i, uniform in enumerate(np.log(rng.random(len(ratios)))):
+        if uniform < ratios[i] - best:
+            at, best = _FIRST + i, ratios[i]
+        if i % 5 == 4:
+            places.append(at)
+    return pool.log[places], pool.values[places]
+
+
+class _Pool:
+    """Draws from Student-t proposals around the mode, adapted once, with their densities."""
+
+    def __init__(self, density: ScaleDensity, mode: Floats, counts: tuple[int, int], rng: np.random.Generator) -> None:
+        centre, covariance = mode, np.linalg.inv(density.curvature(mode))
+        proposals: list[tuple[Floats, Floats]] = []
+        self.log, self.values = np.empty((0, len(mode))), np.empty(0)
+        for count in counts:
+            proposals.append((centre, np.linalg.cholesky(_SWELL**2 * covariance)))
+            drawn = _draw_t(*proposals[-1], count, rng)
+            self.log = np.concatenate([self.log, drawn])
+            self.values = np.concatenate([self.values, [density.value(log) for log in drawn]])
+            shares = np.array(counts[: len(proposals)], dtype=float)
+            each = np.array([_log_t(self.log, *proposal) for proposal in proposals])
+            self.log_mixture = np.logaddexp.reduce(each + np.log(shares / shares.sum())[:, None], axis=0)
+            # Tempered for the adaptation, so that few heavy draws do not make it narrow.
+            soft = self.weights**0.5 / (self.weights**0.5).sum()
+            centre = soft @ self.log
+            covariance = (self.log - centre).T @ ((self.log - centre) * soft[:, None])
+
+    @property
+    def weights(self) -> Floats:
+        """Normalised importance weights."""
+        ratio = self.values - self.log_mixture
+        weights = np.exp(ratio - ratio.max())
+        result: Floats = weights / weights.sum()
+        return result
+
+    @property
+    def effective(self) -> float:
+        """How many independent draws they are worth."""
+        return float(1.0 / (self.weights**2).sum())
+
+    def resample(self, count: int, rng: np.random.Generator) -> Ints:
+        """Positions of equally likely draws (systematic resampling)."""
+        places = (np.arange(count) + rng.random()) / count
+        found: Ints = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.log) - 1)
+        return found
 
 
 def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator) -> Floats:

@@ -175,25 +175,31 @@ def _linear_rows(problem: Problem, made: Design, noise: RowNoise, unknowns: Floa
     target = problem.target - predicted + geometry @ unknowns
     if len(target) <= DENSE_ROWS:
         return LinearRows(target, geometry, made.matrix, made.scale, *noise.dense())
-    return _compressed(target, geometry, made, noise, log)
+    return _compressed(target, geometry, made, noise, log, unknowns)
 
 
-def _compressed(target: Floats, geometry: Floats, made: Design, noise: RowNoise, log: Floats) -> LinearRows:
+def _compressed(
+    target: Floats, geometry: Floats, made: Design, noise: RowNoise, log: Floats, unknowns: Floats
+) -> LinearRows:
     """The rows turned so that all but a few hundred hold nothing but noise."""
     white = noise.whitening(1.0, float(np.exp(log[-2])))
-    together = np.hstack([geometry, made.matrix, target[:, None]])
-    together = white.apply(together)
-    triangle = linalg.qr(together, mode="r", overwrite_a=True, check_finite=False)[0][: together.shape[1]]
-    n_geometry, kept = geometry.shape[1], triangle.shape[1] - 1
+    columns = white.apply(np.hstack([geometry, made.matrix]))
+    residuals = white.apply(target - geometry @ unknowns)
+    # Any square root of the columns' products serves; what it loses to rounding is far below one prior sd.
+    variance, vectors = linalg.eigh(columns.T @ columns)
+    kept = variance > 1e-13 * variance[-1]
+    root = np.sqrt(variance[kept])[:, None] * vectors[:, kept].T
+    along = (vectors[:, kept] / np.sqrt(variance[kept])).T @ (columns.T @ residuals)
+    n_geometry, n_kept = geometry.shape[1], len(root)
     return LinearRows(
-        target=triangle[:kept, -1],
-        geometry=np.ascontiguousarray(triangle[:kept, :n_geometry]),
-        weights=np.ascontiguousarray(triangle[:kept, n_geometry:-1]),
+        target=along + root[:, :n_geometry] @ unknowns,
+        geometry=np.ascontiguousarray(root[:, :n_geometry]),
+        weights=np.ascontiguousarray(root[:, n_geometry:]),
         scale=made.scale,
-        noise=np.eye(kept),
-        returns=np.zeros((kept, kept)),
-        rest=float(triangle[kept, -1] ** 2),
-        rest_dof=len(target) - kept,
+        noise=np.eye(n_kept),
+        returns=np.zeros((n_kept, n_kept)),
+        rest=float(residuals @ residuals - along @ along),
+        rest_dof=len(target) - n_kept,
     )
 
 

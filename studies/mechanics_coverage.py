@@ -68,12 +68,20 @@ MIXTURES: dict[str, tuple[Mechanics, MachineSettings, float]] = {
     "wobble": (_single(goniometer={"wobble_urad": 50}, rotary={"wobble_urad": 20}), MachineSettings(), 0.0),
     "eccentricity": (_single(goniometer={"radial_runout_nm": 100}), MachineSettings(), 0.0),
     "runout": (_single(rotary={"radial_runout_nm": 100, "axial_runout_nm": 100}), MachineSettings(), 0.0),
-    "encoder": (_single(stage={"encoder": 10}, goniometer={"encoder": 3}, rotary={"encoder": 3}), MachineSettings(), 0.0),
+    "encoder": (
+        _single(stage={"encoder": 10}, goniometer={"encoder": 3}, rotary={"encoder": 3}),
+        MachineSettings(),
+        0.0,
+    ),
     "reversal": (
-        _single(stage={"reversal": 10}, goniometer={"reversal": 1}, rotary={"reversal": 1}), MachineSettings(), 0.0
+        _single(stage={"reversal": 10}, goniometer={"reversal": 1}, rotary={"reversal": 1}),
+        MachineSettings(),
+        0.0,
     ),
     "return": (
-        _single(stage={"return_sd": 2}, goniometer={"return_sd": 1}, rotary={"return_sd": 1}), MachineSettings(), 0.0
+        _single(stage={"return_sd": 2}, goniometer={"return_sd": 1}, rotary={"return_sd": 1}),
+        MachineSettings(),
+        0.0,
     ),
     "drift": (_single(drift=20.0), MachineSettings(), 0.0),
     "slow": (_ZERO, MachineSettings(slow_nm=4.0, student=3.0), 0.0),
@@ -103,7 +111,9 @@ def protocol(cell: Cell, name: str) -> Sweeps:
         one = whole.take(np.array([i] * 4))
         share = np.arange(1, 5)[:, None] / 4
         ends = one.q_start + share * (one.q_end - one.q_start)
-        parts.append(replace(one, q_end=ends, group=one.label, label=np.array([f"{one.label[0]}-{k}" for k in range(4)])))
+        parts.append(
+            replace(one, q_end=ends, group=one.label, label=np.array([f"{one.label[0]}-{k}" for k in range(4)]))
+        )
     return join(parts)
 
 

@@ -99,7 +99,8 @@ class Machine:
         own = np.where(cell.revolute, 1e-6, 1e-3)
 
         def drawn(values: list[float]) -> Floats:
-            return np.array(values) * own * np.exp(rng.uniform(-1, 1, n) * np.log(settings.spread))
+            sized: Floats = np.array(values) * own * np.exp(rng.uniform(-1, 1, n) * np.log(settings.spread))
+            return sized
 
         periods = np.array([np.nan if j.encoder_period is None else j.encoder_period for j in sizes.joints])
         periods = periods * cell.joint_scales
@@ -117,7 +118,7 @@ class Machine:
             drift=rng.standard_normal(3) * sizes.drift_nm_per_min * 1e-3,
             settings=settings,
             rng=rng,
-            side=rng.choice([-1.0, 1.0], n),
+            side=np.asarray(rng.choice([-1.0, 1.0], n), dtype=np.float64),
         )
 
     def lengths(self, q: Floats, reached: Floats, minutes: Floats) -> Floats:
@@ -166,7 +167,10 @@ class Machine:
 
     def sweep(self, drive: Drive, sigma: float) -> Floats:
         """Measured changes of cavity length of rows driven in file order, in um, shape (n,)."""
-        poses, minutes, starts, ends = [], [], [], []
+        poses: list[Floats] = []
+        minutes: list[float] = []
+        starts: list[int] = []
+        ends: list[int] = []
         sweep = -1
         for i in range(len(drive)):
             if drive.sweep[i] != sweep and not drive.absolute[i]:
@@ -188,15 +192,16 @@ class Machine:
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""
         poses = np.vstack([start, q])
-        side = self.rng.choice([-1.0, 1.0], len(start))
+        side = np.asarray(self.rng.choice([-1.0, 1.0], len(start)), dtype=np.float64)
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
-        return lengths[1:] - lengths[0]
+        changed: Floats = lengths[1:] - lengths[0]
+        return changed
 
     def _noise(self, n: int) -> Floats:
         dof = self.settings.student
         if dof is None:
             return self.rng.standard_normal(n)
-        return self.rng.standard_t(dof, n) * np.sqrt((dof - 2.0) / dof)
+        return np.asarray(self.rng.standard_t(dof, n) * np.sqrt((dof - 2.0) / dof), dtype=np.float64)
 
     def _slow(self, n: int) -> Floats:
         size = 1e-3 * self.settings.slow_nm
@@ -210,9 +215,7 @@ class Machine:
         return size * values
 
 
-def _draw_joint(
-    cell: Cell, i: int, sizes: JointMechanics, rng: np.random.Generator, spread: float
-) -> list[Function]:
+def _draw_joint(cell: Cell, i: int, sizes: JointMechanics, rng: np.random.Generator, spread: float) -> list[Function]:
     """Six functions of joint `i` of the stated peak to valley."""
     flat = sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm
     if cell.joints[i].kind == "prismatic":
@@ -259,9 +262,11 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
         if endless:
             wave = np.cos(order * q[:, None] + phase) @ (weight / order)
             bump = np.abs(np.sin(q - np.pi * kink)) if shape == "radial" else np.abs(np.sin((q - np.pi * kink) / 2.0))
-            return wave + 0.2 * kinked * bump
+            turned: Floats = wave + 0.2 * kinked * bump
+            return turned
         x = (2.0 * q - low - high) / (high - low)
-        return np.cos(rate * x[:, None] + phase) @ weight + 0.3 * kinked * np.abs(x - kink) + slope * x
+        bent: Floats = np.cos(rate * x[:, None] + phase) @ weight + 0.3 * kinked * np.abs(x - kink) + slope * x
+        return bent
 
     grid = np.linspace(low, high, _GRID)
     values = raw(grid)
@@ -283,7 +288,8 @@ def _turn(axis: Floats, angle: Floats) -> Floats:
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    return np.eye(3) + s * cross + (1 - c) * (cross @ cross)
+    turned: Floats = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
+    return turned
 
 
 def _chain(

@@ -86,11 +86,11 @@ def doubts_of(fit: "MechanicsFit") -> tuple[Doubt, ...]:
                 )
             )
     tests = term_tests(fit)
-    for test in tests:
-        if test.p_value < _LEVEL / len(tests):
-            found.append(
-                Doubt("residuals", f"{test.name}: the residuals show it beyond what is stated (p = {test.p_value:.1g})")
-            )
+    found += [
+        Doubt("residuals", f"{test.name}: the residuals show it beyond what is stated (p = {test.p_value:.1g})")
+        for test in tests
+        if test.p_value < _LEVEL / len(tests)
+    ]
     return tuple(found)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, sparse
 
 from fpcal_bayes.infer.covariance import Whitening
 
@@ -47,7 +47,9 @@ class MarginalWhitening(Whitening):
             variance, directions = linalg.eigh(columns @ columns.T)
             kept = variance > _NEGLIGIBLE
             directions = directions[:, kept]
-        return cls(base.scale, base.batches, np.ascontiguousarray(directions), 1.0 - 1.0 / np.sqrt(1.0 + variance[kept]))
+        return cls(
+            base.scale, base.batches, np.ascontiguousarray(directions), 1.0 - 1.0 / np.sqrt(1.0 + variance[kept])
+        )
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
@@ -68,6 +70,6 @@ class MarginalWhitening(Whitening):
         return result
 
     @property
-    def base_mix(self):  # type: ignore[no-untyped-def]
+    def base_mix(self) -> sparse.csr_array | None:
         """The map that whitens Sigma, as a sparse matrix, or None if it only scales."""
         return Whitening(self.scale, self.batches).mix

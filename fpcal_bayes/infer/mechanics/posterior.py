@@ -21,7 +21,7 @@ from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.scales import independent_scales
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 _ITERATIONS, _SOLVED = 14, 1e-7
 #: Scales that are worked on together, and geometries drawn for each.
@@ -63,7 +63,7 @@ class WeightedDraws:
         """Share of draws that had a solution; the rest stands for mass beyond a fold."""
         return float(np.isfinite(self.log_weights).mean())
 
-    def metropolis(self, rng: np.random.Generator) -> Floats:
+    def metropolis(self, rng: np.random.Generator) -> Ints:
         """Positions of the draws that a Metropolis chain stands on, which proposes them one after the other."""
         places = np.empty(len(self.log_weights), dtype=np.int64)
         at = int(np.argmax(np.isfinite(self.log_weights)))
@@ -120,7 +120,7 @@ class ScaleCharts:
             k, b = active.T
             residuals, jacobian = _rows(fit, points[k, b])
             # The same maps again and again: a product per draw of 21 x rows with rows x 21.
-            h = (self.on_data[k] @ residuals[:, :, None])[:, :, 0] + (self.on_prior[k] @ points[k, b][:, :, None])[:, :, 0]
+            h = (self.on_data[k] @ residuals[:, :, None] + self.on_prior[k] @ points[k, b][:, :, None])[:, :, 0]
             slopes = self.on_data[k] @ jacobian + self.on_prior[k]
             miss = h - normal[k, b]
             distance = np.linalg.norm(miss, axis=1)
@@ -157,9 +157,7 @@ def weighted_draws(fit: MechanicsFit, n_draws: int, *, seed: int = 0) -> Weighte
         points, log_weights = charts.solve(rng.standard_normal((len(log_scales[part]), _PER_SCALE, n)))
         scores.append(points.reshape(-1, n))
         weights.append((log_weights + (prior - log_linear)[part, None]).ravel())
-    return WeightedDraws(
-        np.concatenate(scores), np.repeat(log_scales, _PER_SCALE, axis=0), np.concatenate(weights)
-    )
+    return WeightedDraws(np.concatenate(scores), np.repeat(log_scales, _PER_SCALE, axis=0), np.concatenate(weights))
 
 
 class _Covariance:

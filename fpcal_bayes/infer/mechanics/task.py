@@ -9,7 +9,8 @@ from fpcal_bayes.control.tasks import Task
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.task_error import peak_to_peak, task_jacobian
 from fpcal_bayes.model.mechanics import path_design
-from fpcal_bayes.model.mechanics.design import DRIFT_ORDER, drift_sd
+from fpcal_bayes.model.mechanics.design import drift_sd
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
 
 Floats = NDArray[np.float64]
 
@@ -54,10 +55,11 @@ def mechanics_task_errors(fit: MechanicsFit, task: Task, *, seed: int = 0) -> Me
     """
     rng = np.random.default_rng([seed, 2])
     draws, model = fit.draws, fit.problem.model
-    jacobian = fit.problem.prior.by_scores(task_jacobian(model, fit.values, task), fit.solution.unknowns[: fit.problem.n_free])
+    at = fit.solution.unknowns[: fit.problem.n_free]
+    jacobian = fit.problem.prior.by_scores(task_jacobian(model, fit.values, task), at)
     path = path_design(fit.terms, model.vector(fit.values), task.start, task.q)
     n_draws, n_points = len(draws.scores), len(task)
-    change = draws.scores[:, : fit.problem.n_free] - fit.solution.unknowns[: fit.problem.n_free]
+    change = draws.scores[:, : fit.problem.n_free] - at
     repeatable = change @ jacobian.T + draws.weights[:, : fit.design.motion_count] @ path.motions.T
     index = {name: i for i, name in enumerate(fit.terms.scales)}
 

@@ -12,8 +12,7 @@ Floats = NDArray[np.float64]
 def polynomials(q: Floats, low: float, high: float) -> Floats:
     """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5)."""
     x = (2.0 * q - low - high) / (high - low)
-    values: Floats = legendre.legvander(x, LEGENDRE)[:, 1:]
-    return values
+    return np.asarray(legendre.legvander(x, LEGENDRE)[:, 1:], dtype=np.float64)
 
 
 def harmonics(q: Floats) -> Floats:

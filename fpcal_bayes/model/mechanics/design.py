@@ -81,15 +81,14 @@ class PathDesign:
 
 def _columns(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
     """Columns of the error motions at poses: value of each basis function times its response, per motion."""
-    made = []
-    cell = terms.cell
-    values = {}
+    cell, values = terms.cell, {}
     for i in {motion.joint for motion in terms.motions}:
         endless = group_of(cell, i) == "rotary"
         values[i] = harmonics(q[:, i]) if endless else polynomials(q[:, i], cell.low[i], cell.high[i])
-    for motion in terms.motions:
-        made.append(values[motion.joint] * at.motion[:, motion.joint, motion.direction, None] * motion.sd)
-    return made
+    return [
+        values[motion.joint] * at.motion[:, motion.joint, motion.direction, None] * motion.sd
+        for motion in terms.motions
+    ]
 
 
 def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[tuple[int, Floats]]:
@@ -123,7 +122,7 @@ def _at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str]
         parts.append(columns)
         names += [f"radial runout of q{i + 1}, against the turn"] * 2
         scales += [index[by_joint[i].scale]] * 2
-    for i in np.flatnonzero((terms.encoder > 0) & np.isfinite(terms.encoder_period)):
+    for i in np.flatnonzero((terms.encoder > 0) & np.isfinite(terms.encoder_period)).tolist():
         phase = 2.0 * np.pi * q[:, i] / terms.encoder_period[i]
         size = at.drive[:, i] * terms.encoder[i] / np.sqrt(2.0)
         parts.append(size[:, None] * np.column_stack([np.cos(phase), np.sin(phase)]))
@@ -196,12 +195,11 @@ def _shared_first(made: Design) -> Design:
 def _return_sd(terms: Terms) -> Floats:
     """Return error of each joint with the error of an encoder whose period is not known, in um or rad."""
     unknown = np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder / np.sqrt(2.0))
-    return np.hypot(terms.return_sd, unknown)
+    together: Floats = np.hypot(terms.return_sd, unknown)
+    return together
 
 
-def _drift(
-    terms: Terms, drive: Drive, start: Responses, end: Responses, begun: Floats
-) -> tuple[Floats, list[str]]:
+def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: Floats) -> tuple[Floats, list[str]]:
     """Fibre displacements that are polynomials in time, and what an unknown length of a sweep adds along the beam."""
     rate = terms.sizes.drift_nm_per_min * 1e-3
     if not rate > 0 or not len(drive):
@@ -248,15 +246,14 @@ def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
     weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
     weight *= size / np.sqrt((weight**2).sum())
     angles = np.pi * (np.arange(n)[:, None] + 0.5) * k / n
-    columns: Floats = np.sqrt(2.0) * np.cos(angles) * weight
-    return columns
+    return np.asarray(np.sqrt(2.0) * np.cos(angles) * weight, dtype=np.float64)
 
 
 def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
     """The design matrices of a path that is driven point by point from `start_q` (n_joints,)."""
     poses = np.vstack([start_q, q])
     at = responses(terms.cell, vector, terms.told, poses)
-    columns, names, _ = _at_poses(terms, poses, at)
+    columns, _, _ = _at_poses(terms, poses, at)
     reversing = np.flatnonzero(terms.reversal > 0)
     parts = [columns[1:] - columns[:1]]
     _, side = path_sides(start_q, q)

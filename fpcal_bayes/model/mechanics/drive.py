@@ -80,11 +80,8 @@ def drive_of(
     if approach is not None:
         end_side = np.where(approach != 0, approach, end_side)
     fraction = _fractions(q_start, q_end, absolute, sweep)
-    if np.ptp(time_h) > 0:
-        # Time of a row is that of its reading; a sweep takes no longer than until the next one.
-        begun = 60.0 * (time_h - time_h[0])
-    else:
-        begun = minutes_per_sweep * (sweep - sweep[0])
+    # Times that differ are those of the rows; else the sweeps are so many minutes apart.
+    begun = 60.0 * (time_h - time_h[0]) if np.ptp(time_h) > 0 else minutes_per_sweep * (sweep - sweep[0])
     start, end = begun.astype(float), begun + 0.5 * minutes_per_sweep * fraction
     span = np.full(len(q_end), minutes_per_sweep) * fraction
     if t_start_h is not None and t_end_h is not None:

@@ -1,7 +1,7 @@
 """What a small motion of the chain at one joint does to the cavity length, exact to first order.
 
-Joint j stands in a base frame: that of its link behind beta, alpha and d, before it moves. An error motion moves all
-that the joint carries by a displacement and a tilt, whose directions are fixed in the base frame. With normal n, fibre
+Joint j stands in a base frame: that of its link behind beta, alpha and d, before it moves. An error motion moves
+all that the joint carries by a displacement and a tilt, whose directions are fixed in the base frame. With normal n, fibre
 end f, optical axis a, N = n.(o - f) and D = n.a, a displacement changes N by n.delta, a tilt w about a point c changes n
 by w x n and N by (w x n).(c - f), and
 
@@ -116,7 +116,8 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Respon
 
     def tilted(points: Floats) -> Floats:
         torque = np.cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
-        return (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
+        turned: Floats = (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
+        return turned
 
     tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
     revolute = cell.revolute

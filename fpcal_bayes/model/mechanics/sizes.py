@@ -72,8 +72,9 @@ class JointMechanics:
     def scaled(self, factor: float) -> "JointMechanics":
         """The same joint with every error motion `factor` times as large."""
         sized = [f.name for f in fields(self) if f.name not in ("encoder_period", "lever_mm", "source")]
-        values = {name: getattr(self, name) for name in sized}
-        return replace(self, **{name: None if v is None else factor * v for name, v in values.items()})
+        values: dict[str, Any] = {name: getattr(self, name) for name in sized}
+        changes: dict[str, Any] = {name: None if v is None else factor * v for name, v in values.items()}
+        return replace(self, **changes)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fpcal_bayes.model.cell import Cell
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
 from fpcal_bayes.model.mechanics.sizes import JointMechanics, Mechanics
-from fpcal_bayes.model.mechanics.words import HARMONICS, LEGENDRE, Shape, weight_sd
+from fpcal_bayes.model.mechanics.words import Shape, weight_sd
 
 Floats = NDArray[np.float64]
 
@@ -135,12 +135,9 @@ def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: 
     """The error motions of joint `i` whose size is stated."""
     number, group = i + 1, group_of(cell, i)
     endless = group == "rotary"
-    aside = ""
     if cell.joints[i].kind == "prismatic":
         straight = np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)
-        flat = np.hypot(
-            sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm, sizes.crosstalk_nm
-        )
+        flat = np.hypot(sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm, sizes.crosstalk_nm)
         stated = {
             OWN: ("linearity", sizes.linearity),
             UP: ("flatness", flat),
@@ -178,14 +175,7 @@ def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: 
         if direction == OWN and endless and {f"runout_cos_{number}", f"runout_sin_{number}"} & set(free):
             sd[:2] = 0.0
             duplicates = f"runout of q{number} is free: its first axial harmonic stands aside"
-        if direction >= ROLL:
-            kind = KINDS[2]
-        else:
-            kind = KINDS[0] if told.along_beam[i] == direction else KINDS[1]
-        made.append(Motion(i, direction, f"{word} of q{number}", f"{group}, {kind}", sd, duplicates or aside))
+        displacement = KINDS[0] if told.along_beam[i] == direction else KINDS[1]
+        kind = KINDS[2] if direction >= ROLL else displacement
+        made.append(Motion(i, direction, f"{word} of q{number}", f"{group}, {kind}", sd, duplicates))
     return made
-
-
-def basis_size(cell: Cell, joint: int) -> int:
-    """Number of basis functions of a joint."""
-    return 2 * HARMONICS if group_of(cell, joint) == "rotary" else LEGENDRE

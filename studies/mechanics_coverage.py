@@ -14,16 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.control.tasks import TASKS, task_path
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics import PATH_POINTS, fit_mechanics, mechanics_task_errors
 from fpcal_bayes.infer.mechanics.rows import drive_of_sweeps
-from fpcal_bayes.infer.problem import Problem
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell import Cell, load_cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics
+from fpcal_bayes.motion.tasks import TASKS, task_path
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 _SIGMA = 0.005
@@ -196,7 +197,8 @@ def summary(results: list[dict[str, object]]) -> str:
     seconds = np.median([r["seconds"] for r in results])  # type: ignore[type-var]
     return (
         f"inside {100 * np.mean(inside):.0f} (least {100 * min(inside):.0f}), below upper {100 * np.mean(below):.0f}, "
-        f"points {100 * np.mean(points):.0f} (least {100 * min(points):.0f}), ratio {min(ratio):.2f}..{max(ratio):.2f}, "
+        f"points {100 * np.mean(points):.0f} (least {100 * min(points):.0f}), "
+        f"ratio {min(ratio):.2f}..{max(ratio):.2f}, "
         f"rms z {pooled:.2f}, doubtful {100 * doubtful:.0f} %, {seconds:.2f} s; " + "; ".join(lines)
     )
 

@@ -8,13 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics.drive import Drive
 from fpcal_bayes.model.mechanics.sizes import JointMechanics, Mechanics
 
-Floats = NDArray[np.float64]
 Function = Callable[[Floats], Floats]
 
 _STRIDE = 8

@@ -5,18 +5,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from fpcal_bayes.infer.least_squares import Solution, minimise
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.judge import Doubt, doubts_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
-from fpcal_bayes.infer.problem import Problem
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
-
-Floats = NDArray[np.float64]
 
 #: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
 DENSE_ROWS = 320

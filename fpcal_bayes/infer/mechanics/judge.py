@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 from scipy import special
 
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
@@ -21,7 +21,6 @@ from fpcal_bayes.model.mechanics.response import Responses, responses
 if TYPE_CHECKING:
     from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 
-Floats = NDArray[np.float64]
 
 #: Family-wise probability of naming a term that is not there.
 _LEVEL = 0.01

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from fpcal_bayes.infer.covariance import Whitening
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Whitening
 
 #: Directions whose variance is below this share of the noise's change nothing.
 _NEGLIGIBLE = 1e-6

@@ -14,14 +14,11 @@ p_linear(s) being known but for a constant: the weighted draws (or a Metropolis 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.scales import independent_scales
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ITERATIONS, _SOLVED = 14, 1e-7
 #: Scales that are worked on together, and geometries drawn for each.

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.infer.covariance import Batch, Whitening, group_blocks
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.infer.fit.noise import Batch, Whitening, group_blocks
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.mechanics import Design, Drive, drive_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:

@@ -13,11 +13,9 @@ sheet puts it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from fpcal_bayes.core.typing import Floats, Ints
 
 #: One standard deviation of a scale's logarithm: a factor 3, of the noise 1.5.
 LOG_SD, LOG_SD_NOISE = float(np.log(3.0)), float(np.log(1.5))

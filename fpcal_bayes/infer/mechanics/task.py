@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.control.tasks import Task
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-from fpcal_bayes.infer.task_error import peak_to_peak, task_jacobian
+from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
 from fpcal_bayes.model.mechanics import path_design
 from fpcal_bayes.model.mechanics.design import drift_sd
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.motion.tasks import Task
 
 #: Points of a path: return errors make a peak to peak grow with their number, so it is fixed and stated.
 PATH_POINTS = 31

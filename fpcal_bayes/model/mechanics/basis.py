@@ -2,11 +2,9 @@
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.mechanics.words import HARMONICS, LEGENDRE
-
-Floats = NDArray[np.float64]
 
 
 def polynomials(q: Floats, low: float, high: float) -> Floats:

@@ -4,15 +4,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
 from fpcal_bayes.model.mechanics.drive import Drive, path_sides
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, responses
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Slow reading errors: cosines over the order of the rows, at most so many and one per four rows.
 _MOST_SLOW = 24
@@ -223,8 +220,8 @@ def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: 
 def drift_sd(terms: Terms, last_min: float) -> Floats:
     """Standard deviations of the drift's polynomials in um, shape (DRIFT_ORDER,)."""
     orders = np.arange(DRIFT_ORDER)
-    sd: Floats = terms.sizes.drift_nm_per_min * 1e-3 * last_min / 2.0 / 2.0**orders
-    return sd
+    rate = terms.sizes.drift_nm_per_min * 1e-3
+    return np.asarray(rate * last_min / 2.0 / 2.0**orders, dtype=np.float64)
 
 
 def _time_polynomial(minutes: Floats, last: float, order: int) -> Floats:

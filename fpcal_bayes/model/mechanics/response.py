@@ -1,9 +1,9 @@
 """What a small motion of the chain at one joint does to the cavity length, exact to first order.
 
 Joint j stands in a base frame: that of its link behind beta, alpha and d, before it moves. An error motion moves
-all that the joint carries by a displacement and a tilt, whose directions are fixed in the base frame. With normal n, fibre
-end f, optical axis a, N = n.(o - f) and D = n.a, a displacement changes N by n.delta, a tilt w about a point c changes n
-by w x n and N by (w x n).(c - f), and
+all that the joint carries by a displacement and a tilt, whose directions are fixed in the base frame. With normal n,
+fibre end f, optical axis a, N = n.(o - f) and D = n.a, a displacement changes N by n.delta, a tilt w about a point c
+changes n by w x n and N by (w x n).(c - f), and
 
     dL = (dN - L dD) / D    (axis),        dL = sign(N) dN    (perpendicular).
 """
@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
-
-Floats = NDArray[np.float64]
 
 #: Directions of an error motion: displacements, then tilts; own axis, upward, across.
 OWN, UP, ACROSS, ROLL, YAW, PITCH = range(6)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.errors import InputError
+from fpcal_bayes.core.errors import InputError
 
 #: Keys that are meant for one kind of joint only, beside those in their own unit.
 _LINEAR_ONLY = ("straightness_nm", "flatness_nm", "pitch_urad", "yaw_urad", "roll_urad", "crosstalk_nm")

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.model.cell import Cell
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
 from fpcal_bayes.model.mechanics.sizes import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics.words import Shape, weight_sd
-
-Floats = NDArray[np.float64]
 
 #: Scales that are not those of error motions, in their order behind them.
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")

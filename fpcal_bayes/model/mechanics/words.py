@@ -9,11 +9,9 @@ them anew).
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fpcal_bayes.errors import InputError
-
-Floats = NDArray[np.float64]
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
 
 Word = Literal["peak-to-valley", "plus-minus", "rms", "percent-of-travel", "unidirectional", "bidirectional"]
 Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]

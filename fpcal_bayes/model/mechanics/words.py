@@ -21,15 +21,15 @@ Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
 PEAK_TO_VALLEY: dict[Shape, float] = {
     "legendre": 1.902,
     "legendre-bent": 1.039,
-    "fourier": 7.364,
-    "fourier-beyond-first": 4.408,
+    "fourier": 3.682,
+    "fourier-beyond-first": 2.204,
 }
 #: Peak to valley over root mean square of such functions, at the median.
 CREST: dict[Shape, float] = {
-    "legendre": 3.23,
-    "legendre-bent": 3.79,
-    "fourier": 3.93,
-    "fourier-beyond-first": 4.37,
+    "legendre": 3.74,
+    "legendre-bent": 4.38,
+    "fourier": 3.43,
+    "fourier-beyond-first": 3.67,
 }
 #: Highest polynomial and highest harmonic.
 LEGENDRE, HARMONICS = 5, 4

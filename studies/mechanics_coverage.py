@@ -13,17 +13,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics import PATH_POINTS, fit_mechanics, mechanics_task_errors
-from fpcal_bayes.infer.mechanics.rows import drive_of_sweeps
+from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
+from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.mechanics import JointMechanics, Mechanics
+from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.motion.tasks import TASKS, task_path
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
@@ -203,15 +205,51 @@ def summary(results: list[dict[str, object]]) -> str:
     )
 
 
+def own_prior(cell: Cell, plan: Sweeps, seed: int) -> np.ndarray:
+    """Scores of a truth from the fit's own prior, weights and scales included, under its fit: z and rank, (2, n)."""
+    rng, free, model, sheet = np.random.default_rng([seed, 77]), cell.free, CavityModel.of(cell), REALISTIC
+    scores = rng.standard_normal(len(free))
+    values = free.nominal + scores * free.prior_sd
+    terms, drive = Terms.of(cell, sheet, free.names), drive_of_sweeps(plan, sheet.minutes_per_sweep)
+    made = design(terms, model.vector(values), drive, np.full(len(plan), _SIGMA))
+    log = rng.standard_normal(len(terms.scales)) * LOG_SD
+    log[-1] *= LOG_SD_NOISE / LOG_SD
+    factors = np.exp(log)
+    measured = plan.with_measurement(np.zeros(len(plan)), _SIGMA)
+    error = RowNoise.of(measured, made).draw(factors[-1:], factors[-2:-1], rng)[0]
+    shown = made.matrix @ (factors[made.scale] * rng.standard_normal(made.matrix.shape[1]))
+    dl = model.predict(values, model.rows(plan.q_start, plan.q_end, plan.absolute)) + shown + error
+    fit = fit_mechanics(Problem.of(model, plan.with_measurement(dl, _SIGMA)), sheet, seed=seed)
+    mean, covariance = fit.moments()
+    rank = (fit.draws.scores < scores).mean(axis=0)
+    return np.array([(scores - mean) / np.sqrt(np.diag(covariance)), rank])
+
+
+def judge_own_prior(cell: Cell, plan: Sweeps, truths: int) -> str:
+    found = np.array([own_prior(cell, plan, seed) for seed in range(truths)])
+    rms = np.sqrt((found[:, 0] ** 2).mean(axis=0))
+    p_values = [stats.kstest(column, "uniform").pvalue for column in found[:, 1].T]
+    worst = int(np.argmin(p_values))
+    return (
+        f"own prior, {truths} draws: rms z {rms.min():.2f} ({cell.free.names[rms.argmin()]}) to {rms.max():.2f} "
+        f"({cell.free.names[rms.argmax()]}); ranks: least p {min(p_values):.2g} ({cell.free.names[worst]})"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mixture", nargs="*", default=["gentle", "realistic", "rough"], choices=sorted(MIXTURES))
     parser.add_argument("--protocol", nargs="*", default=["ends", "mid", "four"], choices=("ends", "mid", "four"))
     parser.add_argument("--truths", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="seed of the first truth")
+    parser.add_argument("--own-prior", action="store_true", help="truths from the fit's own prior instead")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     cell, everything = load_cell(), {}
+    if options.own_prior:
+        for name in options.protocol:
+            print(name, judge_own_prior(cell, protocol(cell, name), options.truths), flush=True)
+        return
     for mixture in options.mixture:
         for name in options.protocol:
             plan = protocol(cell, name)

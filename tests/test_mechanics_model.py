@@ -146,8 +146,8 @@ def test_duplicates_stand_aside():
 
 
 def test_an_eccentricity_is_geometry():
-    # The part of the fundamental radial motion that runs with the turn carries the mirror as an offset does, which a plane
-    # mirror does not show; a thousandth of it is left where the turn changes the angle to the optical axis.
+    # The part of the fundamental radial motion that runs with the turn carries the mirror as an offset does, which a
+    # plane mirror does not show; what is left is the change of the angle to the optical axis.
     cell, rng = load_cell(), np.random.default_rng(3)
     vector, q = _vector(cell, rng), np.zeros((9, 6))
     q[:, 5] = np.linspace(-1.5, 1.5, 9)

@@ -1,0 +1,174 @@
+"""How large the error motions of a cell are: what data sheets of its parts state."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+
+#: Keys that are meant for one kind of joint only, beside those in their own unit.
+_LINEAR_ONLY = ("straightness_nm", "flatness_nm", "pitch_urad", "yaw_urad", "roll_urad", "crosstalk_nm")
+_TURNING_ONLY = ("radial_runout_nm", "axial_runout_nm", "wobble_urad")
+_IN_OWN_UNIT = ("linearity", "reversal", "return", "encoder")
+#: No error motion of a positioner is as large as a millimetre or a milliradian times ten.
+_LARGEST = 1e6
+
+
+@dataclass(frozen=True)
+class JointMechanics:
+    """What a data sheet states of one joint, in the units of the sheet; zero is "none".
+
+    Attributes
+    ----------
+    straightness_nm, flatness_nm, crosstalk_nm
+        Of a joint that moves along: peak to valley across the travel, without its best line. `straightness_nm` holds
+        for both directions across where there is no `flatness_nm`; else that holds for the upward one (Zw; Yw for a
+        joint along Zw). `crosstalk_nm` adds in square to both.
+    pitch_urad, yaw_urad, roll_urad
+        Peak to valley of the tilts; yaw about the upward direction, roll about the joint's own.
+    radial_runout_nm, axial_runout_nm, wobble_urad
+        Of a joint that turns: half of peak to valley. An endless joint's fundamental radial harmonic is eccentricity,
+        a matter of geometry, and is not counted.
+    linearity
+        Along or about the joint's own axis: peak to valley, its gain included, in nm or urad.
+    reversal
+        Lost motion between the two directions of approach, in nm or urad.
+    return_sd
+        Unidirectional repeatability, one standard deviation, in nm or urad.
+    encoder
+        Amplitude of the encoder's periodic error, in nm or urad.
+    encoder_period
+        In um or deg; None where it is not known.
+    lever_mm
+        From the point that the data sheet speaks of to the mirror, in world axes at joint zero.
+    source
+        Where the sizes come from; ``assumed`` where nobody states them.
+    """
+
+    straightness_nm: float = 0.0
+    flatness_nm: float | None = None
+    crosstalk_nm: float = 0.0
+    pitch_urad: float = 0.0
+    yaw_urad: float = 0.0
+    roll_urad: float = 0.0
+    radial_runout_nm: float = 0.0
+    axial_runout_nm: float = 0.0
+    wobble_urad: float = 0.0
+    linearity: float = 0.0
+    reversal: float = 0.0
+    return_sd: float = 0.0
+    encoder: float = 0.0
+    encoder_period: float | None = None
+    lever_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    source: str = ""
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is stated."""
+        return any(getattr(self, f.name) for f in fields(self) if f.name not in ("lever_mm", "source"))
+
+    def scaled(self, factor: float) -> "JointMechanics":
+        """The same joint with every error motion `factor` times as large."""
+        sized = [f.name for f in fields(self) if f.name not in ("encoder_period", "lever_mm", "source")]
+        values: dict[str, Any] = {name: getattr(self, name) for name in sized}
+        changes: dict[str, Any] = {name: None if v is None else factor * v for name, v in values.items()}
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Sizes of a cell's error motions.
+
+    Attributes
+    ----------
+    joints
+        One per joint, from base to tool.
+    drift_nm_per_min
+        Rate at which the fibre drifts within a session, one standard deviation in each direction.
+    minutes_per_sweep
+        Time between the starts of two sweeps where the rows do not state their times.
+    correlated_nm
+        Standard deviation of a reading error that changes slowly from row to row; None: four fifths of the readings'
+        own sigma.
+    """
+
+    joints: tuple[JointMechanics, ...]
+    drift_nm_per_min: float = 0.0
+    minutes_per_sweep: float = 1.0
+    correlated_nm: float | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is stated."""
+        return self.drift_nm_per_min > 0 or any(joint.any for joint in self.joints)
+
+    def scaled(self, factor: float) -> "Mechanics":
+        """The same with every error motion and the drift `factor` times as large."""
+        joints = tuple(joint.scaled(factor) for joint in self.joints)
+        return replace(self, joints=joints, drift_nm_per_min=factor * self.drift_nm_per_min)
+
+
+def joint_mechanics(table: Mapping[str, Any], *, prismatic: bool, place: str) -> JointMechanics:
+    """The sizes that a table ``[joint.mechanics]`` states.
+
+    Parameters
+    ----------
+    table
+        Keys as in the contract: ``straightness_nm``, ``reversal_urad``, ``lever_mm`` ...
+    prismatic
+        Whether the joint moves along (nm) or turns (urad).
+    place
+        Where the table stands, for messages.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or not meant for this kind of joint, or a value is no size.
+    """
+    own, shown = ("nm", "um") if prismatic else ("urad", "deg")
+    names = {key: key for key in (_LINEAR_ONLY if prismatic else _TURNING_ONLY)}
+    names |= {f"{stem}_{own}": {"return": "return_sd"}.get(stem, stem) for stem in _IN_OWN_UNIT}
+    names[f"encoder_period_{shown}"] = "encoder_period"
+    known = (*names, "lever_mm", "source")
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(f"{place}.{key}: unknown key, expected one of {', '.join(sorted(known))}")
+        if key == "source":
+            if not isinstance(value, str):
+                raise InputError(f"{place}.source: expected a text")
+            values[key] = value
+        elif key == "lever_mm":
+            if not isinstance(value, list) or len(value) != 3:
+                raise InputError(f"{place}.lever_mm: expected three numbers, from the sheet's point to the mirror")
+            values[key] = tuple(_number(part, f"{place}.lever_mm", -1e4, 1e4) for part in value)
+        else:
+            low = 1e-9 if key.startswith("encoder_period") else 0.0
+            values[names[key]] = _number(value, f"{place}.{key}", low, _LARGEST)
+    return JointMechanics(**values)
+
+
+def cell_mechanics(table: Mapping[str, Any], joints: tuple[JointMechanics, ...], *, place: str) -> Mechanics:
+    """The sizes that a cell's table ``[mechanics]`` adds to those of its joints.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or a value is no size.
+    """
+    known = {"drift_nm_per_min": 0.0, "minutes_per_sweep": 1e-6}
+    for key in table:
+        if key not in known:
+            raise InputError(f"{place}.{key}: unknown key, expected one of {', '.join(sorted(known))}")
+    values = {key: _number(value, f"{place}.{key}", known[key], _LARGEST) for key, value in table.items()}
+    return Mechanics(joints, **values)
+
+
+def _number(value: Any, place: str, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise InputError(f"{place}: expected a finite number, found {str(value)[:40]!r}")
+    if not low <= value <= high:
+        raise InputError(f"{place}: expected a number from {low:g} to {high:g}, found {value:g}")
+    return float(value)

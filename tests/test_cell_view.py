@@ -48,7 +48,7 @@ def made(words: str, side: str, folder: Path, gap: float = 300.0) -> Cell:
     layout = layout_of_axes(read_axes(words), read_side(side), gap)
     path = folder / "new.toml"
     path.write_text(new_cell_text(layout, "new", wavelength_nm=1550.0, gap_sd_um=5.0))
-    return load_cell(path)
+    return load_cell(path, mechanics="none")
 
 
 def moved(cell: Cell, joint: int, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -166,7 +166,7 @@ def test_a_table_of_modified_dh_parameters(femto, tmp_path):
     table, out = tmp_path / "dh.csv", tmp_path / "dh.toml"
     table.write_text("\n".join(rows) + "\n")
     assert main(["cell", "--from-dh", str(table), "-o", str(out), "--quiet"]) == 0
-    cell = load_cell(out)
+    cell = load_cell(out, mechanics="none")
     q = np.array([10, 20, 30, 0.05, -0.03, 1.0])
     expected = chain.mirror_pose(femto, femto.parameters.nominal, q)
     assert_allclose(chain.mirror_pose(cell, cell.parameters.nominal, q), expected, atol=1e-9)
@@ -179,7 +179,7 @@ def test_a_skew_dh_table_still_faces_the_fibre(tmp_path):
     layout = layout_of_links(kinds, links, read_side("+z"), 100.0)
     path = tmp_path / "skew.toml"
     path.write_text(new_cell_text(layout, "skew", wavelength_nm=1550.0))
-    cell = load_cell(path)
+    cell = load_cell(path, mechanics="none")
     seen = view_cell(cell).sight
     assert seen.length == pytest.approx(100.0, abs=1e-6)
     assert seen.tilt == pytest.approx(0.0, abs=1e-6)
@@ -240,7 +240,7 @@ def test_geometry_that_cannot_be_right(text, key, mend, tmp_path, capsys):
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        load_cell(path)
+        load_cell(path, mechanics="none")
     assert str(caught.value).startswith(f"{path}: {key}")
     assert mend in str(caught.value)
     # It is shown all the same.
@@ -270,7 +270,7 @@ def test_geometry_that_cannot_be_right(text, key, mend, tmp_path, capsys):
 def test_geometry_that_can_be(text, tmp_path):
     path = tmp_path / "good.toml"
     path.write_text(text)
-    load_cell(path)
+    load_cell(path, mechanics="none")
 
 
 def test_the_mend_of_a_refusal_mends(tmp_path):
@@ -286,11 +286,11 @@ def test_the_mend_of_a_refusal_mends(tmp_path):
         for _ in range(3):
             path.write_text(text)
             try:
-                load_cell(path)
+                load_cell(path, mechanics="none")
                 break
             except InputError as error:
                 text = mended(text, str(error).split("otherwise")[0].split(", or light")[0].split("; or an axis")[0])
-        load_cell(path)
+        load_cell(path, mechanics="none")
 
 
 def mended(text: str, message: str) -> str:
@@ -339,7 +339,7 @@ def test_wrong_axes_are_seen(tmp_path):
     text = "[[joint]]".join(joints)
     path = tmp_path / "wrong.toml"
     path.write_text(text)
-    view = view_cell(load_cell(path, check=False))
+    view = view_cell(load_cell(path, check=False, mechanics="none"))
     assert "q1 and q3 both move along x" in view.odd
     assert "turns its back to the light" in view.refused
 
@@ -368,7 +368,7 @@ def test_the_command_makes_a_cell(tmp_path, capsys):
     arguments = ["cell", "--new", "-x y z rx rz -ry", "--side", "minus-y", "--gap-um", "60", "-o", str(out)]
     assert main(arguments) == 0
     assert "q6 turns about -y, about the beam" in capsys.readouterr().out
-    cell = load_cell(out)
+    cell = load_cell(out, mechanics="none")
     assert cell.name == "lab8"
     # What exists is never overwritten: it may be filled in by now.
     assert main(arguments) == 2

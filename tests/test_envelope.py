@@ -253,7 +253,7 @@ def test_a_table_that_is_none(old, new, expected, tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text(FEMTO.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
-        load_cell(path)
+        load_cell(path, mechanics="none")
     assert str(caught.value).startswith(f"{path}: {expected}")
 
 

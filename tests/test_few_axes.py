@@ -18,7 +18,7 @@ from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.motion.tasks import NO_AXIS, TASKS, default_radius, find_task, half_line, half_tilt, possible_tasks
 
 DATA = Path(__file__).parent / "data"
-FIVE = load_cell(DATA / "five_axes.toml")
+FIVE = load_cell(DATA / "five_axes.toml", mechanics="none")
 
 
 def made(words: str, folder: Path, side: str = "+y") -> Cell:
@@ -26,7 +26,7 @@ def made(words: str, folder: Path, side: str = "+y") -> Cell:
     path.write_text(
         new_cell_text(layout_of_axes(read_axes(words), read_side(side), 300.0), "few", wavelength_nm=1550.0)
     )
-    return load_cell(path)
+    return load_cell(path, mechanics="none")
 
 
 def drawn(cell: Cell, seed: int) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_directions_decide(words, side, expected, tmp_path):
 
 def test_tasks_scale_to_the_limits(femto):
     assert (half_line(femto), default_radius(femto), np.degrees(half_tilt(femto))) == pytest.approx((150, 100, 3))
-    lab7 = load_cell(DATA / "lab7.toml")
+    lab7 = load_cell(DATA / "lab7.toml", mechanics="none")
     assert (half_line(lab7), default_radius(lab7)) == pytest.approx((45.0, 30.0))
     for task in TASKS:
         assert find_task(lab7, lab7.parameters.nominal, task, radius=default_radius(lab7)).ok.all()
@@ -94,7 +94,7 @@ def test_the_whole_way(words, tmp_path):
     cell, truth, rows = (tmp_path / name for name in ("cell.toml", "truth.toml", "rows.csv"))
     new = ["cell", "--new", words, "--gap-um", "300", "--gap-sd-um", "5", "-o", str(cell), "--quiet"]
     assert main(new) == 0
-    free = load_cell(cell).free
+    free = load_cell(cell, mechanics="none").free
     values = free.nominal + 0.5 * free.prior_sd * np.random.default_rng(1).standard_normal(len(free))
     named = zip(free.names, free.to_shown(values).tolist(), strict=True)
     truth.write_text("[parameters]\n" + "".join(f"{name} = {value!r}\n" for name, value in named))
@@ -108,4 +108,4 @@ def test_the_whole_way(words, tmp_path):
     fpcal("identify", tmp_path / "sweeps.csv", "--json", tmp_path / "estimate.json")
     fpcal("task-error", tmp_path / "estimate.json", "--radius-um", 60, "--json", tmp_path / "task.json")
     tasks = json.loads((tmp_path / "task.json").read_text())["tasks"]
-    assert set(tasks) == set(possible_tasks(load_cell(cell)))
+    assert set(tasks) == set(possible_tasks(load_cell(cell, mechanics="none")))

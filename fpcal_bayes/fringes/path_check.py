@@ -17,6 +17,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
+from fpcal_bayes.model.mechanics.errors import known_task_errors
 from fpcal_bayes.model.trust import Trust
 
 CheckVerdict = Literal["confirmed", "refuted", "not evaluated"]
@@ -186,8 +187,18 @@ def check(
     """
     cell, model = estimate.cell, CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     measured = measure_path(cell, estimate, trace, index=index, stability=stability, seed=seed)
+    machine = None if estimate.mechanics is None else estimate
     found = check_path(
-        measured, model, estimate.values, draws, estimate.covariance, trace, drift=drift, level=level, seed=seed
+        measured,
+        model,
+        estimate.values,
+        draws,
+        estimate.covariance,
+        trace,
+        drift=drift,
+        machine=machine,
+        level=level,
+        seed=seed,
     )
     verdict = found.verdict if estimate.trust.usable else "not evaluated"
     return replace(found, trust=estimate.trust, verdict=verdict)
@@ -202,6 +213,7 @@ def check_path(
     trace: PathTrace,
     *,
     drift: Floats | None = None,
+    machine: Estimate | None = None,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -213,6 +225,7 @@ def check_path(
     covariance: of the free parameters, shape (n_free, n_free), in um and rad.
     trace: what was measured.
     drift: covariance of what the free parameters may have drifted since the estimate, or None.
+    machine: an estimate that knows the cell's mechanics, in place of draws and covariance.
     level: probability below which the calibration is refuted.
     seed: of the draws.
     """
@@ -220,7 +233,9 @@ def check_path(
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
     random = np.random.default_rng([seed, 1])
     _, jacobian = model.predict_with_jacobian(values, rows)
-    if draws is not None:
+    if machine is not None:
+        errors = known_task_errors(machine, q[0], q, draws=_DRAWS, seed=seed)[0].total
+    elif draws is not None:
         errors = model.predict(draws, rows) - model.predict(values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
     else:

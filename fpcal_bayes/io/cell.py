@@ -3,17 +3,19 @@
 import math
 import tomllib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_envelope import read_envelope
 from fpcal_bayes.io.cell_tasks import read_tasks
+from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
+from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
 from fpcal_bayes.model.cell.optics import Beams, Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
@@ -55,7 +57,13 @@ _OPTICS_KEYS = {
 }
 
 
-def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None, check: bool = True) -> Cell:
+def load_cell(
+    source: str | Path = "femto-st",
+    *,
+    opd: Opd | None = None,
+    mechanics: Literal["stated", "none"] = "stated",
+    check: bool = True,
+) -> Cell:
     """Read a cell by the name of a built-in one or from a TOML file.
 
     Parameters
@@ -64,6 +72,8 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None, check:
         ``femto-st`` or the path of a TOML file.
     opd
         Overrides the path model of the file.
+    mechanics
+        ``stated``: with the sizes of error motions that the file states; ``none``: the mechanism is taken as perfect.
     check
         Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
 
@@ -90,6 +100,8 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None, check:
         raise reader.error(key, what)
     if text[-1:].isdigit():
         require_line_end(path, text)
+    if mechanics == "none":
+        cell = cell.ideal
     return cell if opd is None else cell.with_opd(opd)
 
 
@@ -97,7 +109,7 @@ class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "task"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -138,6 +150,7 @@ class _Reader(Tables):
             optical_axis=optical_axis,
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
+            mechanics=self.mechanics(table, joint_tables, joints),
             envelope=read_envelope(self, table.get("envelope"), len(joints)),
             tasks=read_tasks(self, table.get("task", [])),
         )
@@ -161,7 +174,7 @@ class _Reader(Tables):
         unit = JOINT_UNITS[kind]
         speed_key = f"speed_{unit}_per_s"
         own = {speed_key, *(f"{key}_{unit}" for key in ("limits", "repeatability", "resolution"))}
-        self.keys(table, place, {"kind", "controller", "drift", *own, *LINK_SLOTS})
+        self.keys(table, place, {"kind", "controller", "drift", "mechanics", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
@@ -177,6 +190,22 @@ class _Reader(Tables):
         controller = self.controller(table, place, kind) if "controller" in table else None
         speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
         return Joint(kind, low, high, repeatability, controller, resolution, speed)
+
+    def mechanics(
+        self, table: dict[str, Any], joint_tables: list[dict[str, Any]], joints: list[Joint]
+    ) -> Mechanics | None:
+        """Sizes of the error motions; None where the file states none, not even a repeatability."""
+        stated = any("mechanics" in part for part in (table, *joint_tables))
+        if not stated and not any(joint.repeatability for joint in joints):
+            return None
+        made: list[JointMechanics] = []
+        for number, (part, joint) in enumerate(zip(joint_tables, joints, strict=True), 1):
+            own = self.table(part, f"joint {number}", "mechanics") if "mechanics" in part else {}
+            place = f"{self.file}: key joint {number}.mechanics"
+            made.append(joint_mechanics(own, prismatic=joint.kind == "prismatic", place=place))
+        whole = self.table(table, "", "mechanics") if "mechanics" in table else {}
+        found = cell_mechanics(whole, tuple(made), place=f"{self.file}: key mechanics")
+        return found if found.any or any(joint.repeatability for joint in joints) else None
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")

@@ -17,7 +17,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
+from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
@@ -45,6 +45,7 @@ class Track:
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
     solutions: int = 1  # how many the calibration has; see `tracking.solutions`
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
+    mechanics_left_out: bool = False  # whether the cell states error motions, of which the filter knows nothing
 
     def __repr__(self) -> str:
         return (
@@ -92,6 +93,8 @@ class Track:
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
         found = self.outcomes[0].trust
+        if self.mechanics_left_out:
+            found = found.because(MECHANICS_LEFT_OUT)
         stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
         if stalled:
             text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"
@@ -170,6 +173,25 @@ def track(
         If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
         calibration.
     """
+    if cell.mechanics is not None:
+        # The filter of the drift knows nothing of error motions, and says so; it starts from a calibration that does.
+        drift = likely_drift(cell, sweeps) if drift is None else drift
+        if known is None and calibration is None and draws is None:
+            part = check_sessions(sweeps, now_h)[0]
+            found, _ = _identified(cell, drift, part)
+            _require_calibration(found, part, len(drift.parameters))
+            calibration = found.estimate
+        ideal = track(
+            cell.ideal,
+            sweeps,
+            drift=drift,
+            limits=limits,
+            known=known,
+            calibration=calibration,
+            draws=draws,
+            now_h=now_h,
+        )
+        return replace(ideal, mechanics_left_out=True)
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
@@ -210,13 +232,7 @@ def calibrate(
     outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
-    free = len(drift.parameters)
-    if found.spectrum.rank < _CALIBRATED * free:
-        raise InputError(
-            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
-            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
-            "to be a full calibration"
-        )
+    _require_calibration(found, sweeps, len(drift.parameters))
     given = draws is not None
     measurement = None if given else _measurement(drift, found)
     draws = _draws_of(found) if draws is None else draws
@@ -242,6 +258,16 @@ def calibrate(
         status,
         tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
     )
+
+
+def _require_calibration(found: Identification, sweeps: Sweeps, free: int) -> None:
+    """Refuse a first session that determines too little."""
+    if found.spectrum.rank < _CALIBRATED * free:
+        raise InputError(
+            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
+            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
+            "to be a full calibration"
+        )
 
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:

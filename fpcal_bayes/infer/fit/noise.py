@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import spsolve_triangular
 
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.kernels import whiten_groups
@@ -74,6 +75,16 @@ class Whitening:
     scale: Floats  # one over the standard deviation of each row, shape (n_rows,)
     batches: tuple[Batch, ...] = ()  # what replaces `scale` where rows share a reading
 
+    @property
+    def only_scales(self) -> bool:
+        """Whether every row is whitened by itself."""
+        return not self.batches
+
+    @property
+    def variance(self) -> Floats:
+        """Variance of each row in um^2, shape (n_rows,)."""
+        return self.scale**-2
+
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
         if not self.batches:
@@ -103,6 +114,13 @@ class Whitening:
         """The whitening of rows whose errors are `factor` times as large."""
         batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
         return Whitening(self.scale / factor, batches)
+
+    def unwhiten(self, rows: Floats) -> Floats:
+        """Undo `apply` on the columns of a matrix (n_rows, n)."""
+        if self.mix is None:
+            return rows / self.scale[:, None]
+        result: Floats = spsolve_triangular(self.mix, rows, lower=True)
+        return result
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""

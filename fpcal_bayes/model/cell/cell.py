@@ -12,6 +12,7 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
 from fpcal_bayes.model.cell.own_tasks import OwnTask
@@ -48,6 +49,8 @@ class Cell:
         What keeps the mirror off the fibre, or None where the cell does not say.
     tasks
         Tasks of its own, beside those that every cell has.
+    mechanics
+        Sizes of the error motions, or None: the mechanism is taken as perfect. They stand outside `sha256`.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Cell:
     optics: Interferometer | None = None
     envelope: Envelope | None = None
     tasks: tuple[OwnTask, ...] = ()
+    mechanics: Mechanics | None = None
 
     @cached_property
     def interferometer(self) -> Interferometer:
@@ -122,6 +126,11 @@ class Cell:
                 ],
             }
         )
+
+    @property
+    def ideal(self) -> "Cell":
+        """The same cell with a mechanism that is taken as perfect."""
+        return self if self.mechanics is None else replace(self, mechanics=None)
 
     def with_opd(self, opd: Opd) -> "Cell":
         """The same cell with the other path model."""

@@ -1,0 +1,220 @@
+"""Fit the geometry of a machine whose error motions are marginalised."""
+
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
+from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
+from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
+
+#: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
+DENSE_ROWS = 320
+_DRAWS_PER_SCALE, _FEW_PER_SCALE = 20, 4
+
+
+@dataclass(frozen=True)
+class MechanicsDraws:
+    """Equally likely draws of all that is unknown, for errors along tasks.
+
+    Attributes
+    ----------
+    scores
+        Geometry in standard normal scores of the prior, shape (n_draws, n_unknowns).
+    weights
+        Of the mechanics, in units of their stated sizes, shape (n_draws, n_weights).
+    log_scales
+        Logarithms of the factors on the stated sizes, shape (n_draws, n_scales).
+    """
+
+    scores: Floats
+    weights: Floats
+    log_scales: Floats
+
+
+@dataclass(frozen=True)
+class MechanicsFit:
+    """A geometry fitted under the covariance of its mechanics.
+
+    Attributes
+    ----------
+    problem
+        Whose whitening marginalises the mechanics at the typical scales.
+    solution
+        Its minimum.
+    terms, drive, design, noise
+        The weights, how the rows were driven, what the weights add to them, and what is new in each row.
+    rows
+        The linearised rows that the scales were drawn from.
+    density
+        Of the scales.
+    scales
+        Their posterior.
+    seconds
+        What it took.
+    """
+
+    problem: Problem
+    solution: Solution
+    terms: Terms
+    drive: Drive
+    design: Design
+    noise: RowNoise
+    rows: LinearRows
+    density: ScaleDensity
+    scales: ScalePosterior
+    seed: int
+    seconds: float
+
+    @property
+    def values(self) -> Floats:
+        """The geometry, in um and rad, shape (n_free,)."""
+        return self.problem.values(self.solution.unknowns)
+
+    @cached_property
+    def draws(self) -> MechanicsDraws:
+        """Draws of geometry and weights, the same for the same seed."""
+        return _draw(self, _DRAWS_PER_SCALE)
+
+    @cached_property
+    def few_draws(self) -> MechanicsDraws:
+        """As many as travel with an estimate."""
+        return _draw(self, _FEW_PER_SCALE)
+
+    @cached_property
+    def factors(self) -> list[Floats]:
+        """Lower Cholesky factor of the rows' covariance at each draw of the scales, geometry and weights included."""
+        return [self.density.factor(log) for log in self.scales.log]
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""
+        means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
+        geometry = self.rows.geometry
+        for lower in self.factors:
+            white = linalg.solve_triangular(lower, geometry, lower=True, check_finite=False)
+            target = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
+            means.append(white.T @ target)
+            spread += np.eye(len(spread)) - white.T @ white
+        centres = np.array(means)
+        mean = centres.mean(axis=0)
+        around = centres - mean
+        return mean, (spread + around.T @ around) / len(centres)
+
+
+def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = None, seed: int = 0) -> MechanicsFit:
+    """Fit the geometry of `problem` with the mechanics of `sizes` marginalised.
+
+    Parameters
+    ----------
+    problem
+        Of one session's rows; its whitening is replaced.
+    sizes
+        By default those of the problem's cell.
+    start
+        Scaled unknowns to start from, shape (n_unknowns,); by default the middle of the prior.
+    seed
+        Of the scales' draws and of `MechanicsFit.draws`.
+    """
+    began = time.perf_counter()
+    terms = Terms.of(problem.model.cell, sizes, problem.model.free.names)
+    drive = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep)
+    rng = np.random.default_rng(seed)
+    unknowns = np.zeros(problem.n_unknowns) if start is None else start
+    log = np.zeros(len(terms.scales))
+    made, noise = _designed(problem, terms, drive, unknowns)
+    for _ in range(2):
+        problem = replace(problem, whitening=scaled_whitening(noise, made, log), log_scales=log)
+        unknowns = minimise(problem, unknowns).unknowns
+        made, noise = _designed(problem, terms, drive, unknowns)
+        rows = _linear_rows(problem, made, noise, unknowns, log)
+        density = ScaleDensity(rows, terms.scales)
+        log = density.mode(log)
+    scales = sample_scales(density, log, rng)
+    typical = scales.log.mean(axis=0)
+    problem = replace(problem, whitening=scaled_whitening(noise, made, typical), log_scales=typical)
+    solution = minimise(problem, unknowns)
+    return MechanicsFit(
+        problem=problem,
+        solution=solution,
+        terms=terms,
+        drive=drive,
+        design=made,
+        noise=noise,
+        rows=rows,
+        density=density,
+        scales=scales,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) -> tuple[Design, RowNoise]:
+    vector = problem.model.vector(problem.values(unknowns))
+    made = design(terms, vector, drive, problem.sweeps.sigma)
+    return made, RowNoise.of(problem.sweeps, made)
+
+
+def _linear_rows(problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats) -> LinearRows:
+    """The problem linearised at `unknowns`."""
+    predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
+    geometry = problem.prior.by_scores(jacobian, unknowns[: problem.n_free])
+    if problem.sensitivity is not None:
+        predicted = predicted + problem.sensitivity @ unknowns[problem.n_free :]
+        geometry = np.hstack([geometry, problem.sensitivity])
+    target = problem.target - predicted + geometry @ unknowns
+    if len(target) <= DENSE_ROWS:
+        return LinearRows(target, geometry, made.matrix, made.scale, *noise.dense())
+    return _compressed(target, geometry, made, noise, log, unknowns)
+
+
+def _compressed(
+    target: Floats, geometry: Floats, made: Design, noise: RowNoise, log: Floats, unknowns: Floats
+) -> LinearRows:
+    """The rows turned so that all but a few hundred hold nothing but noise."""
+    white = noise.whitening(1.0, float(np.exp(log[-2])))
+    columns = white.apply(np.hstack([geometry, made.matrix]))
+    residuals = white.apply(target - geometry @ unknowns)
+    # Any square root of the columns' products serves; what it loses to rounding is far below one prior sd.
+    variance, vectors = linalg.eigh(columns.T @ columns)
+    kept = variance > 1e-13 * variance[-1]
+    root = np.sqrt(variance[kept])[:, None] * vectors[:, kept].T
+    along = (vectors[:, kept] / np.sqrt(variance[kept])).T @ (columns.T @ residuals)
+    n_geometry, n_kept = geometry.shape[1], len(root)
+    return LinearRows(
+        target=along + root[:, :n_geometry] @ unknowns,
+        geometry=np.ascontiguousarray(root[:, :n_geometry]),
+        weights=np.ascontiguousarray(root[:, n_geometry:]),
+        scale=made.scale,
+        noise=np.eye(n_kept),
+        returns=np.zeros((n_kept, n_kept)),
+        rest=float(residuals @ residuals - along @ along),
+        rest_dof=len(target) - n_kept,
+    )
+
+
+def _draw(fit: MechanicsFit, count: int) -> MechanicsDraws:
+    """Draw from the mixture over scales, so many each: a prior draw is corrected by what the rows say (Matheron)."""
+    rng = np.random.default_rng([fit.seed, 1])
+    rows, n_free = fit.rows, fit.rows.geometry.shape[1]
+    n_weights = rows.weights.shape[1]
+    scores, weights = [], []
+    for log, lower in zip(fit.scales.log, fit.factors, strict=True):
+        sd = np.exp(log)[rows.scale]
+        v, w = rng.standard_normal((count, n_free)), sd * rng.standard_normal((count, n_weights))
+        factors = np.exp(np.repeat(log[None, -2:], count, axis=0))
+        if len(rows.target) == len(fit.problem.target):
+            error = fit.noise.draw(factors[:, 1], factors[:, 0], rng)
+        else:
+            error = factors[:, 1:] * rng.standard_normal((count, len(rows.target)))
+        miss = rows.target - v @ rows.geometry.T - w @ rows.weights.T - error
+        pull = linalg.cho_solve((lower, True), miss.T, check_finite=False)
+        scores.append(v + pull.T @ rows.geometry)
+        weights.append(w + sd**2 * (pull.T @ rows.weights))
+    return MechanicsDraws(np.concatenate(scores), np.concatenate(weights), np.repeat(fit.scales.log, count, axis=0))

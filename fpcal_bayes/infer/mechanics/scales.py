@@ -1,0 +1,302 @@
+"""How large the mechanics really are: the posterior of the scales, with everything else marginalised.
+
+Rows r = J v + B w + e, linear at the fitted geometry: v standard normal scores of the geometry's prior, w weights whose
+variance is the square of their scale, e noise. For scales s the rows have the covariance
+
+    K(s) = J J' + sum_k s_k^2 B_k B_k' + s_return^2 Sigma_return + s_noise^2 Sigma_noise.
+
+Each log s has a normal prior around the data sheet. Their joint posterior is sampled by importance: a Student-t around
+the mode, adapted once. It is sampled, not maximised: data that cannot see an error motion leave its scale where the
+sheet puts it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats, Ints
+
+#: One standard deviation of a scale's logarithm: a factor 3, of the noise 1.5.
+LOG_SD, LOG_SD_NOISE = float(np.log(3.0)), float(np.log(1.5))
+_DOF = 7.0
+_FIRST, _SECOND = 200, 400
+_SWELL = 1.15
+_MODE_STEPS, _LONGEST, _MODE_GAIN = 20, 1.0, 1e-2
+
+
+@dataclass(frozen=True)
+class LinearRows:
+    """The linearised problem of the scales.
+
+    Attributes
+    ----------
+    target
+        r, measured minus predicted at v = 0 on the tangent, shape (n,), in um.
+    geometry
+        J, shape (n, n_free).
+    weights
+        B at stated sizes, shape (n, n_weights).
+    scale
+        Which scale each weight has, shape (n_weights,).
+    noise, returns
+        Covariances at stated sizes, shape (n, n).
+    rest, rest_dof
+        Of rows that were compressed: sum of squares and number of what only noise explains.
+    """
+
+    target: Floats
+    geometry: Floats
+    weights: Floats
+    scale: Ints
+    noise: Floats
+    returns: Floats
+    rest: float = 0.0
+    rest_dof: int = 0
+
+
+@dataclass(frozen=True)
+class ScalePosterior:
+    """Draws of the scales, as factors on the stated sizes.
+
+    Attributes
+    ----------
+    names
+        Of the scales, n of them.
+    log
+        Logarithms of equally likely draws, shape (n_draws, n).
+    mode
+        Where the posterior is highest, shape (n,).
+    effective
+        How many independent draws they are worth.
+    """
+
+    names: tuple[str, ...]
+    log: Floats
+    mode: Floats
+    effective: float
+
+    def quantiles(self, share: float = 0.95) -> Floats:
+        """Lower edge, median and upper edge of each factor, shape (3, n)."""
+        edges = [(1.0 - share) / 2.0, 0.5, (1.0 + share) / 2.0]
+        return np.exp(np.quantile(self.log, edges, axis=0))
+
+
+class ScaleDensity:
+    """Unnormalised log posterior of the logarithms of the scales.
+
+    Parameters
+    ----------
+    rows
+        The linearised problem.
+    names
+        Of the scales; the last two are return and noise.
+    """
+
+    def __init__(self, rows: LinearRows, names: tuple[str, ...]) -> None:
+        self.rows, self.names = rows, names
+        n, n_scales = len(rows.target), len(names)
+        self.prior_sd = np.full(n_scales, LOG_SD)
+        self.prior_sd[-1] = LOG_SD_NOISE
+        self._parts = np.empty((n_scales, n, n))
+        self.columns = [np.flatnonzero(rows.scale == k) for k in range(n_scales - 2)]
+        for k, columns in enumerate(self.columns):
+            part = rows.weights[:, columns]
+            self._parts[k] = part @ part.T
+        self._parts[-2], self._parts[-1] = rows.returns, rows.noise
+        self._fixed = rows.geometry @ rows.geometry.T
+        # A scale that no row feels stays out of the search; its draws come from the prior.
+        self.felt = np.array([part.any() for part in self._parts])
+
+    def covariance(self, log: Floats) -> Floats:
+        """K(s), shape (n, n)."""
+        n = len(self.rows.target)
+        total = np.exp(2.0 * log) @ self._parts.reshape(len(log), -1)
+        result: Floats = total.reshape(n, n)
+        result += self._fixed
+        return result
+
+    def factor(self, log: Floats) -> Floats:
+        """Lower Cholesky factor of K(s)."""
+        lower, failed = linalg.lapack.dpotrf(self.covariance(log), lower=1, overwrite_a=1, clean=1)
+        if failed:
+            raise linalg.LinAlgError("the covariance of the rows is not positive definite")
+        result: Floats = lower
+        return result
+
+    def value(self, log: Floats) -> float:
+        """The log posterior."""
+        try:
+            lower = self.factor(log)
+        except linalg.LinAlgError:
+            return -np.inf
+        white = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
+        total = -0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * ((log / self.prior_sd) ** 2).sum()
+        return float(total + self._rest(log[-1]))
+
+    def value_and_slope(self, log: Floats) -> tuple[float, Floats]:
+        """The log posterior and its derivatives."""
+        lower = self.factor(log)
+        inverse = linalg.lapack.dpotri(lower, lower=1)[0]
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
+        solved = inverse @ self.rows.target
+        total = -0.5 * self.rows.target @ solved - np.log(np.diag(lower)).sum()
+        pull = np.outer(solved, solved) - inverse
+        slope = np.exp(2.0 * log) * (self._parts.reshape(len(log), -1) @ pull.ravel())
+        slope[-1] += self.rows.rest * np.exp(-2.0 * log[-1]) - self.rows.rest_dof
+        total += self._rest(log[-1]) - 0.5 * ((log / self.prior_sd) ** 2).sum()
+        return float(total), slope - log / self.prior_sd**2
+
+    def curvature(self, log: Floats) -> Floats:
+        """Expected curvature (Fisher) of minus the log posterior, shape (n_scales, n_scales)."""
+        lower = self.factor(log)
+        white = []
+        for columns in self.columns:
+            part = self.rows.weights[:, columns]
+            white.append(linalg.solve_triangular(lower, part, lower=True, check_finite=False))
+        for part in self._parts[-2:]:
+            half = linalg.solve_triangular(lower, part, lower=True, check_finite=False)
+            white.append(linalg.solve_triangular(lower, half.T, lower=True, check_finite=False))
+        n_scales = len(log)
+        fisher = np.empty((n_scales, n_scales))
+        for a in range(n_scales):
+            for b in range(a + 1):
+                # tr(K^-1 G_a K^-1 G_b), the last two being covariances themselves.
+                if a >= n_scales - 2 and b >= n_scales - 2:
+                    shared = (white[a] * white[b]).sum()
+                elif a >= n_scales - 2:
+                    shared = (white[b] * (white[a] @ white[b])).sum()
+                else:
+                    shared = ((white[a].T @ white[b]) ** 2).sum()
+                fisher[a, b] = fisher[b, a] = shared
+        size = np.exp(2.0 * log)
+        fisher *= 2.0 * np.outer(size, size)
+        fisher[-1, -1] += 2.0 * self.rows.rest * np.exp(-2.0 * log[-1])
+        fisher[np.diag_indices(n_scales)] += 1.0 / self.prior_sd**2
+        return fisher
+
+    def mode(self, start: Floats | None = None) -> Floats:
+        """Where the log posterior is highest, shape (n_scales,): Fisher's scoring with steps that go up."""
+        log = np.zeros(len(self.names)) if start is None else start
+        best = self.value(log)
+        for _ in range(_MODE_STEPS):
+            _, slope = self.value_and_slope(log)
+            step = np.linalg.solve(self.curvature(log), slope)
+            gain = float(slope @ step)
+            step *= min(1.0, _LONGEST / float(np.abs(step).max()))
+            for _ in range(6):
+                value = self.value(log + step)
+                if value > best:
+                    break
+                step = step / 2.0
+            else:
+                break
+            log, best = log + step, value
+            if gain < _MODE_GAIN:
+                break
+        return log
+
+    def _rest(self, log_noise: float) -> float:
+        return float(-0.5 * self.rows.rest * np.exp(-2.0 * log_noise) - self.rows.rest_dof * log_noise)
+
+
+def sample_scales(
+    density: ScaleDensity, mode: Floats, rng: np.random.Generator, *, n_draws: int = 100
+) -> ScalePosterior:
+    """Draw scales from their posterior by importance sampling, adapted once."""
+    pool = _Pool(density, mode, (_FIRST, _SECOND), rng)
+    return ScalePosterior(density.names, pool.log[pool.resample(n_draws, rng)], mode, pool.effective)
+
+
+@dataclass(frozen=True)
+class ScaleProposal:
+    """A Student-t around the scales' mode, adapted to their posterior: draws with their density."""
+
+    centre: Floats
+    factor: Floats
+
+    @classmethod
+    def of(cls, density: ScaleDensity, mode: Floats, rng: np.random.Generator) -> "ScaleProposal":
+        """Adapted on a few hundred draws."""
+        return cls(*_Pool(density, mode, (_FIRST, _SECOND), rng).adapted)
+
+    def draw(self, count: int, rng: np.random.RandomState) -> tuple[Floats, Floats]:
+        """Draws (count, n_scales) and their log densities (count,)."""
+        normal = rng.standard_normal((count, len(self.centre))) @ self.factor.T
+        drawn = self.centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
+        return drawn, self.log_density(drawn)
+
+    def log_density(self, points: Floats) -> Floats:
+        """Log density of points (n_points, n_scales), unnormalised."""
+        return _log_t(points, self.centre, self.factor)
+
+
+def independent_scales(
+    density: ScaleDensity, mode: Floats, count: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Draws of scales (count, n_scales) by an independence Metropolis chain, and their log posterior (count,)."""
+    # Every fifth step of a chain that accepts about one proposal in four.
+    pool = _Pool(density, mode, (_FIRST, 5 * count), rng)
+    ratios = (pool.values - pool.log_mixture)[_FIRST:]
+    at = pool.resample(1, rng)[0]
+    best, places = (pool.values - pool.log_mixture)[at], []
+    for i, uniform in enumerate(np.log(rng.random(len(ratios)))):
+        if uniform < ratios[i] - best:
+            at, best = _FIRST + i, ratios[i]
+        if i % 5 == 4:
+            places.append(at)
+    return pool.log[places], pool.values[places]
+
+
+class _Pool:
+    """Draws from Student-t proposals around the mode, adapted once, with their densities."""
+
+    def __init__(self, density: ScaleDensity, mode: Floats, counts: tuple[int, int], rng: np.random.Generator) -> None:
+        centre, covariance = mode, np.linalg.inv(density.curvature(mode))
+        proposals: list[tuple[Floats, Floats]] = []
+        self.log, self.values = np.empty((0, len(mode))), np.empty(0)
+        for count in counts:
+            proposals.append((centre, np.linalg.cholesky(_SWELL**2 * covariance)))
+            drawn = _draw_t(*proposals[-1], count, rng)
+            self.log = np.concatenate([self.log, drawn])
+            self.values = np.concatenate([self.values, [density.value(log) for log in drawn]])
+            shares = np.array(counts[: len(proposals)], dtype=float)
+            each = np.array([_log_t(self.log, *proposal) for proposal in proposals])
+            self.log_mixture = np.logaddexp.reduce(each + np.log(shares / shares.sum())[:, None], axis=0)
+            # Tempered for the adaptation, so that few heavy draws do not make it narrow.
+            soft = self.weights**0.5 / (self.weights**0.5).sum()
+            centre = soft @ self.log
+            covariance = (self.log - centre).T @ ((self.log - centre) * soft[:, None])
+        self.adapted = centre, np.linalg.cholesky(_SWELL**2 * covariance)
+
+    @property
+    def weights(self) -> Floats:
+        """Normalised importance weights."""
+        ratio = self.values - self.log_mixture
+        weights = np.exp(ratio - ratio.max())
+        result: Floats = weights / weights.sum()
+        return result
+
+    @property
+    def effective(self) -> float:
+        """How many independent draws they are worth."""
+        return float(1.0 / (self.weights**2).sum())
+
+    def resample(self, count: int, rng: np.random.Generator) -> Ints:
+        """Positions of equally likely draws (systematic resampling)."""
+        places = (np.arange(count) + rng.random()) / count
+        found: Ints = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.log) - 1)
+        return found
+
+
+def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator) -> Floats:
+    normal = rng.standard_normal((count, len(centre))) @ factor.T
+    drawn: Floats = centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
+    return drawn
+
+
+def _log_t(points: Floats, centre: Floats, factor: Floats) -> Floats:
+    white = linalg.solve_triangular(factor, (points - centre).T, lower=True, check_finite=False)
+    distance = (white**2).sum(axis=0)
+    result: Floats = -0.5 * (_DOF + len(centre)) * np.log1p(distance / _DOF) - np.log(np.diag(factor)).sum()
+    return result

@@ -1,0 +1,271 @@
+"""Design matrices: what each weight of the mechanics adds to rows of a file, and to the points of a task's path."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
+from fpcal_bayes.model.mechanics.drive import Drive, path_sides
+from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, responses
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
+
+#: Slow reading errors: cosines over the order of the rows, at most so many and one per four rows.
+_MOST_SLOW = 24
+#: They fall beyond this share of them.
+_KNEE = 0.35
+
+
+@dataclass(frozen=True)
+class Design:
+    """What weights of unit prior variance add to rows, to first order.
+
+    Attributes
+    ----------
+    matrix
+        In um, shape (n_rows, n_weights).
+    names
+        Of the weights' terms, n_weights of them.
+    scale
+        Position of each weight's scale in `Terms.scales`, shape (n_weights,).
+    returned
+        What the return errors of joints that stand still in a row do to it: change of the response between its ends
+        times the return's sd, shape (n_rows, n_joints).
+    reached_start, reached_end
+        The same of joints that are reached anew at an end, shape (n_rows, n_joints).
+    """
+
+    matrix: Floats
+    names: tuple[str, ...]
+    scale: Ints
+    returned: Floats
+    reached_start: Floats
+    reached_end: Floats
+
+    @cached_property
+    def motion_count(self) -> int:
+        """Number of leading weights that a task shares (error motions, reversal, encoders)."""
+        return sum(not name.startswith(("drift", "slow", "first approach")) for name in self.names)
+
+
+@dataclass(frozen=True)
+class PathDesign:
+    """What the same weights add to L(q) - L(q0) along a path.
+
+    Attributes
+    ----------
+    motions
+        Of the shared weights, shape (n_points, motion_count).
+    unknown_side
+        Of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints).
+    drift
+        Of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3).
+    returned_start, returned_point
+        Of standard normal return errors at the start and at each point, shapes (n_points, n_joints).
+    steps
+        Joints that stand still between one point and the next keep their return error, shape (n_points, n_joints):
+        number of the position that each joint has reached.
+    """
+
+    motions: Floats
+    unknown_side: Floats
+    drift: Floats
+    returned_start: Floats
+    returned_point: Floats
+    steps: Ints
+
+
+def _columns(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
+    """Columns of the error motions at poses: value of each basis function times its response, per motion."""
+    cell, values = terms.cell, {}
+    for i in {motion.joint for motion in terms.motions}:
+        endless = group_of(cell, i) == "rotary"
+        values[i] = harmonics(q[:, i]) if endless else polynomials(q[:, i], cell.low[i], cell.high[i])
+    return [
+        values[motion.joint] * at.motion[:, motion.joint, motion.direction, None] * motion.sd
+        for motion in terms.motions
+    ]
+
+
+def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[tuple[int, Floats]]:
+    """Of endless joints: the part of the fundamental radial motion that runs against the turn, (joint, (n, 2)).
+
+    The part that runs with the turn carries the mirror round as an eccentricity does: geometry.
+    """
+    made = []
+    for motion in terms.motions:
+        i = motion.joint
+        if motion.direction == UP and group_of(terms.cell, i) == "rotary":
+            # The second harmonic stands at half the fundamental's size.
+            sd = 2.0 * motion.sd[2]
+            up, across = at.motion[:, i, UP], at.motion[:, i, ACROSS]
+            c, s = np.cos(q[:, i]), np.sin(q[:, i])
+            made.append((i, sd * np.column_stack([c * up - s * across, s * up + c * across])))
+    return made
+
+
+def _at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str], list[int]]:
+    """Columns that depend on the pose alone: error motions and encoders of known period; names and scales."""
+    index = {name: i for i, name in enumerate(terms.scales)}
+    parts, names, scales = [], [], []
+    for motion, columns in zip(terms.motions, _columns(terms, q, at), strict=True):
+        there = motion.sd > 0
+        parts.append(columns[:, there])
+        names += [motion.name] * int(there.sum())
+        scales += [index[motion.scale]] * int(there.sum())
+    by_joint = {motion.joint: motion for motion in terms.motions if motion.direction == UP}
+    for i, columns in _elliptic(terms, q, at):
+        parts.append(columns)
+        names += [f"radial runout of q{i + 1}, against the turn"] * 2
+        scales += [index[by_joint[i].scale]] * 2
+    for i in np.flatnonzero((terms.encoder > 0) & np.isfinite(terms.encoder_period)).tolist():
+        phase = 2.0 * np.pi * q[:, i] / terms.encoder_period[i]
+        size = at.drive[:, i] * terms.encoder[i] / np.sqrt(2.0)
+        parts.append(size[:, None] * np.column_stack([np.cos(phase), np.sin(phase)]))
+        names += [f"encoder period of q{i + 1}"] * 2
+        scales += [index["encoder"]] * 2
+    matrix = np.hstack(parts) if parts else np.zeros((len(q), 0))
+    return matrix, names, scales
+
+
+def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
+    """The design matrix of the rows of one session.
+
+    Parameters
+    ----------
+    vector
+        Model vector at which the responses are taken, shape (model size,).
+    sigma
+        Standard deviation of the rows' noise in um, shape (n,).
+    """
+    cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
+    end = responses(cell, vector, terms.told, drive.q_end)
+    start = responses(cell, vector, terms.told, drive.q_start)
+    begun = (~drive.absolute).astype(float)[:, None]
+    at_end, names, scales = _at_poses(terms, drive.q_end, end)
+    at_start, _, _ = _at_poses(terms, drive.q_start, start)
+    parts = [at_end - begun * at_start]
+
+    reversing = np.flatnonzero(terms.reversal > 0)
+    if len(reversing):
+        size = terms.reversal[reversing]
+        ends, starts = end.drive[:, reversing] * size, begun * start.drive[:, reversing] * size
+        side_end, side_start = drive.end_side[:, reversing], drive.start_side[:, reversing]
+        parts.append(ends * side_end - starts * side_start)
+        names += [f"reversal of q{i + 1}" for i in reversing]
+        parts.append(ends * (side_end == 0) - starts * (side_start == 0))
+        names += [f"first approach of q{i + 1}" for i in reversing]
+        scales += [index["approach"]] * (2 * len(reversing))
+
+    drifting, drift_names = _drift(terms, drive, start, end, begun)
+    parts.append(drifting)
+    names += drift_names
+    scales += [index["drift"]] * drifting.shape[1]
+    slow = _slow(terms, len(drive), sigma)
+    parts.append(slow)
+    names += ["slow reading error"] * slow.shape[1]
+    scales += [index["slow noise"]] * slow.shape[1]
+
+    returned = _return_sd(terms)
+    moved = drive.moved
+    ends, starts = end.drive * returned, begun * start.drive * returned
+    made = Design(
+        matrix=np.hstack(parts),
+        names=tuple(names),
+        scale=np.array(scales, dtype=np.int64),
+        returned=np.where(moved, 0.0, ends - starts),
+        reached_start=np.where(moved, starts, 0.0),
+        reached_end=np.where(moved, ends, 0.0),
+    )
+    return _shared_first(made)
+
+
+def _shared_first(made: Design) -> Design:
+    """The same with the weights that a task shares in front."""
+    own = np.array([name.startswith(("drift", "slow", "first approach")) for name in made.names], dtype=bool)
+    order = np.argsort(own, kind="stable")
+    names = tuple(made.names[i] for i in order)
+    return replace(made, matrix=np.ascontiguousarray(made.matrix[:, order]), names=names, scale=made.scale[order])
+
+
+def _return_sd(terms: Terms) -> Floats:
+    """Return error of each joint with the error of an encoder whose period is not known, in um or rad."""
+    unknown = np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder / np.sqrt(2.0))
+    together: Floats = np.hypot(terms.return_sd, unknown)
+    return together
+
+
+def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: Floats) -> tuple[Floats, list[str]]:
+    """Fibre displacements that are polynomials in time, and what an unknown length of a sweep adds along the beam."""
+    rate = terms.sizes.drift_nm_per_min * 1e-3
+    if not rate > 0 or not len(drive):
+        return np.zeros((len(drive), 0)), []
+    last = max(float(drive.end_min.max()), 1e-9)
+    parts, names = [], []
+    for order in range(1, DRIFT_ORDER + 1):
+        sd = rate * last / 2.0 / 2.0 ** (order - 1)
+        late, early = (_time_polynomial(minutes, last, order) for minutes in (drive.end_min, drive.start_min))
+        parts.append(sd * (end.fibre * late[:, None] - begun * start.fibre * early[:, None]))
+        names += [f"drift along {axis}" for axis in "xyz"]
+    if drive.span_min.any():
+        beam = np.linalg.norm(end.fibre, axis=1)
+        parts.append((0.5 * rate * drive.span_min * beam)[:, None])
+        names.append("drift within a sweep")
+        parts.append((0.5 * rate * np.where(drive.span_min > 0, drive.span_min.max(), 0.0) * beam)[:, None])
+        names.append("drift between readings")
+    return np.hstack(parts), names
+
+
+def drift_sd(terms: Terms, last_min: float) -> Floats:
+    """Standard deviations of the drift's polynomials in um, shape (DRIFT_ORDER,)."""
+    orders = np.arange(DRIFT_ORDER)
+    rate = terms.sizes.drift_nm_per_min * 1e-3
+    return np.asarray(rate * last_min / 2.0 / 2.0**orders, dtype=np.float64)
+
+
+def _time_polynomial(minutes: Floats, last: float, order: int) -> Floats:
+    x = 2.0 * minutes / last - 1.0
+    value: Floats = x if order == 1 else 1.5 * x**2 - 0.5
+    return value
+
+
+def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
+    """Cosines over the order of the rows."""
+    count = min(_MOST_SLOW, n // 4)
+    if count == 0:
+        return np.zeros((n, 0))
+    stated = terms.sizes.correlated_nm
+    size = 0.8 * float(np.median(sigma)) if stated is None else 1e-3 * stated
+    if size == 0.0:
+        return np.zeros((n, 0))
+    k = np.arange(1, count + 1)
+    weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
+    weight *= size / np.sqrt((weight**2).sum())
+    angles = np.pi * (np.arange(n)[:, None] + 0.5) * k / n
+    return np.asarray(np.sqrt(2.0) * np.cos(angles) * weight, dtype=np.float64)
+
+
+def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
+    """The design matrices of a path that is driven point by point from `start_q` (n_joints,)."""
+    poses = np.vstack([start_q, q])
+    at = responses(terms.cell, vector, terms.told, poses)
+    columns, _, _ = _at_poses(terms, poses, at)
+    reversing = np.flatnonzero(terms.reversal > 0)
+    parts = [columns[1:] - columns[:1]]
+    _, side = path_sides(start_q, q)
+    drive = at.drive * terms.reversal
+    if len(reversing):
+        parts.append((drive[1:] * side)[:, reversing])
+    # Until a joint has moved, the side from which the start was reached counts at the point too.
+    unknown = drive[1:] * (side == 0) - drive[:1]
+    returned = at.drive * _return_sd(terms)
+    moved = np.vstack([np.zeros(len(start_q), dtype=bool), np.diff(poses, axis=0) != 0])
+    return PathDesign(
+        motions=np.hstack(parts),
+        unknown_side=unknown,
+        drift=at.fibre[1:] - at.fibre[:1],
+        returned_start=np.repeat(returned[:1], len(q), axis=0),
+        returned_point=returned[1:],
+        steps=np.cumsum(moved, axis=0)[1:].astype(np.int64),
+    )

@@ -1,0 +1,142 @@
+"""How the rows of a file were driven: from which side each pose was reached, and when."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Rows in the order in which they were driven; joint vectors in um and rad.
+
+    Attributes
+    ----------
+    q_start, q_end
+        Shape (n, n_joints).
+    absolute
+        Rows that give L(end) itself, shape (n,).
+    sweep
+        Number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,).
+    start_side, end_side
+        Direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints).
+    start_min, end_min
+        When start and end were read, in minutes, shape (n,).
+    span_min
+        How long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,).
+    """
+
+    q_start: Floats
+    q_end: Floats
+    absolute: Bools
+    sweep: Ints
+    start_side: Floats
+    end_side: Floats
+    start_min: Floats
+    end_min: Floats
+    span_min: Floats
+
+    def __len__(self) -> int:
+        return len(self.q_end)
+
+    @property
+    def moved(self) -> Bools:
+        """Joints that move between start and end, shape (n, n_joints)."""
+        different: Bools = self.q_start != self.q_end
+        different[self.absolute] = True
+        return different
+
+
+def drive_of(
+    q_start: Floats,
+    q_end: Floats,
+    *,
+    absolute: Bools,
+    sweep: Ints,
+    time_h: Floats,
+    minutes_per_sweep: float,
+    t_start_h: Floats | None = None,
+    t_end_h: Floats | None = None,
+    approach: Floats | None = None,
+) -> Drive:
+    """Work out directions of approach and times of one session's rows, in file order.
+
+    Parameters
+    ----------
+    sweep
+        Number of each row's sweep, rising by one, shape (n,).
+    time_h
+        Of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
+    t_start_h, t_end_h
+        When start and end were read, shape (n,), or None.
+    approach
+        Stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
+    """
+    start_side, end_side = _sides(q_start, q_end, absolute, sweep)
+    if approach is not None:
+        end_side = np.where(approach != 0, approach, end_side)
+    fraction = _fractions(q_start, q_end, absolute, sweep)
+    # Times that differ are those of the rows; else the sweeps are so many minutes apart.
+    begun = 60.0 * (time_h - time_h[0]) if np.ptp(time_h) > 0 else minutes_per_sweep * (sweep - sweep[0])
+    start, end = begun.astype(float), begun + 0.5 * minutes_per_sweep * fraction
+    span = np.full(len(q_end), minutes_per_sweep) * fraction
+    if t_start_h is not None and t_end_h is not None:
+        known = np.isfinite(t_start_h) & np.isfinite(t_end_h)
+        origin = np.nanmin(np.where(known, t_start_h, np.nan)) if known.any() else 0.0
+        start = np.where(known, 60.0 * (t_start_h - origin), start)
+        end = np.where(known, 60.0 * (t_end_h - origin), end)
+        span = np.where(known, 0.0, span)
+    return Drive(q_start, q_end, absolute, sweep, start_side, end_side, start, end, span)
+
+
+def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """Directions of approach along a path that is driven point by point from `start`.
+
+    Returns
+    -------
+    tuple of ndarray
+        At the start, where nothing is known, shape (n_joints,), and at the points, shape (n_points, n_joints).
+    """
+    poses = np.vstack([start, q])
+    return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))
+
+
+def _follow(steps: Floats, first: Floats) -> Floats:
+    """Sides after each step: the last one that was not zero."""
+    n = len(steps)
+    latest = np.where(steps != 0, np.arange(1, n + 1)[:, None], 0)
+    latest = np.maximum.accumulate(latest, axis=0)
+    known = np.vstack([first, steps])
+    return np.take_along_axis(known, latest, axis=0)
+
+
+def _sides(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> tuple[Floats, Floats]:
+    """Directions of approach at start and end of each row, zero before a joint's first move."""
+    n, n_joints = q_end.shape
+    new = np.ones(n, dtype=bool)
+    new[1:] = sweep[1:] != sweep[:-1]
+    starts = np.flatnonzero(new & ~absolute)
+    # The poses one after the other: each sweep's start before its ends.
+    place = np.arange(n) + np.cumsum(new & ~absolute)
+    poses = np.empty((n + len(starts), n_joints))
+    poses[place] = q_end
+    start_place = place[starts] - 1
+    poses[start_place] = q_start[starts]
+    steps = np.vstack([np.zeros(n_joints), np.diff(poses, axis=0)])
+    sides = _follow(np.sign(steps), np.zeros(n_joints))[:, :]
+    first = np.full(n, -1)
+    first[starts] = start_place
+    first = np.maximum.accumulate(first)
+    start_side = np.where(first[:, None] >= 0, sides[np.maximum(first, 0)], 0.0)
+    return start_side, sides[place]
+
+
+def _fractions(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> Floats:
+    """How far along its sweep each row ends: 1 at the sweep's last row, 1/2 at a midpoint, shape (n,)."""
+    length = np.linalg.norm(q_end - q_start, axis=1)
+    longest = np.zeros(int(sweep.max(initial=0)) + 1)
+    np.maximum.at(longest, sweep, length)
+    share: Floats = np.where(longest[sweep] > 0, length / np.where(longest[sweep] > 0, longest[sweep], 1.0), 1.0)
+    share[absolute] = 0.0
+    return share

@@ -1,0 +1,167 @@
+"""What a small motion of the chain at one joint does to the cavity length, exact to first order.
+
+Joint j stands in a base frame: that of its link behind beta, alpha and d, before it moves. An error motion moves
+all that the joint carries by a displacement and a tilt, whose directions are fixed in the base frame. With normal n,
+fibre end f, optical axis a, N = n.(o - f) and D = n.a, a displacement changes N by n.delta, a tilt w about a point c
+changes n by w x n and N by (w x n).(c - f), and
+
+    dL = (dN - L dD) / D    (axis),        dL = sign(N) dN    (perpendicular).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
+
+#: Directions of an error motion: displacements, then tilts; own axis, upward, across.
+OWN, UP, ACROSS, ROLL, YAW, PITCH = range(6)
+_STRIDE = len(LINK_SLOTS)
+#: A joint this near to Zw has Yw as its upward direction.
+_STEEP = 0.9
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Directions in which the joints' error motions are told.
+
+    Attributes
+    ----------
+    in_base
+        Columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3).
+    along_beam
+        Which of the three is nearest to the optical axis at nominal, shape (n_joints,).
+    lever
+        From the point of the data sheet to the mirror, in the base frame, in um, shape (n_joints, 3).
+    """
+
+    in_base: Floats
+    along_beam: NDArray[np.int64]
+    lever: Floats
+
+
+def directions(cell: Cell, levers_mm: Floats) -> Directions:
+    """Directions of each joint's error motions, at joint zero of the nominal cell.
+
+    Parameters
+    ----------
+    levers_mm
+        In world axes, shape (n_joints, 3).
+    """
+    vector = cell.parameters.nominal
+    beam = chain.optical_axis(cell, vector).real
+    bases = _frames(cell, vector, np.zeros((1, len(cell.joints)))).base[0]
+    in_base, along, lever = [], [], []
+    for base, arm in zip(bases, levers_mm, strict=True):
+        own = base[:, 2]
+        upward = np.array([0.0, 1.0, 0.0]) if abs(own[2]) > _STEEP else np.array([0.0, 0.0, 1.0])
+        up = upward - own * (own @ upward)
+        up /= np.linalg.norm(up)
+        axes = np.column_stack([own, up, np.cross(own, up)])
+        in_base.append(base.T @ axes)
+        along.append(int(np.argmax(np.abs(beam @ axes))))
+        lever.append(base.T @ arm * 1e3)
+    return Directions(np.array(in_base), np.array(along), np.array(lever))
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Derivatives of the cavity length at poses.
+
+    Attributes
+    ----------
+    motion
+        By the displacements (um per um) and tilts (um per rad) of each joint, shape (n_poses, n_joints, 6).
+    drive
+        By the joint's own travel, shape (n_poses, n_joints).
+    fibre
+        By a displacement of the fibre in world axes, shape (n_poses, 3).
+    length
+        The cavity length itself, shape (n_poses,).
+    """
+
+    motion: Floats
+    drive: Floats
+    fibre: Floats
+    length: Floats
+
+
+def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Responses:
+    """Derivatives of the cavity length by small motions at poses `q` (n_poses, n_joints), in um and rad."""
+    frames = _frames(cell, vector, q)
+    beta_et, theta_et, _, _, z_et, *fibre = vector[-len(EXTRINSICS) :]
+    in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
+    normal = frames.tool @ in_tool
+    origin = frames.origin + z_et * frames.tool[:, :, 2]
+    beam = chain.optical_axis(cell, vector).real
+    distance = ((origin - fibre) * normal).sum(axis=1)
+    if cell.opd == "axis":
+        facing = normal @ beam
+        length, inverse = distance / facing, 1.0 / facing
+        turned_beam = np.cross(normal, beam) * length[:, None]
+    else:
+        length, inverse = np.abs(distance), np.sign(distance)
+        turned_beam = np.zeros_like(normal)
+
+    # Axes of the error motions in the world, shape (n_poses, n_joints, 3, 3), axis last.
+    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
+    arms = (frames.base @ told.lever[None, :, :, None])[..., 0]
+    across = normal[:, None] * inverse[:, None, None]
+    moved = (axes @ across[..., None])[..., 0]
+
+    def tilted(points: Floats) -> Floats:
+        torque = np.cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
+        turned: Floats = (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
+        return turned
+
+    tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
+    revolute = cell.revolute
+    # A joint that turns turns about its own axis, wherever the data sheet's point is.
+    tilts[..., 0] = np.where(revolute, about_axis, tilts[..., 0])
+    return Responses(
+        motion=np.concatenate([moved, tilts], axis=2),
+        drive=np.where(revolute, tilts[..., 0], moved[..., 0]),
+        fibre=-normal * inverse[:, None],
+        length=length,
+    )
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Base frames (n, n_joints, 3, 3), their origins and those of what is carried (n, n_joints, 3), and the tool's."""
+
+    base: Floats
+    pivot: Floats
+    carried: Floats
+    tool: Floats
+    origin: Floats
+
+
+def _frames(cell: Cell, vector: Floats, q: Floats) -> _Frames:
+    n, n_joints = q.shape
+    turn, at = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
+    base, pivot, carried = np.empty((n, n_joints, 3, 3)), np.empty((n, n_joints, 3)), np.empty((n, n_joints, 3))
+    for i, joint in enumerate(cell.joints):
+        beta, alpha, d, theta, r, gain, runout_cos, runout_sin = vector[_STRIDE * i : _STRIDE * (i + 1)]
+        fixed = (chain.rot_y(beta) @ chain.rot_x(alpha))[:3, :3].real
+        turn = turn @ fixed
+        at = at + d * turn[:, :, 0]
+        base[:, i], pivot[:, i] = turn, at
+        travel = q[:, i] * (1.0 + gain)
+        angle = np.full(n, theta)
+        along = np.full(n, r)
+        if joint.kind == "prismatic":
+            along += travel
+        else:
+            angle += travel
+            along += runout_cos * np.cos(travel) + runout_sin * np.sin(travel)
+        at = at + along[:, None] * turn[:, :, 2]
+        carried[:, i] = at
+        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        x, y = turn[:, :, 0], turn[:, :, 1]
+        turn = np.stack([c * x + s * y, c * y - s * x, turn[:, :, 2]], axis=2)
+    return _Frames(base, pivot, carried, turn, at)

@@ -1,0 +1,179 @@
+"""The weights of a cell's error motions: which there are, how large they may be, which scale they share."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
+from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
+from fpcal_bayes.model.mechanics.words import Shape, weight_sd
+
+#: Scales that are not those of error motions, in their order behind them.
+SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")
+KINDS = ("along the beam", "other displacement", "tilt")
+_NM, _URAD = 1e-3, 1e-6
+#: Polynomials in time of a session's drift; each further one is half as large.
+DRIFT_ORDER = 2
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One error motion of one joint, as a function of the joint's value.
+
+    Attributes
+    ----------
+    joint
+        Position of the joint.
+    direction
+        Of `Responses.motion`.
+    name
+        As residual tests and the budget speak of it.
+    scale
+        The scale that it shares: group of joints and kind.
+    sd
+        Standard deviation of the weights in um or rad, in the order of the basis.
+    duplicates
+        What was left out because a geometric parameter says the same.
+    """
+
+    joint: int
+    direction: int
+    name: str
+    scale: str
+    sd: Floats
+    duplicates: str = ""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Every weight of a cell's mechanics that acts on the cavity length.
+
+    Attributes
+    ----------
+    cell, sizes
+        Of what.
+    told
+        Directions of the error motions.
+    motions
+        Functions of joint values. A weight of sd zero is not there.
+    """
+
+    cell: Cell
+    sizes: Mechanics
+    told: Directions
+    motions: tuple[Motion, ...]
+
+    @classmethod
+    def of(cls, cell: Cell, sizes: Mechanics, free: Collection[str] = ()) -> "Terms":
+        """The terms of a cell.
+
+        Parameters
+        ----------
+        free
+            Names of the geometric parameters that are identified: a freed gain_j takes the linear term of the joint's
+            own travel out, a freed runout_cos_j or runout_sin_j its first axial harmonic.
+        """
+        told = directions(cell, np.array([joint.lever_mm for joint in sizes.joints]))
+        made: list[Motion] = []
+        for i, joint in enumerate(sizes.joints):
+            made += _motions(cell, i, joint, told, free)
+        return cls(cell, sizes, told, tuple(made))
+
+    @cached_property
+    def duplicates(self) -> tuple[str, ...]:
+        """Sentences about weights that stand aside for a geometric parameter."""
+        return tuple(motion.duplicates for motion in self.motions if motion.duplicates)
+
+    @cached_property
+    def reversal(self) -> Floats:
+        """Half of the lost motion of each joint, in um or rad, shape (n_joints,)."""
+        return 0.5 * self._own([joint.reversal for joint in self.sizes.joints])
+
+    @cached_property
+    def return_sd(self) -> Floats:
+        """Standard deviation of each joint's return error, in um or rad, shape (n_joints,).
+
+        What the cell itself states as repeatability is the same thing; where both are stated this one holds.
+        """
+        own = self._own([joint.return_sd for joint in self.sizes.joints])
+        return np.where(own > 0, own, self.cell.repeatability)
+
+    @cached_property
+    def encoder(self) -> Floats:
+        """Amplitude of each encoder's periodic error, in um or rad, shape (n_joints,)."""
+        return self._own([joint.encoder for joint in self.sizes.joints])
+
+    @cached_property
+    def encoder_period(self) -> Floats:
+        """Period of each encoder in um or rad, shape (n_joints,); NaN where it is not known."""
+        periods = [np.nan if joint.encoder_period is None else joint.encoder_period for joint in self.sizes.joints]
+        return np.array(periods) * self.cell.joint_scales
+
+    @cached_property
+    def scales(self) -> tuple[str, ...]:
+        """Names of the scales: those of the motions that are there, then `SINGLE_KINDS`."""
+        return (*dict.fromkeys(motion.scale for motion in self.motions), *SINGLE_KINDS)
+
+    def _own(self, values: list[float]) -> Floats:
+        return np.array(values) * np.where(self.cell.revolute, _URAD, _NM)
+
+
+def group_of(cell: Cell, joint: int) -> str:
+    """The group of a joint whose error motions share scales."""
+    if cell.joints[joint].kind == "prismatic":
+        return "stage"
+    return "goniometers" if np.isfinite(cell.high[joint] - cell.low[joint]) else "rotary"
+
+
+def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: Collection[str]) -> list[Motion]:
+    """The error motions of joint `i` whose size is stated."""
+    number, group = i + 1, group_of(cell, i)
+    endless = group == "rotary"
+    if cell.joints[i].kind == "prismatic":
+        straight = np.hypot(sizes.straightness_nm, sizes.crosstalk_nm)
+        flat = np.hypot(sizes.straightness_nm if sizes.flatness_nm is None else sizes.flatness_nm, sizes.crosstalk_nm)
+        stated = {
+            OWN: ("linearity", sizes.linearity),
+            UP: ("flatness", flat),
+            ACROSS: ("straightness", straight),
+            ROLL: ("roll", sizes.roll_urad),
+            YAW: ("yaw", sizes.yaw_urad),
+            PITCH: ("pitch", sizes.pitch_urad),
+        }
+    else:
+        stated = {
+            OWN: ("axial runout", 2.0 * sizes.axial_runout_nm),
+            UP: ("radial runout, upward", 2.0 * sizes.radial_runout_nm),
+            ACROSS: ("radial runout, across", 2.0 * sizes.radial_runout_nm),
+            ROLL: ("linearity", sizes.linearity),
+            YAW: ("wobble, yaw", 2.0 * sizes.wobble_urad),
+            PITCH: ("wobble, pitch", 2.0 * sizes.wobble_urad),
+        }
+    own_travel = OWN if cell.joints[i].kind == "prismatic" else ROLL
+    made = []
+    for direction, (word, size) in stated.items():
+        if not size > 0:
+            continue
+        bent = direction in (UP, ACROSS) and cell.joints[i].kind == "prismatic"
+        radial = direction in (UP, ACROSS) and endless
+        shape: Shape = "legendre-bent" if bent else "legendre"
+        if endless:
+            shape = "fourier-beyond-first" if radial else "fourier"
+        sd = weight_sd(size * (_NM if direction < ROLL else _URAD), shape)
+        if endless:
+            sd = np.repeat(sd, 2)
+        duplicates = ""
+        if direction == own_travel and f"gain_{number}" in free and not endless:
+            sd[0] = 0.0
+            duplicates = f"gain_{number} is free: the linear term of the linearity of q{number} stands aside"
+        if direction == OWN and endless and {f"runout_cos_{number}", f"runout_sin_{number}"} & set(free):
+            sd[:2] = 0.0
+            duplicates = f"runout of q{number} is free: its first axial harmonic stands aside"
+        displacement = KINDS[0] if told.along_beam[i] == direction else KINDS[1]
+        kind = KINDS[2] if direction >= ROLL else displacement
+        made.append(Motion(i, direction, f"{word} of q{number}", f"{group}, {kind}", sd, duplicates))
+    return made

@@ -1,0 +1,201 @@
+"""The geometry of a machine, fitted with its mechanics marginalised; errors along tasks; the exact posterior."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpcal_bayes.infer.fit.minimise import minimise
+from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.mechanics.fit import fit_mechanics
+from fpcal_bayes.infer.mechanics.judge import doubts_of, term_tests
+from fpcal_bayes.infer.mechanics.posterior import ScaleCharts, weighted_draws
+from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
+from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.simulator.machine import Machine
+
+STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, linearity=45, reversal=10, return_sd=2)
+TURN = JointMechanics(
+    radial_runout_nm=100, axial_runout_nm=100, wobble_urad=15, linearity=26, reversal=1, return_sd=1, encoder=0.5
+)
+SIZES = Mechanics((STAGE, STAGE, STAGE, TURN, TURN, TURN), drift_nm_per_min=3.0)
+SIGMA = 0.005
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return load_cell(mechanics="none")
+
+
+def _machine(cell, seed, sizes=SIZES):
+    rng, truth = np.random.default_rng(seed), paper_truth(cell)
+    vector = cell.parameters.nominal.copy()
+    vector[truth.parameters.slots] = truth.at(0.0)
+    return Machine.draw(cell, sizes, vector, rng)
+
+
+def _problem(cell, machine, plan="paper-mid"):
+    plan = protocol_by_name(plan, cell)
+    measured = plan.with_measurement(machine.sweep(drive_of_sweeps(plan, 1.0), SIGMA), SIGMA)
+    return Problem.of(CavityModel.of(cell), measured)
+
+
+@pytest.fixture(scope="module")
+def fitted(cell):
+    machine = _machine(cell, 1)
+    return machine, fit_mechanics(_problem(cell, machine), SIZES)
+
+
+def _dense(fit, log):
+    """The rows' covariance, written out."""
+    factors = np.exp(log)
+    readings, returns = fit.noise.dense()
+    columns = fit.design.matrix * factors[fit.design.scale]
+    return columns @ columns.T + factors[-1] ** 2 * readings + factors[-2] ** 2 * returns
+
+
+def test_whitening_is_the_inverse_root_of_the_covariance(fitted):
+    _, fit = fitted
+    log = np.linspace(-0.5, 0.5, len(fit.terms.scales))
+    whitening, covariance = scaled_whitening(fit.noise, fit.design, log), _dense(fit, log)
+    n = len(covariance)
+    root = whitening.apply(np.eye(n))
+    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(n), atol=2e-6)
+    vector = np.random.default_rng(0).standard_normal(n) * SIGMA
+    np.testing.assert_allclose(whitening.weigh(vector), np.linalg.solve(covariance, vector), rtol=1e-6, atol=1e-4)
+
+
+def test_row_noise_by_draws(cell):
+    machine = _machine(cell, 2)
+    problem = _problem(cell, machine)
+    made = design(Terms.of(cell, SIZES), machine.vector, drive_of_sweeps(problem.sweeps, 1.0), problem.sweeps.sigma)
+    noise = RowNoise.of(problem.sweeps, made)
+    drawn = noise.draw(np.full(4000, 1.3), np.full(4000, 0.7), np.random.default_rng(0))
+    readings, returns = noise.dense()
+    expected = 1.3**2 * readings + 0.7**2 * returns
+    spread = drawn.T @ drawn / len(drawn)
+    assert np.abs(spread - expected).max() < 0.1 * expected.max()
+
+
+def test_density_of_scales_by_differences(fitted):
+    _, fit = fitted
+    log = np.random.default_rng(1).normal(0.0, 0.4, len(fit.terms.scales))
+    _, slope = fit.density.value_and_slope(log)
+    for k in range(len(log)):
+        step = np.zeros(len(log))
+        step[k] = 3e-3
+        difference = (fit.density.value(log + step) - fit.density.value(log - step)) / 6e-3
+        assert slope[k] == pytest.approx(difference, rel=1e-3, abs=1e-3)
+
+
+def test_draws_are_the_conditional_normal(fitted):
+    _, fit = fitted
+    mean, covariance = fit.moments()
+    drawn, sd = fit.draws.scores, np.sqrt(np.diag(covariance))
+    assert np.abs((drawn.mean(axis=0) - mean) / sd).max() < 0.12
+    assert np.abs(np.log(drawn.std(axis=0) / sd)).max() < 0.12
+
+
+def test_bands_hold_where_white_noise_does_not(cell, fitted):
+    machine, fit = fitted
+    assert fit.solution.converged
+    inside, promised = [], []
+    for name in ("circle", "line-x", "line-z", "tilt-z"):
+        task = task_path(cell, fit.problem.model.vector(fit.values), name, n_points=PATH_POINTS)
+        rows = fit.problem.model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
+        error = machine.path(task.start, task.q, 69.0) - fit.problem.model.predict(fit.values, rows)
+        drawn = mechanics_task_errors(fit, task)
+        low, high = drawn.peak_to_peak_band()
+        inside.append(low <= np.ptp(error) <= high)
+        promised.append(high)
+        assert drawn.returned.any()
+    assert all(inside)
+    # The ideal model promises a nanometre or two.
+    assert min(promised) > 0.02
+
+
+def test_scales_that_no_row_sees_keep_their_prior(cell):
+    # End points of sweeps by one joint: nothing tells the tilts of a stage without a lever.
+    machine = _machine(cell, 3, SIZES.scaled(0.0))
+    fit = fit_mechanics(_problem(cell, machine, "paper"), SIZES)
+    tilt = fit.scales.log[:, fit.terms.scales.index("stage, tilt")]
+    assert abs(np.median(tilt)) < 0.4
+    assert 0.8 < tilt.std() / np.log(3.0) < 1.2
+
+
+def test_compressed_rows_tell_the_same(cell, fitted, monkeypatch):
+    machine, _ = fitted
+    sizes = replace(SIZES, joints=tuple(replace(joint, return_sd=0.0, encoder=0.0) for joint in SIZES.joints))
+    problem = _problem(cell, machine)
+    whole = fit_mechanics(problem, sizes)
+    monkeypatch.setattr("fpcal_bayes.infer.mechanics.fit.DENSE_ROWS", 0)
+    compressed = fit_mechanics(problem, sizes)
+    log = np.random.default_rng(2).normal(0.0, 0.3, len(whole.terms.scales))
+    shift = [fit.density.value(log) - fit.density.value(0.5 * log) for fit in (whole, compressed)]
+    assert shift[1] == pytest.approx(shift[0], abs=1e-3)
+    np.testing.assert_allclose(compressed.solution.unknowns, whole.solution.unknowns, atol=0.15)
+
+
+def test_exact_posterior_agrees_and_its_weights_are_even(fitted):
+    _, fit = fitted
+    drawn = weighted_draws(fit, 1600)
+    assert drawn.effective > 1000
+    assert drawn.solved > 0.98
+    mean, covariance = fit.moments()
+    sd = np.sqrt(np.diag(covariance))
+    centre = drawn.weights @ drawn.scores
+    assert np.abs((centre - mean) / sd).max() < 0.35
+
+
+def test_weights_are_the_density_over_the_proposal(fitted):
+    # At one set of scales, by densities written out; the determinant by differences of the map.
+    _, fit = fitted
+    log = fit.scales.log[:1]
+    charts = ScaleCharts(fit, log)
+    normal = np.random.default_rng(4).standard_normal((1, 3, fit.problem.n_unknowns))
+    points, weights = charts.solve(normal)
+    covariance, problem = _dense(fit, log[0]), fit.problem
+    expected = []
+    for point, e in zip(points[0], normal[0], strict=True):
+        miss = problem.model.predict(problem.values(point), problem.rows) - problem.target
+        density = -0.5 * miss @ np.linalg.solve(covariance, miss) - 0.5 * point @ point
+
+        def h(v):
+            rows = problem.model.predict(problem.values(v), problem.rows) - problem.target
+            return charts.on_data[0] @ rows + charts.on_prior[0] @ v
+
+        np.testing.assert_allclose(h(point), e, atol=1e-6)
+        steps = 1e-5 * np.eye(len(point))
+        slopes = np.array([(h(point + step) - h(point - step)) / 2e-5 for step in steps]).T
+        expected.append(density - np.linalg.slogdet(slopes)[1] + 0.5 * e @ e)
+    np.testing.assert_allclose(np.diff(weights[0]), np.diff(expected), atol=1e-3)
+
+
+def test_a_motion_beyond_the_sheet_is_named(cell):
+    loud = [replace(joint, axial_runout_nm=2500.0) if i == 5 else joint for i, joint in enumerate(SIZES.joints)]
+    machine = _machine(cell, 5, replace(SIZES, joints=tuple(loud)))
+    fit = fit_mechanics(_problem(cell, machine), SIZES)
+    assert any("rotary, along the beam" in doubt.text or "q6" in doubt.text for doubt in doubts_of(fit))
+
+
+def test_good_machines_are_not_doubted(fitted):
+    _, fit = fitted
+    assert doubts_of(fit) == ()
+    assert min(test.p_value for test in term_tests(fit)) > 1e-3
+
+
+def test_without_sizes_it_is_the_ideal_fit(cell):
+    machine = _machine(cell, 6, SIZES.scaled(0.0))
+    problem = _problem(cell, machine)
+    none = replace(SIZES.scaled(0.0), correlated_nm=0.0)
+    fit = fit_mechanics(problem, none)
+    ideal = minimise(problem, np.zeros(problem.n_unknowns))
+    assert fit.design.matrix.shape[1] == 0
+    np.testing.assert_allclose(fit.solution.unknowns, ideal.unknowns, atol=0.02)

@@ -1,0 +1,225 @@
+"""Error motions: their sizes, their weights, and what they do to the cavity length."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
+from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.mechanics import (
+    JointMechanics,
+    Mechanics,
+    Terms,
+    design,
+    drive_of,
+    path_design,
+)
+from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
+from fpcal_bayes.model.mechanics.response import directions, responses
+from fpcal_bayes.model.mechanics.words import CREST, PEAK_TO_VALLEY, peak_to_valley, return_sd, reversal, weight_sd
+from fpcal_bayes.simulator.machine import Machine
+
+STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
+TURN = JointMechanics(radial_runout_nm=100, axial_runout_nm=100, wobble_urad=15, linearity=26, reversal=1)
+SIZES = Mechanics((STAGE, STAGE, STAGE, TURN, TURN, TURN), drift_nm_per_min=3.0)
+
+
+def _vector(cell, rng):
+    vector = cell.parameters.nominal.copy()
+    vector[cell.free.slots] += rng.standard_normal(len(cell.free)) * cell.free.prior_sd
+    return vector
+
+
+def _poses(rng, n=12):
+    return rng.uniform(-1, 1, (n, 6)) * np.array([150, 150, 150, 0.08, 0.08, 1.5])
+
+
+@pytest.mark.parametrize("opd", ["axis", "perpendicular"])
+def test_responses_are_exact_to_first_order(opd):
+    # The machine moves the whole chain, in plain NumPy, by finite motions.
+    cell, rng = load_cell(opd=opd, mechanics="none"), np.random.default_rng(1)
+    levers = tuple((3.0 + i, -4.0, 5.0) for i in range(6))
+    sizes = Mechanics(tuple(JointMechanics(lever_mm=lever) for lever in levers))
+    vector, q = _vector(cell, rng), _poses(rng)
+    machine, zero, still = Machine.draw(cell, sizes, vector, rng), np.zeros((12, 6)), np.zeros(12)
+    model = CavityModel.of(cell)
+    ideal = model.predict(vector[cell.free.slots], model.pose_rows(q))
+    np.testing.assert_allclose(machine.lengths(q, zero, still), ideal, atol=1e-11)
+    found = responses(cell, vector, directions(cell, np.array(levers)), q)
+    for joint in range(6):
+        for direction in range(6):
+            size = 1e-4 if direction < 3 else 1e-7
+            moved = []
+            for sign in (1.0, -1.0):
+                machine.motions[joint][direction] = lambda x, shift=sign * size: np.full_like(x, shift)
+                moved.append(machine.lengths(q, zero, still))
+            machine.motions[joint][direction] = np.zeros_like
+            slope = (moved[0] - moved[1]) / (2 * size)
+            scale = np.abs(slope).max()
+            np.testing.assert_allclose(found.motion[:, joint, direction], slope, atol=2e-6 * scale)
+
+
+def test_a_lever_turns_a_tilt_into_a_displacement():
+    cell = load_cell(mechanics="none")
+    vector, q = cell.parameters.nominal, np.zeros((1, 6))
+    levers = np.zeros((6, 3))
+    near = responses(cell, vector, directions(cell, levers), q)
+    levers[0] = [80.0, 0.0, 0.0]
+    far = responses(cell, vector, directions(cell, levers), q)
+    # q1 moves along Zw: a roll about Z moves a mirror 80 mm along X by 80 mm per rad along Y, the beam.
+    assert abs(far.motion[0, 0, 3] - near.motion[0, 0, 3]) == pytest.approx(80e3, rel=1e-6)
+    assert far.motion[0, 0, 5] == pytest.approx(near.motion[0, 0, 5], abs=1e-6)
+
+
+def test_sheet_words_by_draws():
+    rng, n = np.random.default_rng(0), 20_000
+    x = np.linspace(-1.0, 1.0, 201)
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    bases = {
+        "legendre": polynomials(x, -1.0, 1.0),
+        "legendre-bent": polynomials(x, -1.0, 1.0)[:, 1:],
+        "fourier": harmonics(angle),
+        "fourier-beyond-first": harmonics(angle)[:, 2:],
+    }
+    for shape, basis in bases.items():
+        sd = weight_sd(7.0, shape)
+        sd = np.repeat(sd, 2) if shape.startswith("fourier") else sd
+        drawn = (rng.standard_normal((n, basis.shape[1])) * sd[-basis.shape[1] :]) @ basis.T
+        valley = np.ptp(drawn, axis=1)
+        assert np.median(valley) == pytest.approx(7.0, rel=0.03), shape
+        assert np.median(valley / drawn.std(axis=1)) == pytest.approx(CREST[shape], rel=0.03), shape
+    assert set(bases) == set(PEAK_TO_VALLEY)
+
+
+def test_other_words():
+    assert peak_to_valley("plus-minus", 25.0) == 50.0
+    assert peak_to_valley("percent-of-travel", 0.03, travel=300e3) == pytest.approx(90.0)
+    assert return_sd("unidirectional", 8.0) == 2.0
+    assert reversal("bidirectional", 18.0, unidirectional=8.0) == 10.0
+    with pytest.raises(InputError, match="direction of approach"):
+        reversal("rms", 1.0)
+
+
+def test_tables_of_a_cell():
+    joint = joint_mechanics(
+        {"straightness_nm": 30.0, "return_nm": 2, "lever_mm": [0, 0, 80]}, prismatic=True, place="x"
+    )
+    assert (joint.straightness_nm, joint.return_sd, joint.lever_mm) == (30.0, 2.0, (0.0, 0.0, 80.0))
+    cell = cell_mechanics({"drift_nm_per_min": 3.0}, (joint,), place="mechanics")
+    assert cell.any
+    assert cell.drift_nm_per_min == 3.0
+    for table, word in (
+        ({"wobble_urad": 3.0}, "unknown key"),
+        ({"reversal_urad": 3.0}, "unknown key"),
+        ({"straightness_nm": -1.0}, "from 0"),
+        ({"straightness_nm": "30"}, "finite number"),
+        ({"lever_mm": [1, 2]}, "three numbers"),
+    ):
+        with pytest.raises(InputError, match=word):
+            joint_mechanics(table, prismatic=True, place="joint 1.mechanics")
+
+
+def _drive(cell, name="paper-mid"):
+    plan = protocol_by_name(name, cell)
+    sweep = np.cumsum(np.r_[True, plan.group[1:] != plan.group[:-1]]) - 1
+    return plan, drive_of(
+        plan.q_start, plan.q_end, absolute=plan.absolute, sweep=sweep, time_h=plan.time_h, minutes_per_sweep=1.0
+    )
+
+
+def test_duplicates_stand_aside():
+    cell = load_cell(mechanics="none")
+    plain = Terms.of(cell, SIZES)
+    freed = Terms.of(cell, SIZES, ("gain_4", "runout_cos_6"))
+    assert len(freed.duplicates) == 2
+    assert "gain_4" in freed.duplicates[0]
+    plan, drive = _drive(cell)
+    vector, sigma = cell.parameters.nominal, np.full(len(plan), 0.005)
+    assert (
+        design(plain, vector, drive, sigma).matrix.shape[1] == design(freed, vector, drive, sigma).matrix.shape[1] + 3
+    )
+
+
+def test_an_eccentricity_is_geometry():
+    # The part of the fundamental radial motion that runs with the turn carries the mirror as an offset does, which a
+    # plane mirror does not show; what is left is the change of the angle to the optical axis.
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(3)
+    vector, q = _vector(cell, rng), np.zeros((9, 6))
+    q[:, 5] = np.linspace(-1.5, 1.5, 9)
+    at = responses(cell, vector, directions(cell, np.zeros((6, 3))), q)
+    up, across = at.motion[:, 5, 1], at.motion[:, 5, 2]
+    c, s = np.cos(q[:, 5]), np.sin(q[:, 5])
+    for column in (c * up + s * across, c * across - s * up):
+        assert np.ptp(column) < 1e-4
+    against = c * up - s * across
+    assert np.ptp(against) > 1e-3
+
+
+def test_directions_of_approach_follow_the_rows():
+    q_start = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [1.0, 0.0]])
+    q_end = np.array([[2.0, 0.0], [1.0, 0.0], [0.0, 0.0], [1.0, 5.0]])
+    drive = drive_of(
+        q_start,
+        q_end,
+        absolute=np.zeros(4, dtype=bool),
+        sweep=np.array([0, 1, 1, 2]),
+        time_h=np.zeros(4),
+        minutes_per_sweep=2.0,
+    )
+    np.testing.assert_array_equal(drive.start_side, [[0, 0], [1, 0], [1, 0], [1, 0]])
+    np.testing.assert_array_equal(drive.end_side, [[1, 0], [-1, 0], [-1, 0], [1, 1]])
+    np.testing.assert_array_equal(drive.start_min, [0, 2, 2, 4])
+
+
+def test_the_design_is_what_a_machine_of_these_weights_shows():
+    # Rows of a machine whose functions are the basis itself, moved through the whole chain.
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(5)
+    vector = _vector(cell, rng)
+    terms = Terms.of(cell, replace(SIZES, drift_nm_per_min=0.0))
+    plan, drive = _drive(cell)
+    made = design(terms, vector, drive, np.full(len(plan), 0.005))
+    machine = Machine.draw(cell, Mechanics((JointMechanics(),) * 6), vector, rng)
+    still = np.zeros(len(plan))
+
+    def rows():
+        zero = np.zeros_like(drive.q_end)
+        return machine.lengths(drive.q_end, zero, still) - machine.lengths(drive.q_start, zero, still)
+
+    ideal, first = rows(), 0
+    for motion in terms.motions:
+        there = motion.sd > 0
+        weights = rng.standard_normal(there.sum())
+        i, size = motion.joint, 0.01
+        low, high = cell.low[i], cell.high[i]
+
+        def function(q, low=low, high=high, there=there, w=size * weights * motion.sd[there]):
+            basis = harmonics(q) if not np.isfinite(high - low) else polynomials(q, low, high)
+            return basis[:, there] @ w
+
+        machine.motions[i][motion.direction] = function
+        shown = (rows() - ideal) / size
+        machine.motions[i][motion.direction] = np.zeros_like
+        stated = made.matrix[:, first : first + there.sum()] @ weights
+        first += int(there.sum())
+        # Rounding of lengths near a millimetre stands against the smallest motions.
+        np.testing.assert_allclose(stated, shown, atol=1e-4 * np.abs(shown).max() + 1e-10)
+
+
+def test_path_and_rows_hold_the_same_weights():
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(7)
+    terms, vector, q = Terms.of(cell, SIZES), _vector(cell, rng), _poses(rng, 6)
+    path = path_design(terms, vector, q[0], q[1:])
+    drive = drive_of(
+        np.repeat(q[:1], 5, axis=0),
+        q[1:],
+        absolute=np.zeros(5, dtype=bool),
+        sweep=np.zeros(5, dtype=np.int64),
+        time_h=np.zeros(5),
+        minutes_per_sweep=1.0,
+    )
+    made = design(terms, vector, drive, np.full(5, 0.005))
+    np.testing.assert_allclose(path.motions, made.matrix[:, : made.motion_count], atol=1e-15)

@@ -4,6 +4,7 @@ from fpcal_bayes.core.lazy import lazy
 
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
+    "InputError": "errors",
     "paper_tables": "resources",
     "read_text": "files",
     "write_json": "files",

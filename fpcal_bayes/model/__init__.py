@@ -10,9 +10,13 @@ _PLACES = {
     "Estimate": "estimate",
     "InverseModel": "inverse",
     "Joint": "cell.joints",
+    "JointMechanics": "mechanics",
     "LINK_SLOTS": "parameters",
+    "Mechanics": "mechanics",
     "Rows": "cavity",
+    "Terms": "mechanics",
     "UNITS": "parameters",
+    "design": "mechanics",
     "fringe": "interferometer",
     "make_parameters": "cell.cell",
 }

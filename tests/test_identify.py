@@ -10,7 +10,7 @@ from scipy import stats
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit import minimise as least_squares
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv
@@ -20,6 +20,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.simulator.sweeps import simulate
 
 CELL = load_cell()

@@ -13,7 +13,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecast, Goal
 from fpcal_bayes.decision.policy import decide_track
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification
+from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior, read_posterior_summary
@@ -26,6 +26,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.motion.tasks import TASKS, Task, find_task
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift

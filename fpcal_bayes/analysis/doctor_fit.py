@@ -7,11 +7,12 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.tracking.tracker import track
 
 Severity = Literal["problem", "doubt", "note"]

@@ -12,7 +12,10 @@ from fpcal_bayes.motion.tasks import Task
 
 @dataclass(frozen=True)
 class TaskNumbers:
-    """A predicted task error: lengths in nm, angles in deg, bands that hold 95 %."""
+    """A predicted task error: lengths in nm, angles in deg, bands that hold 95 %.
+
+    All of them are NaN, and the probability is None, where what the prediction is made from is not to be used.
+    """
 
     task: Task  # as it is driven: points that cannot be reached are left out
     linear: bool  # to first order from a covariance, else from posterior draws
@@ -31,6 +34,8 @@ class TaskNumbers:
     @classmethod
     def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
         """Of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
+        if not prediction.trust.usable:
+            return cls._nothing(prediction, tolerance)
         low, high = 1e3 * prediction.band()
         least, most = 1e3 * prediction.peak_to_peak_band()
         return cls(
@@ -47,6 +52,25 @@ class TaskNumbers:
             turn=_largest(prediction.angles.turn),
             tolerance=None if tolerance is None else 1e3 * tolerance,
             exceeds=None if tolerance is None else prediction.exceeds(tolerance),
+        )
+
+    @classmethod
+    def _nothing(cls, prediction: TaskPrediction, tolerance: float | None) -> "TaskNumbers":
+        unknown, nan = np.full(len(prediction.sd), np.nan), float("nan")
+        return cls(
+            task=prediction.task,
+            linear=prediction.linear,
+            n_draws=len(prediction.errors),
+            sd=unknown,
+            low=unknown,
+            high=unknown,
+            median=nan,
+            least=nan,
+            most=nan,
+            normal=(nan, nan),
+            turn=(nan, nan),
+            tolerance=None if tolerance is None else 1e3 * tolerance,
+            exceeds=None,
         )
 
     @property

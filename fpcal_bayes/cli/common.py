@@ -14,6 +14,7 @@ from fpcal_bayes.core.files import require_writable, write_json
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
+from fpcal_bayes.model.trust import Trust
 
 
 def cell_of(options: argparse.Namespace) -> Cell:
@@ -38,10 +39,11 @@ def check_suffix(output: Path | None, *suffixes: str) -> None:
         raise InputError(f"{output}: expected a file name that ends in {ends}")
 
 
-def write_result(output: Path | None, command: str, content: dict[str, Any]) -> None:
-    """Write the JSON of a command, if it is wanted."""
+def write_result(output: Path | None, command: str, content: dict[str, Any], trust: Trust | None = None) -> None:
+    """Write the JSON of a command, if it is wanted; `trust` where the content is not that of an estimate."""
     if output is not None:
-        write_json(output, {"schema": SCHEMA, "command": command, **content})
+        said = {} if trust is None else {"trust": trust.content()}
+        write_json(output, {"schema": SCHEMA, "command": command, **content, **said})
 
 
 def warn(warnings: Iterable[str]) -> None:

@@ -55,8 +55,10 @@ def run(options: argparse.Namespace) -> int:
         out.print(sweep_table(decision.sweeps, cell))
     out.say(decision_sentence(decision, found))
     warnings = verdict_lines(found) + followed.notes
+    estimate = found.estimate()
+    warnings += [reason.text for reason in estimate.trust.reasons if reason.text not in warnings]
     until_h = valid_until(found, goal)
-    if now_h > until_h:
+    if estimate.trust.usable and now_h > until_h:
         until = time_text(until_h, found.outcomes)
         warnings.append(
             f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
@@ -65,5 +67,5 @@ def run(options: argparse.Namespace) -> int:
     if options.output is not None and decision.sweeps is not None:
         write_csv(options.output, decision.sweeps, cell)
     content = {"decision": decision_content(decision, goal, found), "warnings": warnings}
-    write_result(options.json, "decide", found.estimate().content() | content)
+    write_result(options.json, "decide", estimate.content() | content)
     return 0 if found.converged else 1

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         prediction = knowledge.predict(estimate, driven, draws=options.draws, seed=options.seed)
         predictions.append(prediction)
         content[task.name] = prediction_content(prediction, tolerance, task)
-        if options.budget:
+        if options.budget and estimate.trust.usable:
             budget = budget_of(estimate, driven, sweeps=sweeps)
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
@@ -51,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
         out.print(budget_table(budget))
         for line in correlation_lines(budget):
             out.say(line)
+    warnings += [reason.text for reason in estimate.trust.reasons]
     warn(warnings)
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     return 0

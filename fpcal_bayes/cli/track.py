@@ -92,6 +92,9 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     lines = verdict_lines(found)
     valid_until_h, note = _valid_until(found, goal, asked=options.task is not None)
     notes += note
+    if not found.trust.usable:
+        valid_until_h = None
+        out.say(f"not valid: {found.trust.against}")
     if valid_until_h is not None:
         exceeds = f"P({', '.join(goal.tasks)} > {options.tolerance_nm:g} nm)"
         until = time_text(valid_until_h, found.outcomes)

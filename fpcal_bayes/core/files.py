@@ -26,6 +26,10 @@ else:
 _TRIES, _BETWEEN_TRIES = 20, 0.05
 
 
+#: Key of a JSON file under which the hash of all the rest stands.
+CONTENT_HASH = "content_sha256"
+
+
 def require_readable(path: Path) -> None:
     """Raise `InputError` unless `path` is an existing, readable, non-empty file."""
     try:
@@ -157,8 +161,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write `content` as JSON; NaN and infinity are refused, since JSON has neither."""
-    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    """Write `content` and its hash as JSON; NaN and infinity are refused, since JSON has neither."""
+    write_text(path, json.dumps(content | {CONTENT_HASH: content_sha256(content)}, indent=1, allow_nan=False) + "\n")
 
 
 def read_text(path: Path) -> str:

@@ -251,7 +251,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     forecast = Forecast.of(track.drift, model, goal, last.state.mean)
     policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
     due = track.calibration_due
-    reason = None if due is None else f"the robot itself moved before session {due}"
+    reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     return policy.decide(forecast, forecast.ahead(last.state, now_h - last.time_h), reason, diagnosed)
 

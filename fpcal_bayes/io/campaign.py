@@ -1,5 +1,6 @@
 """Campaign files in HDF5: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any, get_args
@@ -8,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import replacing
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
 from fpcal_bayes.io.columns import from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
@@ -220,6 +221,13 @@ def put_track(group: Any, record: TrackRecord) -> None:
     put_array(group, "json", [record.summary])
     for name in _TRACK_ARRAYS:
         put_array(group, name, getattr(record, name))
+    put_text(group, CONTENT_HASH, _track_sha256(record))
+
+
+def _track_sha256(record: TrackRecord) -> str:
+    """Hash of all that a record holds."""
+    arrays = {name: hashlib.sha256(np.ascontiguousarray(getattr(record, name))).hexdigest() for name in _TRACK_ARRAYS}
+    return content_sha256([record.cell_sha256, record.settings_sha256, list(record.names), record.summary, arrays])
 
 
 def get_track(reader: Reader, group: Any) -> TrackRecord:
@@ -231,13 +239,17 @@ def get_track(reader: Reader, group: Any) -> TrackRecord:
         raise InputError(f"{reader.path}: {group.name}/covariance: expected the shape that mean has")
     if not all(np.isfinite(values).all() for values in arrays.values()):
         raise InputError(f"{reader.path}: {group.name}: expected finite numbers")
-    return TrackRecord(
+    record = TrackRecord(
         cell_sha256=reader.text_attribute(group, "cell_sha256"),
         settings_sha256=reader.text_attribute(group, "settings_sha256"),
         names=tuple(reader.texts(group, "names").tolist()),
         summary=summary,
         **arrays,
     )
+    # Older programs wrote none.
+    if CONTENT_HASH in group.attrs and reader.text_attribute(group, CONTENT_HASH) != _track_sha256(record):
+        raise InputError(f"{reader.path}: {group.name}: the saved track is not what the program wrote")
+    return record
 
 
 def put_doubtful(group: Any, record: DoubtfulRecord) -> None:

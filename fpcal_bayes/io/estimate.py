@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.validate import Tables, shown
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA, STATUSES, Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust, trust_of
 
 #: Numbers of this size are no lengths or angles, and their squares still fit a double.
 _LARGEST = 1e100
@@ -49,6 +50,12 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
         raise InputError(
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
         )
+    if CONTENT_HASH in content:
+        rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
+        if content[CONTENT_HASH] != content_sha256(rest):
+            raise InputError(
+                f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
+            )
     return _Reader(str(path), cell).estimate(content)
 
 
@@ -85,7 +92,14 @@ class _Reader(Tables):
             time_h=time_h,
             valid_until_h=None if until is None else self.number(content, "", "valid_until_h", largest=_LARGEST),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
+            trust=self.trust(content.get("trust")),
         )
+
+    def trust(self, stated: Any) -> Trust:
+        try:
+            return trust_of(stated)
+        except ValueError as error:
+            raise self.error("trust", str(error)) from error
 
     def covariance(self, stated: Any, parameters: ParameterSet, status: Sequence[str]) -> Floats:
         if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):

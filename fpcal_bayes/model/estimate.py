@@ -10,6 +10,7 @@ from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell, describe
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust
 
 SCHEMA = "fpcal/1"
 STATUSES = ("identified", "weak", "gauge", "fixed")
@@ -37,6 +38,8 @@ class Estimate:
         Until when it may be used, or None where nobody has worked that out.
     data
         Name and hash of the file it was made from.
+    trust
+        Whether it may be used, and what is held against it.
     """
 
     cell: Cell
@@ -47,6 +50,7 @@ class Estimate:
     time_h: float = 0.0
     valid_until_h: float | None = None
     data: dict[str, str] = field(default_factory=dict)
+    trust: Trust = field(default_factory=Trust)
 
     @property
     def sd(self) -> Floats:
@@ -105,5 +109,6 @@ class Estimate:
             "cell": describe(self.cell),
             "data": self.data,
             "time_h": self.time_h,
-            "valid_until_h": self.valid_until_h,
+            "valid_until_h": self.valid_until_h if self.trust.usable else None,
+            "trust": self.trust.content(),
         }

@@ -1,10 +1,12 @@
 """Until when an estimate may be driven with: the horizon that the tracker wrote into it, against the time it is now."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.times import clock, read_time
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import Reason
 
 
 class StaleEstimateWarning(UserWarning):
@@ -38,6 +40,12 @@ def read_now(text: str | None, estimate: Estimate) -> float | None:
     if found is None:
         raise InputError(f"--now {text[:40]!r}: the estimate carries no clock time, expected hours")
     return found
+
+
+def judged_at(estimate: Estimate, now_h: float | None) -> Estimate:
+    """The estimate with what its age holds against it; `now_h` in hours since the campaign began, None if not known."""
+    stale = stale_text(estimate, now_h)
+    return estimate if stale is None else replace(estimate, trust=estimate.trust.because(Reason("stale", stale)))
 
 
 def stale_text(estimate: Estimate, now_h: float | None) -> str | None:

@@ -33,10 +33,15 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
         "status": task.status.tolist(),
         "sd_nm": _whole(found.sd, task),
         "band_nm": {"share": BAND, "low": _whole(found.low, task), "high": _whole(found.high, task)},
-        "worst_sd_nm": found.worst_sd,
-        "peak_to_peak_nm": {"median": found.median, "low": found.least, "high": found.most, "share": BAND},
-        "normal_deg": dict(zip(("median", "q95"), found.normal, strict=True)),
-        "turn_deg": dict(zip(("median", "q95"), found.turn, strict=True)),
+        "worst_sd_nm": known(found.worst_sd),
+        "peak_to_peak_nm": {
+            "median": known(found.median),
+            "low": known(found.least),
+            "high": known(found.most),
+            "share": BAND,
+        },
+        "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
+        "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
     }
     if tolerance is not None:
         content["tolerance_nm"] = found.tolerance
@@ -49,16 +54,23 @@ def prediction_table(predictions: list[TaskPrediction], tolerance: float | None,
     heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]
     heads += ["normal 95 % [deg]", "turn 95 % [deg]", *([] if tolerance is None else [f"P(> {1e3 * tolerance:g} nm)"])]
     table = plain_table(title, heads)
-    for found in [TaskNumbers.of(prediction, tolerance) for prediction in predictions]:
+    for prediction in predictions:
+        found = TaskNumbers.of(prediction, tolerance)
         table.add_row(
             found.task.name,
             f"{found.task.along[0]:.4g} .. {found.task.along[-1]:.4g} {found.task.unit}",
-            f"{found.worst_sd:.2f}",
-            f"{found.median:.2f}",
-            f"{found.least:.2f} .. {found.most:.2f}",
-            angle_text(found.normal[1]),
-            angle_text(found.turn[1]),
-            *([] if found.exceeds is None else [f"{found.exceeds:.3f}"]),
+            *(
+                [
+                    f"{found.worst_sd:.2f}",
+                    f"{found.median:.2f}",
+                    f"{found.least:.2f} .. {found.most:.2f}",
+                    angle_text(found.normal[1]),
+                    angle_text(found.turn[1]),
+                ]
+                if prediction.trust.usable
+                else ["not to be used", *[""] * 4]
+            ),
+            *([] if tolerance is None else ["" if found.exceeds is None else f"{found.exceeds:.3f}"]),
         )
     return table
 
@@ -82,7 +94,12 @@ def angle_text(angle: float) -> str:
 def _whole(driven: Floats, task: Task) -> list[float | None]:
     """Numbers of the points that are ok, with nothing in the place of the others."""
     numbers = iter(driven.tolist())
-    return [next(numbers) if good else None for good in task.ok]
+    return [known(next(numbers)) if good else None for good in task.ok]
+
+
+def known(value: float) -> float | None:
+    """A number as JSON has it: NaN is nothing."""
+    return None if value != value else value
 
 
 def budget_content(budget: Budget) -> dict[str, Any]:

@@ -57,12 +57,16 @@ def verdict_lines(track: Track) -> list[str]:
 
 def decision_sentence(decision: Decision, track: Track) -> str:
     """What to do, in one sentence."""
+    if not track.trust.usable and track.calibration_due is None:
+        return f"do not use this estimate: {track.trust.against}; fpcal doctor says what is wrong"
     if decision.action == "hold":
         until = time_text(decision.now_h + decision.hold_hours, track.outcomes)
         return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
     count = 0 if decision.sweeps is None else len(decision.sweeps)
     cost = f"about {decision.minutes:.0f} min"
     after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
+    if not track.trust.usable:
+        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}"
     if decision.action == "full":
         return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
@@ -80,13 +84,10 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
         ("at the horizon, nothing measured", decision.at_horizon),
     ):
         low, high = outlook.band()
-        table.add_row(
-            name,
-            time_text(outlook.time_h, track.outcomes),
-            f"{1e3 * outlook.median:.1f}",
-            f"{1e3 * low:.1f} .. {1e3 * high:.1f}",
-            f"{outlook.exceeds(goal.tolerance):.3f}",
-        )
+        numbers = [f"{1e3 * outlook.median:.1f}", f"{1e3 * low:.1f} .. {1e3 * high:.1f}"]
+        numbers.append(f"{outlook.exceeds(goal.tolerance):.3f}")
+        shown = numbers if track.trust.usable else ["not to be used", "", ""]
+        table.add_row(name, time_text(outlook.time_h, track.outcomes), *shown)
     return table
 
 
@@ -107,8 +108,12 @@ def add_sweeps(table: Table, sweeps: Sweeps, cell: Cell, names: Sequence[str]) -
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:
-    """A decision as JSON; errors are medians of the worst task's peak to peak in nm."""
+    """A decision as JSON; errors are medians of the worst task's peak to peak in nm.
+
+    Errors and probabilities are null where the track is not to be used.
+    """
     outlooks = {"now": decision.now, "at_horizon": decision.at_horizon, "after": decision.after}
+    usable = track.trust.usable
     return {
         "action": decision.action,
         "sentence": decision_sentence(decision, track),
@@ -116,15 +121,19 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "now_h": decision.now_h,
         "hold_hours": decision.hold_hours,
         "hold_until": time_text(decision.now_h + decision.hold_hours, track.outcomes),
-        "then_hold_hours": decision.then_hours,
+        "then_hold_hours": decision.then_hours if usable else None,
         "minutes": decision.minutes,
         "level": decision.level,
         "tolerance_nm": 1e3 * goal.tolerance,
         "tasks": list(goal.tasks),
         "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
-        "task_error_nm": {name: 1e3 * outlook.median for name, outlook in outlooks.items()},
-        "task_error_band_nm": {name: _band(outlook) for name, outlook in outlooks.items()},
-        "probability_out": {name: outlook.exceeds(goal.tolerance) for name, outlook in outlooks.items()},
+        "task_error_nm": {
+            name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()
+        },
+        "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
+        "probability_out": {
+            name: outlook.exceeds(goal.tolerance) if usable else None for name, outlook in outlooks.items()
+        },
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
 

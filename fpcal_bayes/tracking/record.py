@@ -9,10 +9,12 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.measure.campaign import TrackRecord
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import State, predict
@@ -45,6 +47,7 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         "solutions": track.solutions,
         "from_prior": track.outcomes[0].measurement is not None,
         "decisions": list(decisions),
+        "trust": track.trust.content(),
     }
     return TrackRecord(
         cell_sha256=track.cell.sha256,
@@ -116,11 +119,22 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
         "sha256": session_sha256(sweeps.of_session(outcome.session)),
         "evidence": outcome.evidence,
         "warnings": outcome.warnings,
+        "trust": outcome.trust.content(),
         "temperature_c": None if np.isnan(temperature) else temperature,
         "recent": monitor.recent,
         "cusum": [monitor.cusum_extrinsic, monitor.cusum_residual],
         "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in monitor.onsets],
     }
+
+
+def _saved_trust(stated: dict[str, Any], *, calibration: bool) -> Trust:
+    """What a saved session says; of one that an older program saved, what its sum of squares says."""
+    if "trust" in stated or not calibration:
+        return trust_of(stated.get("trust", Trust().content()))
+    if chi2_tail(stated["nis"], stated["dof"]) < POOR_FIT_BELOW:
+        text = f"poor fit: sum of squares {stated['nis']:.1f} over data and prior, expected {stated['dof']}"
+        return Trust((Reason("poor-fit", text),))
+    return trust_of(None)
 
 
 def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
@@ -151,6 +165,7 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
                 predicted=predicted,
                 state=state,
                 monitor=monitor,
+                trust=_saved_trust(stated, calibration=not outcomes),
             )
         )
     hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]

@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, Verdict, extend, findings
 from fpcal_bayes.tracking.corrections import correct_slips, with_signs
 from fpcal_bayes.tracking.drift import DriftModel
@@ -45,6 +46,7 @@ class SessionOutcome:
     # the rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read from
     # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
+    trust: Trust = field(default_factory=Trust)  # what is held against the fit of a calibration
 
 
 def take_in(

@@ -9,7 +9,7 @@ from scipy import special
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
 from fpcal_bayes.infer.posterior.draws import independent_draws
@@ -17,6 +17,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.filter import State
@@ -88,9 +89,23 @@ class Track:
         """Of all sessions after the calibration, given it."""
         return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
 
+    @property
+    def trust(self) -> Trust:
+        """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
+        found = self.outcomes[0].trust
+        stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
+        if stalled:
+            text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"
+            found = found.because(Reason("not-converged", text))
+        if self.calibration_due is not None:
+            text = f"a full calibration is due: the robot itself moved before session {self.calibration_due}"
+            found = found.because(Reason("intrinsics-moved", text))
+        return found
+
     def estimate(self, valid_until_h: float | None = None) -> Estimate:
         """The current best estimate: the state after the last session."""
-        return estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+        now = estimate_of(self.cell, self.drift, self.last.state, self.status, self.data, valid_until_h)
+        return replace(now, trust=self.trust)
 
 
 def estimate_of(
@@ -163,7 +178,8 @@ def track(
     starts: tuple[tuple[SessionOutcome, float], ...] = ()
     if known is None and calibration is not None:
         status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
-        known = Track(cell, drift, (start(drift, calibration, parts[0]),), status)
+        first = replace(start(drift, calibration, parts[0]), trust=calibration.trust)
+        known = Track(cell, drift, (first,), status)
     elif known is None:
         first, status, starts = calibrate(cell, drift, parts[0], draws)
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
@@ -210,8 +226,9 @@ def calibrate(
         rows = len(found.problem.sweeps)
         # The calibration's own innovation is its sum of squares against the prior.
         outcome = start(drift, estimate, sweeps, found.converged)
-        said = warnings + found.warnings
-        return replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, measurement=measurement)
+        said, trust = warnings + found.warnings, found.estimate.trust
+        outcome = replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, trust=trust)
+        return replace(outcome, measurement=measurement)
 
     usable = found.converged and len(draws) > 0
     together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate

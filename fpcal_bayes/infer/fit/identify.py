@@ -29,13 +29,12 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import FitEvidence, Reason, judge_fit
 
 Hold = Literal["consider", "exact"]
 
 #: Below this probability of a sum of squares as large as the one found, other starts are tried.
 RETRY_BELOW = 1e-3
-#: Below this probability of the data's chi-square, or of the whole sum of squares, the fit is called poor.
-POOR_FIT_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
@@ -171,43 +170,35 @@ def identify(
     status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
     fit = goodness_of_fit(problem, unknowns)
 
-    if not solution.converged:
-        warnings.append(f"the fit did not converge from {starts} starting points: do not use this estimate")
-    if spectrum.rank < len(chosen):
+    evidence = FitEvidence(
+        converged=solution.converged,
+        starts=starts,
+        n_rows=len(used),
+        chi2_data=fit.chi2_data,
+        expected=fit.expected,
+        p_value=fit.p_value,
+        sum_of_squares=solution.sum_of_squares,
+        p_total=chi2_tail(solution.sum_of_squares, len(used)),
+        rank=spectrum.rank,
+    )
+    others = distinct_minima(problem, solution, found)
+    doubtful = _doubtful(used, signs)
+    trust = judge_fit(evidence, *_rival(chosen, solution, others), *_doubt(doubtful))
+    said = {reason.kind: reason.text for reason in trust.reasons}
+    warnings += [said.pop("not-converged")] if "not-converged" in said else []
+    if 0 < spectrum.rank < len(chosen):
         gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
         warnings.append(
             f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
             f"prior: {gauges or 'no single parameter stands out'}"
         )
-    if fit.p_value < POOR_FIT_BELOW:
-        warnings.append(
-            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
-            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, "
-            "or held values are stale"
-        )
-    elif (p_total := chi2_tail(solution.sum_of_squares, len(used))) < POOR_FIT_BELOW:
-        warnings.append(
-            f"poor fit: sum of squares {solution.sum_of_squares:.1f} over data and prior, expected {len(used)} "
-            f"(p = {p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
-            "something that is not free (a gain, a runout)"
-        )
-    others = distinct_minima(problem, solution, found)
-    rival = others[0] if others else None
-    if rival is not None and rival.sum_of_squares - solution.sum_of_squares < RIVAL_EXCESS:
-        apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
-        named = ", ".join(chosen.names[i] for i in sorted(apart))
-        warnings.append(
-            f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
-            f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
-            "midpoints tell the two apart"
-        )
-    doubtful = _doubtful(used, signs)
-    if doubtful:
-        named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
-        more = ", ..." if len(doubtful) > 5 else ""
-        warnings.append(f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}")
+    warnings += said.values()
+    # What is held, or stood in as prior, is trusted no more than where it came from.
+    leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
+    trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
+    estimate = replace(_estimate(cell, used, problem, covariance, status, unknowns), trust=trust)
     return Identification(
-        estimate=_estimate(cell, used, problem, covariance, status, unknowns),
+        estimate=estimate,
         problem=problem,
         solution=solution,
         free=chosen,
@@ -306,6 +297,31 @@ def _fit(
         else:
             best = solution
     return problem, best, found, len(found)
+
+
+def _rival(chosen: ParameterSet, solution: Solution, others: Sequence[Solution]) -> list[Reason]:
+    """The second solution, where it counts for the posterior."""
+    if not others or others[0].sum_of_squares - solution.sum_of_squares >= RIVAL_EXCESS:
+        return []
+    rival = others[0]
+    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
+    named = ", ".join(chosen.names[i] for i in sorted(apart))
+    text = (
+        f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
+        f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
+        "midpoints tell the two apart"
+    )
+    return [Reason("second-solution", text)]
+
+
+def _doubt(doubtful: Sequence[tuple[str, float]]) -> list[Reason]:
+    """The rows whose sign may be the other one."""
+    if not doubtful:
+        return []
+    named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
+    more = ", ..." if len(doubtful) > 5 else ""
+    text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
+    return [Reason("signs", text)]
 
 
 def _estimate(

@@ -11,12 +11,13 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
-from fpcal_bayes.infer.fit.identify import POOR_FIT_BELOW, Identification, identify
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.posterior.draws import Likelihood
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.trust import POOR_FIT_BELOW
 
 State = Literal["sampled", "no minimum", "not sampled"]
 

@@ -16,6 +16,7 @@ from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.proposal import Atlas
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
+from fpcal_bayes.model.trust import Reason, Trust
 
 Likelihood = Literal["gaussian", "student", "slip"]
 
@@ -48,6 +49,19 @@ class Posterior:
     def converged(self) -> bool:
         """Whether the draws can be used."""
         return not self.failures
+
+    @property
+    def trust(self) -> Trust:
+        """What is held against the draws.
+
+        Second solutions and doubtful signs are sampled, and a poor fit to Gaussian noise says nothing of rows that may
+        slip, have heavy tails or a noise of unknown size.
+        """
+        told = {"second-solution", "signs"}
+        if isinstance(self.target, SlipTarget) or self.target.dof is not None or self.target.noise is not None:
+            told |= {"poor-fit", "too-good-fit"}
+        left = Trust(tuple(r for r in self.identification.estimate.trust.reasons if r.kind not in told))
+        return left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
 
     def values(self) -> Floats:
         """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""

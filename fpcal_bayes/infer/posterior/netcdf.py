@@ -1,7 +1,10 @@
 """A posterior as an ArviZ DataTree in a netCDF file, read again, and its summary."""
 
+import hashlib
+import json
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import numpy as np
 from scipy.sparse.linalg import spsolve_triangular
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import file_sha256, replacing, require_readable
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, file_sha256, replacing, require_readable
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.posterior.diagnostics import diagnose
@@ -18,6 +21,7 @@ from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust, trust_of
 
 
 @dataclass(frozen=True)
@@ -27,11 +31,12 @@ class PosteriorDraws:
     cell: Cell  # the cell they belong to
     parameters: ParameterSet  # in the cell's order
     values: Floats  # in um and rad, shape (n_draws, n)
+    trust: Trust = field(default_factory=Trust)
 
     def thinned(self, most: int) -> "PosteriorDraws":
         """At most `most` of the draws, evenly spaced."""
         every = -(-len(self.values) // most)
-        return PosteriorDraws(self.cell, self.parameters, self.values[::every])
+        return replace(self, values=self.values[::every])
 
 
 def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
@@ -40,7 +45,8 @@ def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
     require_readable(path)
     try:
         with h5py.File(path, "r") as file:
-            _check(path, dict(file.attrs), cell)
+            attributes = dict(file.attrs)
+            _check(path, attributes, cell)
             group = file.get("posterior")
             if not isinstance(group, h5py.Group):
                 raise InputError(f"{path}: expected a group posterior, as fpcal sample writes it")
@@ -52,8 +58,22 @@ def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
         raise InputError(f"{path}: group posterior: expected draws of parameters of cell {cell.name!r}")
     if len({column.shape for column in columns}) != 1 or columns[0].size == 0:
         raise InputError(f"{path}: group posterior: expected as many draws of each parameter, one or more")
+    trust = _trust(path, attributes, parameters, columns)
     values = parameters.to_internal(np.column_stack([column.ravel() for column in columns]))
-    return PosteriorDraws(cell, parameters, values)
+    return PosteriorDraws(cell, parameters, values, trust)
+
+
+def _trust(path: Path, attributes: dict[str, object], parameters: ParameterSet, columns: Sequence[Floats]) -> Trust:
+    """What is held against the draws of a file whose hash is right."""
+    if CONTENT_HASH not in attributes:
+        return trust_of(None)
+    text = str(attributes.get("trust", ""))
+    if attributes[CONTENT_HASH] != _draws_sha256(parameters.names, np.stack(columns, axis=-1), text):
+        raise InputError(f"{path}: attribute {CONTENT_HASH}: the draws are not those that fpcal sample wrote")
+    try:
+        return trust_of(json.loads(text))
+    except ValueError as error:
+        raise InputError(f"{path}: attribute trust: {error}") from error
 
 
 def _check(path: Path, attributes: dict[str, object], cell: Cell) -> None:
@@ -187,6 +207,7 @@ def content(posterior: Posterior) -> dict[str, Any]:
         base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
     return {
         **base,
+        "trust": posterior.trust.content(),
         "covariance": {
             "names": list(parameters.names),
             "matrix": np.cov(draws.T).reshape(len(parameters), -1).tolist(),
@@ -285,7 +306,8 @@ def write_netcdf(tree: Any, path: Path) -> None:
 
 
 def _attributes(posterior: Posterior, seed: int, command: str) -> dict[str, Any]:
-    estimate = posterior.identification.estimate
+    estimate, parameters = posterior.identification.estimate, posterior.identification.free
+    trust = json.dumps(posterior.trust.content())
     return {
         "program": f"fpcal_bayes {__version__}",
         "command": command,
@@ -297,7 +319,15 @@ def _attributes(posterior: Posterior, seed: int, command: str) -> dict[str, Any]
         "data_sha256": estimate.data.get("sha256", ""),
         "converged": int(posterior.converged),
         "n_ensembles": posterior.points.shape[0],
+        "trust": trust,
+        CONTENT_HASH: _draws_sha256(parameters.names, parameters.to_shown(posterior.values()), trust),
     }
+
+
+def _draws_sha256(names: Sequence[str], draws: Floats, trust: str) -> str:
+    """Hash of the draws in the units of the file, (n_chains, n_draws, n), and of what is held against them."""
+    columns = [[name, hashlib.sha256(np.ascontiguousarray(draws[..., i])).hexdigest()] for i, name in enumerate(names)]
+    return content_sha256([columns, trust])
 
 
 def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:

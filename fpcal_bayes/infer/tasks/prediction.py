@@ -6,7 +6,7 @@ would count errors that the posterior, which bends with the gauges, does not hav
 surface already and are propagated as they are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from fpcal_bayes.infer.tasks.error import (
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import Task, find_task
 
 #: Share of the probability inside a band.
@@ -41,26 +42,38 @@ class TaskPrediction:
     sd: Floats  # root mean square of the error along the path, shape (n_points,), in um
     angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
     linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
+    trust: Trust = field(default_factory=Trust)  # of what the prediction is made from
+
+    def require_usable(self) -> None:
+        """Raise `InputError` with the reason if what the prediction is made from is not to be used."""
+        if not self.trust.usable:
+            raise InputError(f"task {self.task.name}: no band and no probability: {self.trust.against}")
 
     def __repr__(self) -> str:
+        if not self.trust.usable:
+            return f"TaskPrediction({self.task.name}, not to be used)"
         low, high = 1e3 * self.peak_to_peak_band()
         return f"TaskPrediction({self.task.name}, {low:.2f} to {high:.2f} nm peak to peak, {len(self.errors)} errors)"
 
     @property
     def peak_to_peak(self) -> Floats:
         """Peak to peak of each draw along the path, shape (n_draws,), in um."""
+        self.require_usable()
         return peak_to_peak(self.errors)
 
     def band(self) -> Floats:
         """Lower and upper edge of the band that holds `BAND` of the errors at each point, shape (2, n_points), um."""
+        self.require_usable()
         return quantile_band(self.errors, BAND, axis=0)
 
     def peak_to_peak_band(self) -> Floats:
         """Lower and upper edge of the band that holds `BAND` of the peak-to-peak values, shape (2,), in um."""
+        self.require_usable()
         return quantile_band(self.peak_to_peak, BAND)
 
     def exceeds(self, tolerance: float) -> float:
         """Probability that the peak to peak exceeds `tolerance`, in um."""
+        self.require_usable()
         return float((self.peak_to_peak > tolerance).mean())
 
 
@@ -88,10 +101,12 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
-    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True)
+    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=estimate.trust)
 
 
-def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: Task) -> TaskPrediction:
+def predict_from_draws(
+    model: CavityModel, draws: Floats, values: Floats, task: Task, trust: Trust | None = None
+) -> TaskPrediction:
     """Predict the error of a task from posterior draws of the truth, (n_draws, n_free) in um and rad.
 
     The controller holds `values` (n_free,), with which the joint path of the task was found. `InputError` if a point of
@@ -100,7 +115,7 @@ def predict_from_draws(model: CavityModel, draws: Floats, values: Floats, task: 
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
     angles = angular_errors(model, draws[:: -(-len(draws) // _ANGLE_DRAWS)], values, task)
-    return TaskPrediction(task, errors, sd, angles, linear=False)
+    return TaskPrediction(task, errors, sd, angles, linear=False, trust=trust or Trust())
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:

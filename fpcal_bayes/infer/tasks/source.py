@@ -1,7 +1,7 @@
 """What a controller may hold: an estimate file, or the draws of a posterior file."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ class Knowledge:
             return self.estimate
         model = CavityModel.of(self.cell, self.draws.parameters)
         values = central_draw(model, self.draws.values, task, radius=radius)
-        return estimate_of_draws(model, self.draws.values, values)
+        return replace(estimate_of_draws(model, self.draws.values, values), trust=self.draws.trust)
 
     def predict(self, estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
         """The distribution of the error of a task that was found with `estimate`."""
@@ -71,7 +71,8 @@ class Knowledge:
             return predict_from_covariance(estimate, task, draws=draws, seed=seed)
         free = self.draws.parameters
         model = CavityModel.of(self.cell, free, estimate.vector())
-        return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task)
+        trust = self.draws.trust.because(*estimate.trust.reasons)
+        return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
     def plan(self, task: str, *, radius: float = 100.0, n_points: int = 61) -> tuple[Estimate, Task]:
         """The estimate that the controller holds for a task, and the joint path it makes with it."""
@@ -90,4 +91,5 @@ def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = No
         return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
     if held is not None:
         raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
-    return Knowledge(cell, read_estimate(path, cell), read_estimate_draws(path, cell))
+    estimate = read_estimate(path, cell)
+    return Knowledge(cell, estimate, read_estimate_draws(path, cell))

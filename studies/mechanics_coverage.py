@@ -17,7 +17,8 @@ from scipy import stats
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.mechanics import PATH_POINTS, fit_mechanics, mechanics_task_errors
+from fpcal_bayes.infer.mechanics.fit import fit_mechanics
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.io.cell import load_cell
@@ -245,7 +246,7 @@ def main() -> None:
     parser.add_argument("--own-prior", action="store_true", help="truths from the fit's own prior instead")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    cell, everything = load_cell(), {}
+    cell, everything = load_cell(mechanics="none"), {}
     if options.own_prior:
         for name in options.protocol:
             print(name, judge_own_prior(cell, protocol(cell, name), options.truths), flush=True)

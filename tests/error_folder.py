@@ -18,7 +18,7 @@ from fpcal_bayes.simulator.sweeps import simulate
 
 def fill(folder: Path) -> None:
     """Write all files: good ones, and from each a few with one fault."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     sweeps = simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0)
     write_csv(folder / "sweeps.csv", sweeps, cell)
     write_csv(folder / "plan.csv", paper_protocol(cell), cell)

@@ -13,7 +13,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
-CELLS = {opd: load_cell(opd=opd) for opd in ("axis", "perpendicular")}
+CELLS = {opd: load_cell(opd=opd, mechanics="none") for opd in ("axis", "perpendicular")}
 
 
 def found_for(cell: Cell, sweeps: Sweeps) -> tuple[BaseParameter, ...]:

@@ -10,7 +10,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 def test_bounds_of_a_full_rank_problem_are_those_of_the_inverse():

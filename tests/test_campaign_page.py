@@ -28,7 +28,7 @@ from fpcal_bayes.report.campaign.page import campaign_html
 from fpcal_bayes.report.campaign.words import standing, verdict
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 ODD = '<script>alert("&")</script> $x_{$ [red] \u4e2d'
 
 

@@ -32,7 +32,7 @@ def refusal(content: str | bytes, folder: Path) -> str:
     path = folder / "cell.toml"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     with pytest.raises(InputError) as caught:
-        load_cell(path)
+        load_cell(path, mechanics="none")
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert len(message.splitlines()) == 1
@@ -42,7 +42,7 @@ def refusal(content: str | bytes, folder: Path) -> str:
 def test_minimal_cell(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(MINIMAL)
-    cell = load_cell(path)
+    cell = load_cell(path, mechanics="none")
     assert cell.free.names == ("y_wf",)
     assert (cell.opd, cell.optical_axis, cell.wavelength) == ("axis", "minus-y", pytest.approx(1.55))
     assert (cell.low[0], cell.high[0], cell.joints[0].controller) == (-np.inf, np.inf, None)
@@ -60,7 +60,7 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
         'controller = { name = "m", channel = "2", sign = -1, zero = 3, unit = "mdeg" }\n',
     )
     path.write_text(text)
-    cell = load_cell(path)
+    cell = load_cell(path, mechanics="none")
     assert cell.low[0] == pytest.approx(-np.pi / 2)
     assert cell.high[0] == pytest.approx(np.pi)
     assert cell.repeatability[0] == pytest.approx(np.radians(0.5))
@@ -251,7 +251,7 @@ def accepted_or_refused(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     message = ""
     try:
-        cell = load_cell(path)
+        cell = load_cell(path, mechanics="none")
     except InputError as error:
         message = str(error)
     if message:
@@ -340,7 +340,7 @@ class TestPriors:
             .read_text()
             .replace("z_et = { nominal_um = 0.0, prior_sd_um = 20.0 }", f"z_et = {{ {table} }}")
         )
-        return load_cell(path)
+        return load_cell(path, mechanics="none")
 
     @pytest.mark.parametrize(
         ("table", "kind", "nominal", "sd"),
@@ -372,7 +372,7 @@ class TestPriors:
             )
         }
         assert len(hashes) == 3
-        assert load_cell().sha256 in hashes
+        assert load_cell(mechanics="none").sha256 in hashes
 
     @pytest.mark.parametrize(
         ("table", "message"),

@@ -10,7 +10,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 CASE_A = str(Path(__file__).parent / "data" / "case_a.csv")
 
 

@@ -20,7 +20,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.kernels.compile import needs_compilation
 from fpcal_bayes.model.kernels.lengths import batch_lengths
 before = needs_compilation(batch_lengths)
-model = CavityModel.of(load_cell())
+model = CavityModel.of(load_cell(mechanics="none"))
 rows = model.pose_rows(np.zeros((1, 6)))
 values = model.free.nominal
 lengths = model.predict(values, rows)

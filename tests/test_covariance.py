@@ -11,7 +11,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 def shaky(cell: Cell, revolute: float = 2e-6, prismatic: float = 0.004) -> Cell:

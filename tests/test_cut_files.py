@@ -19,7 +19,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 PATH = "x_um,y_um,z_um,rx_deg,ry_deg,rz_deg\n0,0,0,0,0,0\n20,0,10,0,0,12.5\n"
 SCAN = "wavelength_nm,irradiance_v\n1540,0.11\n1541,0.12\n1542,0.13\n1543,0.145\n"
 TRUTH = "[parameters]\nalpha_2 = -90.1\nz_et = 12.55\n"

@@ -15,7 +15,7 @@ from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 #: What is said of the paper's sweeps, good as they are.
 ALWAYS = {"rank", "gauges", "limits"}
 

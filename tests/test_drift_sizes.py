@@ -16,7 +16,7 @@ TEXT = "\n".join(line for line in WHOLE.splitlines() if not line.startswith("dri
 def cell_with(tmp_path, drift: str):
     path = tmp_path / "cell.toml"
     path.write_text(f"{TEXT}\n[extrinsic.drift]\n{drift}\n")
-    return load_cell(path)
+    return load_cell(path, mechanics="none")
 
 
 def test_every_part_is_read_in_its_units(tmp_path):
@@ -50,7 +50,7 @@ def test_what_is_refused(tmp_path, drift, message):
 
 def test_sizes_leave_the_hash_of_the_cell_alone(tmp_path):
     one, two = (cell_with(tmp_path, f"x_wf = {{ walk_um = {size} }}") for size in (0.5, 0.6))
-    assert one.sha256 == two.sha256 == load_cell().sha256
+    assert one.sha256 == two.sha256 == load_cell(mechanics="none").sha256
     assert one.drift[0].content() != two.drift[0].content()
 
 
@@ -58,8 +58,8 @@ def test_a_joint_names_its_own(tmp_path):
     line = "theta = { nominal_deg = 0.0, prior_sd_deg = 1.0 }"
     path = tmp_path / "cell.toml"
     path.write_text(TEXT.replace(line, f"{line}\ndrift = {{ theta = {{ walk_deg = 1.0 }} }}"))
-    sizes = load_cell(path).drift
+    sizes = load_cell(path, mechanics="none").drift
     assert [size.name for size in sizes] == ["theta_4", "theta_6"]
     path.write_text(TEXT.replace(line, f"{line}\ndrift = {{ r = {{ walk_um = 1.0 }} }}", 1))
     with pytest.raises(InputError, match=r"key joint 4\.drift\.r: unknown key"):
-        load_cell(path)
+        load_cell(path, mechanics="none")

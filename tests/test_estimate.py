@@ -18,7 +18,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.estimate import SCHEMA, Estimate
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 @pytest.fixture(scope="module")

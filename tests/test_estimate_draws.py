@@ -20,7 +20,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 FREE = CELL.free
 
 

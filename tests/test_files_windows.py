@@ -83,7 +83,7 @@ from toy_study import ToyStudy
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.study.store import StudyStore, packed
 
-study = ToyStudy(cell=load_cell("femto-st"), seed=0)
+study = ToyStudy(cell=load_cell("femto-st", mechanics="none"), seed=0)
 store = StudyStore(Path("study.h5"), study)
 for n in (2, 3):
     with store.appending(n) as appender:

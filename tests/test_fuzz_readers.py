@@ -18,7 +18,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 EXAMPLES = settings(max_examples=400, deadline=None)
 ESTIMATE = {"parameters": {"z_et": {"value": 1.0, "sd": 0.1, "unit": "um"}}, "covariance": {"names": [], "matrix": []}}
 

@@ -15,7 +15,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
-CELLS = {opd: load_cell(opd=opd) for opd in ("axis", "perpendicular")}
+CELLS = {opd: load_cell(opd=opd, mechanics="none") for opd in ("axis", "perpendicular")}
 XY_THETA = Path(__file__).parent / "data" / "xy-theta.toml"
 
 
@@ -130,7 +130,7 @@ def by_hand(cell: Cell, values: np.ndarray) -> tuple[list[dict[str, float]], dic
 
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])
 def test_another_chain_worked_out_by_hand(opd):
-    cell = load_cell(XY_THETA, opd=opd)
+    cell = load_cell(XY_THETA, opd=opd, mechanics="none")
     model, random = CavityModel.of(cell), np.random.default_rng(5)
     for _ in range(20):
         values = draw(cell, random)
@@ -167,7 +167,7 @@ def test_another_chain_worked_out_by_hand(opd):
 
 
 def test_the_other_chain_seen_with_an_absolute_length():
-    cell = load_cell(XY_THETA)
+    cell = load_cell(XY_THETA, mechanics="none")
     model, random = CavityModel.of(cell), np.random.default_rng(6)
     poses, values = random_poses(model, random, 120), draw(cell, random)
     sweeps = Sweeps.make(poses[:60], poses[60:], dl=0.0, sigma=0.005)

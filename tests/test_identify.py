@@ -23,7 +23,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 PERPENDICULAR = CELL.with_opd("perpendicular")
 FREE = CELL.free
 TRUTH = paper_truth(CELL)

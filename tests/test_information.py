@@ -11,7 +11,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 MODEL = CavityModel.of(CELL)
 VALUES = paper_truth(CELL).at(0.0)
 

@@ -78,7 +78,7 @@ def test_joints_against_complex_steps(random: RandomCell) -> None:
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])
 def test_paper_sweeps_with_every_parameter(case_a: ReferenceCase, opd: str) -> None:
     """The cell of the paper, with its optional gains and runouts away from zero."""
-    cell = load_cell(opd=opd)
+    cell = load_cell(opd=opd, mechanics="none")
     every = [p.name for p in cell.parameters if p.prior_sd > 0]
     assert len(every) == 26
     model = CavityModel.of(cell, cell.select(every))
@@ -95,7 +95,7 @@ def test_paper_sweeps_with_every_parameter(case_a: ReferenceCase, opd: str) -> N
 
 def test_known_zero_columns(case_a: ReferenceCase) -> None:
     """What no dL sees: y_wf at theta_wf = beta_wf = 0 on the axis path; the optical axis on the perpendicular one."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     model = CavityModel.of(cell)
     _, jacobian = model.predict_with_jacobian(cell.free.nominal, model.rows(case_a.q_start, case_a.q_end))
     assert np.abs(jacobian[:, cell.free.position("y_wf")]).max() < 1e-14
@@ -110,7 +110,7 @@ def test_known_zero_columns(case_a: ReferenceCase) -> None:
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])
 def test_reference_singular_values(case_a: ReferenceCase, opd: str) -> None:
     """Rank 16 of 21 on the axis path and 14 on the other, behind a gap of six decades."""
-    cell = load_cell(opd=opd)
+    cell = load_cell(opd=opd, mechanics="none")
     model = CavityModel.of(cell)
     _, jacobian = model.predict_with_jacobian(case_a.truth(cell), model.rows(case_a.q_start, case_a.q_end))
     values = np.linalg.svd(jacobian * cell.free.prior_sd, compute_uv=False)

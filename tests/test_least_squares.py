@@ -13,7 +13,7 @@ from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.model.cavity import CavityModel
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 
 

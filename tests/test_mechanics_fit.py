@@ -7,11 +7,11 @@ import pytest
 
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.mechanics import PATH_POINTS, fit_mechanics, mechanics_task_errors
-from fpcal_bayes.infer.mechanics.fit import _whitening
+from fpcal_bayes.infer.mechanics.fit import fit_mechanics
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.infer.mechanics.judge import term_tests
 from fpcal_bayes.infer.mechanics.posterior import ScaleCharts, weighted_draws
-from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
+from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps, scaled_whitening
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import paper_truth
@@ -30,7 +30,7 @@ SIGMA = 0.005
 
 @pytest.fixture(scope="module")
 def cell():
-    return load_cell()
+    return load_cell(mechanics="none")
 
 
 def _machine(cell, seed, sizes=SIZES):
@@ -63,7 +63,7 @@ def _dense(fit, log):
 def test_whitening_is_the_inverse_root_of_the_covariance(fitted):
     _, fit = fitted
     log = np.linspace(-0.5, 0.5, len(fit.terms.scales))
-    whitening, covariance = _whitening(fit.noise, fit.design, log), _dense(fit, log)
+    whitening, covariance = scaled_whitening(fit.noise, fit.design, log), _dense(fit, log)
     n = len(covariance)
     root = whitening.apply(np.eye(n))
     np.testing.assert_allclose(root @ covariance @ root.T, np.eye(n), atol=2e-6)

@@ -7,16 +7,15 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import (
     JointMechanics,
     Mechanics,
     Terms,
-    cell_mechanics,
     design,
     drive_of,
-    joint_mechanics,
     path_design,
 )
 from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
@@ -42,7 +41,7 @@ def _poses(rng, n=12):
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])
 def test_responses_are_exact_to_first_order(opd):
     # The machine moves the whole chain, in plain NumPy, by finite motions.
-    cell, rng = load_cell(opd=opd), np.random.default_rng(1)
+    cell, rng = load_cell(opd=opd, mechanics="none"), np.random.default_rng(1)
     levers = tuple((3.0 + i, -4.0, 5.0) for i in range(6))
     sizes = Mechanics(tuple(JointMechanics(lever_mm=lever) for lever in levers))
     vector, q = _vector(cell, rng), _poses(rng)
@@ -65,7 +64,7 @@ def test_responses_are_exact_to_first_order(opd):
 
 
 def test_a_lever_turns_a_tilt_into_a_displacement():
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     vector, q = cell.parameters.nominal, np.zeros((1, 6))
     levers = np.zeros((6, 3))
     near = responses(cell, vector, directions(cell, levers), q)
@@ -133,7 +132,7 @@ def _drive(cell, name="paper-mid"):
 
 
 def test_duplicates_stand_aside():
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     plain = Terms.of(cell, SIZES)
     freed = Terms.of(cell, SIZES, ("gain_4", "runout_cos_6"))
     assert len(freed.duplicates) == 2
@@ -148,7 +147,7 @@ def test_duplicates_stand_aside():
 def test_an_eccentricity_is_geometry():
     # The part of the fundamental radial motion that runs with the turn carries the mirror as an offset does, which a
     # plane mirror does not show; what is left is the change of the angle to the optical axis.
-    cell, rng = load_cell(), np.random.default_rng(3)
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(3)
     vector, q = _vector(cell, rng), np.zeros((9, 6))
     q[:, 5] = np.linspace(-1.5, 1.5, 9)
     at = responses(cell, vector, directions(cell, np.zeros((6, 3))), q)
@@ -178,7 +177,7 @@ def test_directions_of_approach_follow_the_rows():
 
 def test_the_design_is_what_a_machine_of_these_weights_shows():
     # Rows of a machine whose functions are the basis itself, moved through the whole chain.
-    cell, rng = load_cell(), np.random.default_rng(5)
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(5)
     vector = _vector(cell, rng)
     terms = Terms.of(cell, replace(SIZES, drift_nm_per_min=0.0))
     plan, drive = _drive(cell)
@@ -211,7 +210,7 @@ def test_the_design_is_what_a_machine_of_these_weights_shows():
 
 
 def test_path_and_rows_hold_the_same_weights():
-    cell, rng = load_cell(), np.random.default_rng(7)
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(7)
     terms, vector, q = Terms.of(cell, SIZES), _vector(cell, rng), _poses(rng, 6)
     path = path_design(terms, vector, q[0], q[1:])
     drive = drive_of(

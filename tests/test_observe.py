@@ -21,7 +21,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.observe import print_observability, write_observe_html
 
-CELLS = {opd: load_cell(opd=opd) for opd in ("axis", "perpendicular")}
+CELLS = {opd: load_cell(opd=opd, mechanics="none") for opd in ("axis", "perpendicular")}
 CELL = CELLS["axis"]
 
 
@@ -216,7 +216,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.io.cell import load_cell
 
-cell, points = load_cell(), 400
+cell, points = load_cell(mechanics="none"), 400
 plan = paper_protocol(cell)
 observe(cell, plan)
 share = np.arange(1, points + 1)[None, :, None] / points

@@ -19,7 +19,7 @@ from fpcal_bayes.report import observe_figures as figures
 from fpcal_bayes.report.observe import observe_html, write_observe_html
 from fpcal_bayes.report.pages import drawable
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 ODD = '<script>alert("&")</script> $x_{$ [red] --> \u4e2d'
 
 

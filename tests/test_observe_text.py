@@ -17,7 +17,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.report import observe as words
 from fpcal_bayes.report.observe import print_observability
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 @pytest.fixture(scope="module")

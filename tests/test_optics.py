@@ -17,7 +17,7 @@ TEXT = data_file("femto-st.toml").read_text(encoding="utf-8")
 def cell_of(text: str, tmp_path: Path) -> Cell:
     path = tmp_path / "cell.toml"
     path.write_text(text)
-    return load_cell(path)
+    return load_cell(path, mechanics="none")
 
 
 def test_built_in_cell_states_the_defaults(femto: Cell) -> None:

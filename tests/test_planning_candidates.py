@@ -14,7 +14,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 def tilts(cell: Cell, values: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ def test_same_seed_same_candidates() -> None:
 
 
 def test_other_chain_without_controllers() -> None:
-    cell = load_cell(DATA / "xy-theta.toml")
+    cell = load_cell(DATA / "xy-theta.toml", mechanics="none")
     sweeps = candidate_sweeps(cell, n=50, rng=np.random.default_rng(0))
     assert ((sweeps.q_start != sweeps.q_end).sum(axis=1) == 1).all()
 

@@ -19,7 +19,7 @@ from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 LIMITS = SweepLimits(tilt=np.radians(3.0))
 
 

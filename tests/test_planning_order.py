@@ -12,7 +12,7 @@ from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cavity import CavityModel
 
-CELL, LIMITS = load_cell(), SweepLimits()
+CELL, LIMITS = load_cell(mechanics="none"), SweepLimits()
 
 
 @settings(max_examples=25)

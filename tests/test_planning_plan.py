@@ -28,7 +28,7 @@ SMALL = PlanSettings(n_candidates=150, variations=8, iterations=5, share=4)
 
 @pytest.fixture(scope="module")
 def cell() -> Cell:
-    return load_cell()
+    return load_cell(mechanics="none")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 NAMES = ("beta_wf", "x_wf")
 OUTLIERS = {3: 4.0, 17: -2.5, 40: 9.0, 60: 30.0}
 

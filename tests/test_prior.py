@@ -36,12 +36,12 @@ MIXED = {
 
 @pytest.fixture(scope="module")
 def mixed() -> Cell:
-    return with_priors(load_cell(), MIXED)
+    return with_priors(load_cell(mechanics="none"), MIXED)
 
 
 @pytest.fixture(scope="module")
 def day_0() -> tuple:
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     sweeps = simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=3)
     return cell, sweeps, identify(cell, sweeps)
 

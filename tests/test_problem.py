@@ -15,7 +15,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 SHAKY = replace(
     CELL, joints=tuple(replace(j, repeatability=1e-6 if j.kind == "revolute" else 1e-3) for j in CELL.joints)
 )

@@ -16,7 +16,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 TRUTH = paper_truth(CELL).at(0.0)
 
 

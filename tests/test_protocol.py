@@ -12,7 +12,7 @@ from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import add_midpoints, mark_signs, paper_protocol, protocol_by_name, single_sweep
 from fpcal_bayes.model.parameters import Parameter, ParameterSet
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 
 

@@ -17,7 +17,7 @@ from fpcal_bayes.report.pages import ENVIRONMENT
 from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
 from fpcal_bayes.report.week import reflection_lines, truth_table
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import noise_free, simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 TRUTH = paper_truth(CELL)
 CASE_A = json.loads((Path(__file__).parent / "data" / "case_a.json").read_text())
 SIGMA = 0.005

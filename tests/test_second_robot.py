@@ -21,7 +21,7 @@ from fpcal_bayes.report.campaign.words import verdict
 
 DATA = Path(__file__).parent / "data"
 FILE = DATA / "xyz-theta-tilts.toml"
-CELL = load_cell(FILE)
+CELL = load_cell(FILE, mechanics="none")
 
 
 def fpcal(command: str, *arguments: object) -> None:

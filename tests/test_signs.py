@@ -14,7 +14,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import simulate
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 FREE = CELL.free
 PLAN = paper_protocol(CELL)
 MODEL = CavityModel.of(CELL)

@@ -158,7 +158,7 @@ def edit(path: Path, old: str, new: str) -> None:
         ("index_traces/1.csv", "C:\\\\traces\\\\1.csv", "expected a path inside"),
         ("index_traces/1.csv", "", "expected the file of a trace, found none"),
         (",trace", ",tracks", "unknown column 'tracks'"),
-        (",trace", ",shot,trace", "row 1: the column shot is reserved and not read by this version"),
+        (",trace", ",beam,trace", "row 1: the column beam is reserved and not read by this version"),
         ("trace,wavelength_nm", "trace,dl_um", "these are sweeps, not traces"),
         (",1550,", ",-1550,", "row 3, column wavelength_nm: expected a wavelength above zero"),
         (",1013,", ",lots,", "row 3, column pressure_hpa: expected a number, found 'lots'"),

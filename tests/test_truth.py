@@ -14,7 +14,7 @@ from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.truth import Truth, TruthRecord, paper_truth
 from fpcal_bayes.model.parameters import ParameterSet
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 CASE_A = json.loads((Path(__file__).parent / "data" / "case_a.json").read_text())
 
 

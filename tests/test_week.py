@@ -19,7 +19,7 @@ from fpcal_bayes.tracking.record import decisions_of
 
 pytestmark = pytest.mark.slow
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 NAMES = [session.name for session in SESSIONS]
 
 

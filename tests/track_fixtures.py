@@ -11,7 +11,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking.drift import DriftModel
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 DRIFT = DriftModel.of(CELL)
 PROTOCOL = paper_protocol(CELL)
 SIGMA = 0.005

@@ -19,7 +19,7 @@ from fpcal_bayes.model.trust import Trust
 
 def cell_of(options: argparse.Namespace) -> Cell:
     """The cell that the options name."""
-    return load_cell(options.cell, opd=options.opd)
+    return load_cell(options.cell, opd=options.opd, mechanics=options.mechanics)
 
 
 def check_output(output: Path | None, *inputs: str | Path | None) -> None:

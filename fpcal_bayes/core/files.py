@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -28,6 +29,8 @@ _TRIES, _BETWEEN_TRIES = 20, 0.05
 
 #: Key of a JSON file under which the hash of all the rest stands.
 CONTENT_HASH = "content_sha256"
+#: Lists of numbers stand on one line.
+_NUMBERS = re.compile(r"\[[-+0-9.eE,\s]+\]")
 
 
 def require_readable(path: Path) -> None:
@@ -162,7 +165,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` and its hash as JSON; NaN and infinity are refused, since JSON has neither."""
-    write_text(path, json.dumps(content | {CONTENT_HASH: content_sha256(content)}, indent=1, allow_nan=False) + "\n")
+    text = json.dumps(content | {CONTENT_HASH: content_sha256(content)}, indent=1, allow_nan=False)
+    write_text(path, _NUMBERS.sub(lambda found: " ".join(found[0].split()), text) + "\n")
 
 
 def read_text(path: Path) -> str:

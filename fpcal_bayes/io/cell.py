@@ -3,14 +3,16 @@
 import math
 import tomllib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
+from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
+from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
 from fpcal_bayes.model.cell.optics import Beams, Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
@@ -52,7 +54,9 @@ _OPTICS_KEYS = {
 }
 
 
-def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cell:
+def load_cell(
+    source: str | Path = "femto-st", *, opd: Opd | None = None, mechanics: Literal["stated", "none"] = "stated"
+) -> Cell:
     """Read a cell by the name of a built-in one or from a TOML file.
 
     Parameters
@@ -61,6 +65,8 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cel
         ``femto-st`` or the path of a TOML file.
     opd
         Overrides the path model of the file.
+    mechanics
+        ``stated``: with the sizes of error motions that the file states; ``none``: the mechanism is taken as perfect.
 
     Raises
     ------
@@ -82,6 +88,8 @@ def load_cell(source: str | Path = "femto-st", *, opd: Opd | None = None) -> Cel
     cell = _Reader(source).cell(table)
     if text[-1:].isdigit():
         require_line_end(path, text)
+    if mechanics == "none":
+        cell = cell.ideal
     return cell if opd is None else cell.with_opd(opd)
 
 
@@ -89,7 +97,7 @@ class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "mechanics"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -130,6 +138,7 @@ class _Reader(Tables):
             optical_axis=optical_axis,
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
+            mechanics=self.mechanics(table, joint_tables, joints),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
@@ -150,7 +159,7 @@ class _Reader(Tables):
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
         own = {f"{key}_{unit}" for key in ("limits", "repeatability", "resolution")}
-        self.keys(table, place, {"kind", "controller", "drift", *own, *LINK_SLOTS})
+        self.keys(table, place, {"kind", "controller", "drift", "mechanics", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
             limits = table[f"limits_{unit}"]
@@ -165,6 +174,22 @@ class _Reader(Tables):
         )
         controller = self.controller(table, place, kind) if "controller" in table else None
         return Joint(kind, low, high, repeatability, controller, resolution)
+
+    def mechanics(
+        self, table: dict[str, Any], joint_tables: list[dict[str, Any]], joints: list[Joint]
+    ) -> Mechanics | None:
+        """Sizes of the error motions; None where the file states none, not even a repeatability."""
+        stated = any("mechanics" in part for part in (table, *joint_tables))
+        if not stated and not any(joint.repeatability for joint in joints):
+            return None
+        made: list[JointMechanics] = []
+        for number, (part, joint) in enumerate(zip(joint_tables, joints, strict=True), 1):
+            own = self.table(part, f"joint {number}", "mechanics") if "mechanics" in part else {}
+            place = f"{self.file}: key joint {number}.mechanics"
+            made.append(joint_mechanics(own, prismatic=joint.kind == "prismatic", place=place))
+        whole = self.table(table, "", "mechanics") if "mechanics" in table else {}
+        found = cell_mechanics(whole, tuple(made), place=f"{self.file}: key mechanics")
+        return found if found.any or any(joint.repeatability for joint in joints) else None
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")

@@ -13,8 +13,9 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.validate import Tables, shown
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA, STATUSES, Estimate
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge, knowledge_of
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import Trust, trust_of
+from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, Trust, trust_of
 
 #: Numbers of this size are no lengths or angles, and their squares still fit a double.
 _LARGEST = 1e100
@@ -81,6 +82,7 @@ class _Reader(Tables):
                 raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
             values.append(self.number(entry, f"parameters.{p.name}", "value", largest=_LARGEST) * p.scale)
             status.append(entry["status"])
+        known = self.mechanics(content.get("mechanics"), parameters)
         time_h = self.number(content, "", "time_h", largest=_LARGEST, default=0.0)
         until = content.get("valid_until_h")
         return Estimate(
@@ -92,14 +94,30 @@ class _Reader(Tables):
             time_h=time_h,
             valid_until_h=None if until is None else self.number(content, "", "valid_until_h", largest=_LARGEST),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
-            trust=self.trust(content.get("trust")),
+            trust=self.trust(content.get("trust"), known is not None),
+            mechanics=known,
         )
 
-    def trust(self, stated: Any) -> Trust:
+    def mechanics(self, stated: Any, parameters: ParameterSet) -> MechanicsKnowledge | None:
+        """What is known of the error motions; nothing is asked of it where the mechanism is taken as perfect."""
+        sizes = self.cell.mechanics
+        if sizes is None or not isinstance(stated, dict) or not stated.get("names"):
+            return None
+        if stated.get("sizes_sha256") != sizes.sha256:
+            raise self.error(
+                "mechanics.sizes_sha256", "the cell states other sizes of error motions now: identify it anew"
+            )
         try:
-            return trust_of(stated)
+            return knowledge_of(stated, sizes, parameters)
+        except (KeyError, TypeError, ValueError) as error:
+            raise self.error("mechanics", f"expected what fpcal writes there ({error})") from error
+
+    def trust(self, stated: Any, knows: bool) -> Trust:
+        try:
+            found = trust_of(stated)
         except ValueError as error:
             raise self.error("trust", str(error)) from error
+        return found if knows or self.cell.mechanics is None else found.because(MECHANICS_LEFT_OUT)
 
     def covariance(self, stated: Any, parameters: ParameterSet, status: Sequence[str]) -> Floats:
         if not isinstance(stated, dict) or not isinstance(stated.get("names"), list):

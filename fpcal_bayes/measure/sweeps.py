@@ -45,6 +45,12 @@ class Sweeps:
         Clock time as ISO 8601, or empty, shape (n,).
     temperature_c
         Or NaN, shape (n,).
+    t_start_h, t_end_h
+        When start and end were read, hours since the campaign began, or NaN, shape (n,).
+    approach
+        Direction in which each joint reached the end, one of ``+-0`` per joint, or empty, shape (n,).
+    shot
+        Rows of one session with the same non-empty shot were read at one moment, shape (n,).
     file, rows
         Where the sweeps were read: file name and line of each, shape (n,); used in messages.
     """
@@ -62,6 +68,10 @@ class Sweeps:
     trace: Texts
     utc: Texts
     temperature_c: Floats
+    t_start_h: Floats
+    t_end_h: Floats
+    approach: Texts
+    shot: Texts
     file: str
     rows: NDArray[np.int64]
 
@@ -82,6 +92,10 @@ class Sweeps:
         trace: str | Sequence[str] = "",
         utc: str | Sequence[str] = "",
         temperature_c: float | Floats = np.nan,
+        t_start_h: float | Floats = np.nan,
+        t_end_h: float | Floats = np.nan,
+        approach: str | Sequence[str] = "",
+        shot: str | Sequence[str] = "",
         file: str = "sweeps",
         rows: NDArray[np.int64] | None = None,
     ) -> "Sweeps":
@@ -109,6 +123,10 @@ class Sweeps:
             trace=texts(trace),
             utc=texts(utc),
             temperature_c=numbers(temperature_c),
+            t_start_h=numbers(t_start_h),
+            t_end_h=numbers(t_end_h),
+            approach=texts(approach),
+            shot=texts(shot),
             file=file,
             rows=np.arange(2, n + 2) if rows is None else rows,
         )
@@ -136,6 +154,12 @@ class Sweeps:
     def absolute(self) -> NDArray[np.bool_]:
         """Rows whose `dl` is the cavity length at `q_end`, shape (n,)."""
         return np.asarray(self.kind == "absolute")
+
+    def approach_signs(self) -> Floats:
+        """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
+        known = {text: [float("-0+".index(sign) - 1) for sign in text] for text in set(self.approach.tolist()) if text}
+        nothing = [0.0] * self.q_end.shape[1]
+        return np.array([known.get(text, nothing) for text in self.approach.tolist()])
 
     @cached_property
     def sessions(self) -> tuple[str, ...]:
@@ -195,6 +219,13 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     refuse(
         (sweeps.group != "") & sweeps.absolute, "group", "an absolute length has no start to share, expected no group"
     )
+
+    unpaired = np.isnan(sweeps.t_start_h) != np.isnan(sweeps.t_end_h)
+    refuse(unpaired, "t_end_h", "expected t_start_h and t_end_h together")
+    refuse(sweeps.t_end_h < sweeps.t_start_h, "t_end_h", "expected a time at or after t_start_h")
+    signs = {text: len(text) == len(cell.joints) and set(text) <= set("+-0") for text in set(sweeps.approach.tolist())}
+    bad = np.array([bool(text) and not signs[text] for text in sweeps.approach.tolist()])
+    refuse(bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}")
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str], int] = {}

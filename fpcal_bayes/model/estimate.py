@@ -9,10 +9,13 @@ import numpy as np
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell, describe
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Trust
 
 SCHEMA = "fpcal/1"
+#: What a file says of mechanics where none were taken into account.
+PERFECT: dict[str, Any] = {"names": [], "assumed": "a perfect mechanism: no error motion, reversal or return error"}
 STATUSES = ("identified", "weak", "gauge", "fixed")
 
 
@@ -40,6 +43,8 @@ class Estimate:
         Name and hash of the file it was made from.
     trust
         Whether it may be used, and what is held against it.
+    mechanics
+        What is known of the error motions with these parameters; None: the mechanism is taken as perfect.
     """
 
     cell: Cell
@@ -51,6 +56,7 @@ class Estimate:
     valid_until_h: float | None = None
     data: dict[str, str] = field(default_factory=dict)
     trust: Trust = field(default_factory=Trust)
+    mechanics: MechanicsKnowledge | None = None
 
     @property
     def sd(self) -> Floats:
@@ -111,4 +117,5 @@ class Estimate:
             "time_h": self.time_h,
             "valid_until_h": self.valid_until_h if self.trust.usable else None,
             "trust": self.trust.content(),
+            "mechanics": PERFECT if self.mechanics is None else self.mechanics.content(self.parameters),
         }

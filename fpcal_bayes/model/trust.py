@@ -19,6 +19,9 @@ KINDS: dict[str, bool] = {
     "second-solution": False,
     "signs": False,
     "nothing-determined": False,
+    "mechanics": False,
+    "residuals": False,
+    "mechanics-left-out": False,
     "unrecorded": False,
 }
 
@@ -68,6 +71,13 @@ class Trust:
 
 #: What is held against a result of a program that kept no verdict.
 UNRECORDED = Reason("unrecorded", "the file is of an older program and holds no verdict on the fit")
+
+
+#: What is held against a result that leaves out mechanics which the cell states.
+MECHANICS_LEFT_OUT = Reason(
+    "mechanics-left-out",
+    "the error motions that the cell states are left out: bands assume a perfect mechanism and are too narrow",
+)
 
 
 def trust_of(content: Any) -> Trust:

@@ -133,7 +133,7 @@ def make_matlab_index(index: Path, output: Path) -> None:
 
 def make_store(path: Path, replicates: int) -> None:
     """The first replicates of the study of coverage."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     plan = read_sweeps("sweeps.csv", cell, plan=True)
     study = Coverage(cell=cell, plan=plan)
     run_alone(study, StudyStore(path, study), replicates)

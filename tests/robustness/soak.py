@@ -24,7 +24,7 @@ from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 DAYS = 7
 #: Sweeps of a daily session.
 DAILY = 6

@@ -10,7 +10,7 @@ from fpcal_bayes.study.store import StudyStore, packed
 
 
 def test_a_store_that_was_cut_short_is_part_of_the_whole_one(tmp_path):
-    study = ToyStudy(cell=load_cell())
+    study = ToyStudy(cell=load_cell(mechanics="none"))
     whole, begun = tmp_path / "whole.h5", tmp_path / "begun.h5"
     run_alone(study, StudyStore(whole, study), 3)
     store = StudyStore(begun, study)

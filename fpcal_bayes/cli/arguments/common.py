@@ -8,6 +8,10 @@ from typing import Any
 Commands = Any  # argparse names the type of its subparsers only privately
 
 
+#: Error motions of the mechanism where the option is not given.
+MECHANICS = "stated"
+
+
 def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(
@@ -22,6 +26,10 @@ def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -
         "--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)"
     )
     parser.add_argument("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
+    parser.add_argument(
+        "--mechanics", choices=("stated", "none"), default=MECHANICS,
+        help="error motions as the cell states them (default), or a mechanism that is perfect"
+    )  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     return parser
 
@@ -57,7 +65,9 @@ def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None
         "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
     )
     parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
-    parser.add_argument("--points", type=count, default=61, metavar="N", help="points of the path (default: 61)")
+    parser.add_argument(
+        "--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)"
+    )
 
 
 def positive(text: str) -> float:

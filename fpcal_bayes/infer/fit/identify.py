@@ -24,12 +24,15 @@ from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.problem import Considered, Problem
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
+from fpcal_bayes.infer.mechanics.judge import doubts_of
+from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import FitEvidence, Reason, judge_fit
+from fpcal_bayes.model.trust import FitEvidence, Reason, Trust, judge_fit
 
 Hold = Literal["consider", "exact"]
 
@@ -57,6 +60,7 @@ class Identification:
     starts: int  # number of starting points that were tried
     seconds: float  # time of the identification itself
     warnings: tuple[str, ...]  # sentences about what is not to be trusted
+    machine: MechanicsFit | None = None  # the fit with the cell's mechanics marginalised, or None: a perfect mechanism
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"
@@ -164,9 +168,16 @@ def identify(
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
+    others = distinct_minima(problem, solution, found)
+    rival = _rival(chosen, solution, others)
+    machine, doubts = None, []
+    if cell.mechanics is not None:
+        machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
+        problem, solution = machine.problem, machine.solution
+        doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
     unknowns = solution.unknowns
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
-    covariance = problem.covariance(unknowns)
+    covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
     status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
     fit = goodness_of_fit(problem, unknowns)
 
@@ -181,10 +192,12 @@ def identify(
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
     )
-    others = distinct_minima(problem, solution, found)
-    doubtful = _doubtful(used, signs)
-    trust = judge_fit(evidence, *_rival(chosen, solution, others), *_doubt(doubtful))
+    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)))
+    if machine is not None:
+        # A machine that is better than its sheet says leaves the rows closer to the fit than they are expected.
+        trust = Trust(tuple(reason for reason in trust.reasons if reason.kind != "too-good-fit"))
     said = {reason.kind: reason.text for reason in trust.reasons}
+    trust = trust.because(*doubts)
     warnings += [said.pop("not-converged")] if "not-converged" in said else []
     if 0 < spectrum.rank < len(chosen):
         gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
@@ -192,11 +205,13 @@ def identify(
             f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
             f"prior: {gauges or 'no single parameter stands out'}"
         )
-    warnings += said.values()
+    warnings += [*said.values(), *(doubt.text for doubt in doubts)]
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
     estimate = replace(_estimate(cell, used, problem, covariance, status, unknowns), trust=trust)
+    if machine is not None:
+        estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters))
     return Identification(
         estimate=estimate,
         problem=problem,
@@ -209,6 +224,7 @@ def identify(
         starts=starts,
         seconds=time.perf_counter() - began,
         warnings=tuple(warnings),
+        machine=machine,
     )
 
 
@@ -249,6 +265,10 @@ def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
     solution = minimise(problem, start)
     if not problem.depends_on_point:
         return problem, solution
+    if problem.model.cell.mechanics is not None:
+        # The scales are still to be found: once is enough here.
+        problem = problem.relinearised(solution.unknowns)
+        return problem, minimise(problem, solution.unknowns)
     for _ in range(_RELINEARISATIONS):
         problem = problem.relinearised(solution.unknowns)
         before = problem.residuals(solution.unknowns)

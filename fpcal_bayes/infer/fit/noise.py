@@ -74,6 +74,16 @@ class Whitening:
     scale: Floats  # one over the standard deviation of each row, shape (n_rows,)
     batches: tuple[Batch, ...] = ()  # what replaces `scale` where rows share a reading
 
+    @property
+    def only_scales(self) -> bool:
+        """Whether every row is whitened by itself."""
+        return not self.batches
+
+    @property
+    def variance(self) -> Floats:
+        """Variance of each row in um^2, shape (n_rows,)."""
+        return self.scale**-2
+
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
         if not self.batches:

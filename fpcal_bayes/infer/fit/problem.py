@@ -14,8 +14,9 @@ from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root, posterior_triangle, symmetric
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
+from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.prior import Prior
+from fpcal_bayes.infer.mechanics.rows import row_whitening
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.model.parameters import ParameterSet
@@ -52,6 +53,8 @@ class Problem:
     considered: Considered | None = None  # held but uncertain parameters, or None
     # derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um
     sensitivity: Floats | None = None
+    # logarithms of the factors on the stated sizes of the mechanics, shape (n_scales,), or None: as stated
+    log_scales: Floats | None = None
 
     @classmethod
     def of(
@@ -87,7 +90,8 @@ class Problem:
     @property
     def depends_on_point(self) -> bool:
         """Whether the whitening or the considered rows change with the point of linearisation."""
-        return self.considered is not None or bool(self.model.cell.repeatability.any())
+        cell = self.model.cell
+        return self.considered is not None or cell.mechanics is not None or bool(cell.repeatability.any())
 
     def values(self, unknowns: Floats) -> Floats:
         """Free parameters in um and rad of scaled unknowns (..., n_unknowns)."""
@@ -102,7 +106,7 @@ class Problem:
     def relinearised(self, unknowns: Floats) -> "Problem":
         """The same problem with the measurement covariance and the considered rows taken at `unknowns`."""
         values = self.values(unknowns)
-        whitening = whitening_of(self.model, self.sweeps, values)
+        whitening = row_whitening(self.model, self.sweeps, values, self.log_scales)
         sensitivity = None
         if self.considered is not None:
             vector = self.model.vector(values)
@@ -118,7 +122,8 @@ class Problem:
 
     def take(self, chosen: NDArray[np.bool_]) -> "Problem":
         """The problem of some of the rows, under the same prior."""
-        return Problem.of(self.model, self.sweeps.take(chosen), self.considered, self.target[chosen], self.prior)
+        part = Problem.of(self.model, self.sweeps.take(chosen), self.considered, self.target[chosen], self.prior)
+        return replace(part, log_scales=self.log_scales)
 
     def data_residuals(self, unknowns: Floats) -> Floats:
         """Whitened prediction minus measurement, shape (n_rows,)."""
@@ -148,7 +153,7 @@ class Problem:
         The `points` are scaled unknowns, shape (n_points, n_unknowns).
         """
         change, scaled = self._unwhitened_batch(points)
-        if not self.whitening.batches:
+        if self.whitening.only_scales:
             return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
         return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 

@@ -99,7 +99,7 @@ class _Branch:
         if self.taken.any():
             seen = problem.take(self.taken).relinearised(unknowns).data_jacobian(unknowns)
         spread = linalg.solve_triangular(posterior_triangle(seen), scaled.T, trans="T")
-        return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.scale**-2)
+        return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.variance)
 
     def grow(self, problem: Problem) -> list["_Branch"]:
         """Take up every row whose sign is clear; where none is, follow both signs of the row that tells most."""

@@ -10,15 +10,13 @@ from scipy import linalg
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
 from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.mechanics.judge import Doubt, doubts_of
-from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
-from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps
+from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps, scaled_whitening
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
 
 #: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
 DENSE_ROWS = 320
-_DRAWS_PER_SCALE = 20
+_DRAWS_PER_SCALE, _FEW_PER_SCALE = 20, 4
 
 
 @dataclass(frozen=True)
@@ -82,19 +80,23 @@ class MechanicsFit:
     @cached_property
     def draws(self) -> MechanicsDraws:
         """Draws of geometry and weights, the same for the same seed."""
-        return _draw(self)
+        return _draw(self, _DRAWS_PER_SCALE)
 
     @cached_property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """Reasons not to trust the fit, by the name of the term."""
-        return doubts_of(self)
+    def few_draws(self) -> MechanicsDraws:
+        """As many as travel with an estimate."""
+        return _draw(self, _FEW_PER_SCALE)
+
+    @cached_property
+    def factors(self) -> list[Floats]:
+        """Lower Cholesky factor of the rows' covariance at each draw of the scales, geometry and weights included."""
+        return [self.density.factor(log) for log in self.scales.log]
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""
         means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
         geometry = self.rows.geometry
-        for log in self.scales.log:
-            lower = self.density.factor(log)
+        for lower in self.factors:
             white = linalg.solve_triangular(lower, geometry, lower=True, check_finite=False)
             target = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
             means.append(white.T @ target)
@@ -112,6 +114,8 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     ----------
     problem
         Of one session's rows; its whitening is replaced.
+    sizes
+        By default those of the problem's cell.
     start
         Scaled unknowns to start from, shape (n_unknowns,); by default the middle of the prior.
     seed
@@ -125,7 +129,7 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     log = np.zeros(len(terms.scales))
     made, noise = _designed(problem, terms, drive, unknowns)
     for _ in range(2):
-        problem = replace(problem, whitening=_whitening(noise, made, log))
+        problem = replace(problem, whitening=scaled_whitening(noise, made, log), log_scales=log)
         unknowns = minimise(problem, unknowns).unknowns
         made, noise = _designed(problem, terms, drive, unknowns)
         rows = _linear_rows(problem, made, noise, unknowns, log)
@@ -133,7 +137,7 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
         log = density.mode(log)
     scales = sample_scales(density, log, rng)
     typical = scales.log.mean(axis=0)
-    problem = replace(problem, whitening=_whitening(noise, made, typical))
+    problem = replace(problem, whitening=scaled_whitening(noise, made, typical), log_scales=typical)
     solution = minimise(problem, unknowns)
     return MechanicsFit(
         problem=problem,
@@ -154,13 +158,6 @@ def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) ->
     vector = problem.model.vector(problem.values(unknowns))
     made = design(terms, vector, drive, problem.sweeps.sigma)
     return made, RowNoise.of(problem.sweeps, made)
-
-
-def _whitening(noise: RowNoise, made: Design, log: Floats) -> MarginalWhitening:
-    """The whitening of the rows with the mechanics marginalised at scales exp(log)."""
-    factors = np.exp(log)
-    base = noise.whitening(float(factors[-1]), float(factors[-2]))
-    return MarginalWhitening.around(base, made.matrix * factors[made.scale])
 
 
 def _linear_rows(problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats) -> LinearRows:
@@ -201,13 +198,13 @@ def _compressed(
     )
 
 
-def _draw(fit: MechanicsFit) -> MechanicsDraws:
-    """Draw from the mixture over scales: a prior draw is corrected by what the rows say (Matheron's rule)."""
+def _draw(fit: MechanicsFit, count: int) -> MechanicsDraws:
+    """Draw so many per set of scales from the mixture over scales: a prior draw is corrected by what the rows say (Matheron's rule)."""
     rng = np.random.default_rng([fit.seed, 1])
     rows, n_free = fit.rows, fit.rows.geometry.shape[1]
-    n_weights, count = rows.weights.shape[1], _DRAWS_PER_SCALE
+    n_weights = rows.weights.shape[1]
     scores, weights = [], []
-    for log in fit.scales.log:
+    for log, lower in zip(fit.scales.log, fit.factors, strict=True):
         sd = np.exp(log)[rows.scale]
         v, w = rng.standard_normal((count, n_free)), sd * rng.standard_normal((count, n_weights))
         factors = np.exp(np.repeat(log[None, -2:], count, axis=0))
@@ -216,7 +213,7 @@ def _draw(fit: MechanicsFit) -> MechanicsDraws:
         else:
             error = factors[:, 1:] * rng.standard_normal((count, len(rows.target)))
         miss = rows.target - v @ rows.geometry.T - w @ rows.weights.T - error
-        pull = linalg.cho_solve((fit.density.factor(log), True), miss.T, check_finite=False)
+        pull = linalg.cho_solve((lower, True), miss.T, check_finite=False)
         scores.append(v + pull.T @ rows.geometry)
         weights.append(w + sd**2 * (pull.T @ rows.weights))
     return MechanicsDraws(np.concatenate(scores), np.concatenate(weights), np.repeat(fit.scales.log, count, axis=0))

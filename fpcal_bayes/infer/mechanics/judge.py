@@ -7,20 +7,16 @@ same two stands for its distribution (Satterthwaite 1946).
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
 from scipy import special
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
-
-if TYPE_CHECKING:
-    from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-
 
 #: Family-wise probability of naming a term that is not there.
 _LEVEL = 0.01
@@ -46,7 +42,7 @@ class TermTest:
     p_value: float
 
 
-def whitened_residuals(fit: "MechanicsFit") -> tuple[Floats, MarginalWhitening]:
+def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:
     """Rows whitened under geometry, mechanics and noise together, shape (n_rows,), and the map that did it."""
     problem, unknowns = fit.problem, fit.solution.unknowns
     predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
@@ -59,7 +55,7 @@ def whitened_residuals(fit: "MechanicsFit") -> tuple[Floats, MarginalWhitening]:
     return whitening.apply(target), whitening
 
 
-def term_tests(fit: "MechanicsFit") -> list[TermTest]:
+def term_tests(fit: MechanicsFit) -> list[TermTest]:
     """Every test of the residuals, likeliest terms first."""
     white, whitening = whitened_residuals(fit)
     tests = [TermTest(name, _p_value(white, whitening.apply(columns))) for name, columns in _alternatives(fit)]
@@ -72,7 +68,7 @@ def term_tests(fit: "MechanicsFit") -> list[TermTest]:
     return sorted(tests, key=lambda test: test.p_value)
 
 
-def doubts_of(fit: "MechanicsFit") -> tuple[Doubt, ...]:
+def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
     """Reasons not to trust the fit, none where it explains the rows within its sheet."""
     found = []
     low, middle, high = fit.scales.quantiles()
@@ -103,7 +99,7 @@ def _p_value(white: Floats, columns: Floats) -> float:
     return float(special.gammaincc(dof / 2.0, statistic * dof / mean / 2.0))
 
 
-def _alternatives(fit: "MechanicsFit") -> list[tuple[str, Floats]]:
+def _alternatives(fit: MechanicsFit) -> list[tuple[str, Floats]]:
     """Columns of terms that the fit does not hold, by name."""
     cell, drive = fit.terms.cell, fit.drive
     vector = fit.problem.model.vector(fit.values)
@@ -126,7 +122,7 @@ def _alternatives(fit: "MechanicsFit") -> list[tuple[str, Floats]]:
     return found
 
 
-def _beyond(fit: "MechanicsFit", q: Floats, joint: int) -> Floats:
+def _beyond(fit: MechanicsFit, q: Floats, joint: int) -> Floats:
     """Basis functions of the next higher orders."""
     cell = fit.terms.cell
     if group_of(cell, joint) == "rotary":

@@ -1,6 +1,7 @@
 """Whitening of rows whose mechanics are marginalised: covariance Sigma + B S B', of low rank beside Sigma."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
@@ -8,6 +9,8 @@ from scipy import linalg, sparse
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening
 
+#: With more rows than this no matrix of rows by rows is made.
+_MOST_DENSE = 1000
 #: Directions whose variance is below this share of the noise's change nothing.
 _NEGLIGIBLE = 1e-6
 
@@ -25,10 +28,13 @@ class MarginalWhitening(Whitening):
         U, shape (n_rows, rank).
     shrink
         1 - 1 / sqrt(1 + s^2), shape (rank,).
+    added
+        Variance of each row by the weights, in um^2, shape (n_rows,).
     """
 
     directions: Floats = None  # type: ignore[assignment]
     shrink: Floats = None  # type: ignore[assignment]
+    added: Floats = None  # type: ignore[assignment]
 
     @classmethod
     def around(cls, base: Whitening, weights: Floats) -> "MarginalWhitening":
@@ -36,7 +42,7 @@ class MarginalWhitening(Whitening):
         columns = base.apply(weights)
         n, m = columns.shape
         if m == 0:
-            return cls(base.scale, base.batches, np.zeros((n, 0)), np.zeros(0))
+            return cls(base.scale, base.batches, np.zeros((n, 0)), np.zeros(0), np.zeros(n))
         if m < n:
             variance, vectors = linalg.eigh(columns.T @ columns)
             kept = variance > max(_NEGLIGIBLE, 1e-14 * variance[-1])
@@ -45,9 +51,9 @@ class MarginalWhitening(Whitening):
             variance, directions = linalg.eigh(columns @ columns.T)
             kept = variance > _NEGLIGIBLE
             directions = directions[:, kept]
-        return cls(
-            base.scale, base.batches, np.ascontiguousarray(directions), 1.0 - 1.0 / np.sqrt(1.0 + variance[kept])
-        )
+        shrink = 1.0 - 1.0 / np.sqrt(1.0 + variance[kept])
+        added = (weights**2).sum(axis=1)
+        return cls(base.scale, base.batches, np.ascontiguousarray(directions), shrink, added)
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
@@ -68,6 +74,27 @@ class MarginalWhitening(Whitening):
         return result
 
     @property
+    def only_scales(self) -> bool:
+        """Never: the weights mix the rows."""
+        return False
+
+    @property
+    def variance(self) -> Floats:
+        """Variance of each row in um^2, shape (n_rows,)."""
+        return super().variance + self.added
+
+    def scaled(self, factor: float) -> "MarginalWhitening":
+        """The whitening of rows whose errors are `factor` times as large."""
+        wider = super().scaled(factor)
+        return replace(self, scale=wider.scale, batches=wider.batches, added=self.added * factor**2)
+
+    @cached_property
+    def mix(self) -> sparse.csr_array | None:
+        """The map as a matrix (n_rows, n_rows); of many rows that of Sigma alone, or None if it only scales."""
+        n = len(self.scale)
+        return self.base_mix if n > _MOST_DENSE else sparse.csr_array(self.apply(np.eye(n)))
+
+    @cached_property
     def base_mix(self) -> sparse.csr_array | None:
         """The map that whitens Sigma, as a sparse matrix, or None if it only scales."""
         return Whitening(self.scale, self.batches).mix

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.fit.noise import Batch, Whitening, group_blocks
+from fpcal_bayes.infer.fit.noise import Batch, Whitening, group_blocks, whitening_of
+from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.mechanics import Design, Drive, drive_of
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.mechanics import Design, Drive, Terms, design, drive_of
 
 
 def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
@@ -19,9 +21,9 @@ def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
         sweep=sweep_numbers(sweeps),
         time_h=sweeps.time_h,
         minutes_per_sweep=minutes_per_sweep,
-        t_start_h=getattr(sweeps, "t_start_h", None),
-        t_end_h=getattr(sweeps, "t_end_h", None),
-        approach=getattr(sweeps, "approach", None),
+        t_start_h=sweeps.t_start_h,
+        t_end_h=sweeps.t_end_h,
+        approach=sweeps.approach_signs(),
     )
 
 
@@ -31,6 +33,28 @@ def sweep_numbers(sweeps: Sweeps) -> Ints:
     new[1:] = (sweeps.group[1:] != sweeps.group[:-1]) | (sweeps.group[1:] == "")
     numbers: Ints = np.cumsum(new).astype(np.int64) - 1
     return numbers
+
+
+def row_whitening(model: CavityModel, sweeps: Sweeps, values: Floats, log_scales: Floats | None = None) -> Whitening:
+    """Whitening of the rows of one session at free parameters `values` (n,), with the cell's mechanics marginalised.
+
+    `log_scales` (n_scales,) are logarithms of factors on the stated sizes, by default zero. A cell without mechanics
+    has the noise of its readings and the repeatability of its joints.
+    """
+    sizes = model.cell.mechanics
+    if sizes is None:
+        return whitening_of(model, sweeps, values)
+    terms = Terms.of(model.cell, sizes, model.free.names)
+    made = design(terms, model.vector(values), drive_of_sweeps(sweeps, sizes.minutes_per_sweep), sweeps.sigma)
+    log = np.zeros(len(terms.scales)) if log_scales is None else log_scales
+    return scaled_whitening(RowNoise.of(sweeps, made), made, log)
+
+
+def scaled_whitening(noise: "RowNoise", made: Design, log: Floats) -> MarginalWhitening:
+    """The whitening of rows with the mechanics marginalised at scales exp(log)."""
+    factors = np.exp(log)
+    base = noise.whitening(float(factors[-1]), float(factors[-2]))
+    return MarginalWhitening.around(base, made.matrix * factors[made.scale])
 
 
 @dataclass(frozen=True)

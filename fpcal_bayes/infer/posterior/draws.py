@@ -135,10 +135,10 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
     """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
 
     That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
-    the data speak about these.
+    the data speak about these; or if the draws stand with those of the mechanics.
     """
     free = found.problem.model.free
-    if not found.converged or free.names != found.estimate.parameters.names:
+    if not found.converged or found.machine is not None or free.names != found.estimate.parameters.names:
         return {}
     values = independent_draws(found, draws)
     if not len(values):

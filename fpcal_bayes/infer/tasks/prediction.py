@@ -20,7 +20,9 @@ from fpcal_bayes.infer.tasks.error import (
     peak_to_peak,
     task_errors,
     task_jacobian,
+    task_rows,
 )
+from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -43,6 +45,10 @@ class TaskPrediction:
     angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
     linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
     trust: Trust = field(default_factory=Trust)  # of what the prediction is made from
+    # of a machine with error motions: what is the same each time the task is driven, and what return errors add, each
+    # (n_draws, n_points) in um; None where the mechanism is taken as perfect
+    repeatable: Floats | None = None
+    returned: Floats | None = None
 
     def require_usable(self) -> None:
         """Raise `InputError` with the reason if what the prediction is made from is not to be used."""
@@ -80,6 +86,8 @@ class TaskPrediction:
 def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
     """Predict the error of a task from values and covariance, to first order.
 
+    An estimate that knows the cell's error motions predicts them too, with what the joints miss on return.
+
     Parameters
     ----------
     estimate
@@ -95,6 +103,8 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
         If the task belongs to another cell or a point of it is out of reach.
     """
     _require_cell(estimate, task)
+    if estimate.mechanics is not None:
+        return _on_machine(estimate, task, draws, seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     jacobian = task_jacobian(model, estimate.values, task)
     factor = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
@@ -102,6 +112,17 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
     return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=estimate.trust)
+
+
+def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
+    task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
+    made, change, _ = known_task_errors(estimate, task.start, task.q, draws=draws, seed=seed)
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
+    sd = np.sqrt((made.total**2).mean(axis=0))
+    return TaskPrediction(
+        task, made.total, sd, angles, True, estimate.trust, repeatable=made.repeatable, returned=made.returned
+    )
 
 
 def predict_from_draws(

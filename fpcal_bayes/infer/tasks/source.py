@@ -16,6 +16,7 @@ from fpcal_bayes.infer.tasks.prediction import (
     predict_from_covariance,
     predict_from_draws,
 )
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -42,8 +43,15 @@ def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:
     return PosteriorDraws(cell, parameters, parameters.to_internal(rows))
 
 
+#: Points of a path on a perfect mechanism, where their number changes nothing.
+IDEAL_POINTS = 61
 #: Draws of a posterior that are propagated at most.
 _MOST_DRAWS = 20_000
+
+
+def path_points(estimate: Estimate) -> int:
+    """Points of a path where nobody asks for another number."""
+    return IDEAL_POINTS if estimate.mechanics is None else PATH_POINTS
 
 
 @dataclass(frozen=True)
@@ -74,9 +82,13 @@ class Knowledge:
         trust = self.draws.trust.because(*estimate.trust.reasons)
         return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
-    def plan(self, task: str, *, radius: float = 100.0, n_points: int = 61) -> tuple[Estimate, Task]:
-        """The estimate that the controller holds for a task, and the joint path it makes with it."""
+    def plan(self, task: str, *, radius: float = 100.0, n_points: int | None = None) -> tuple[Estimate, Task]:
+        """The estimate that the controller holds for a task, and the joint path it makes with it.
+
+        With mechanics a path has 31 points by default, since return errors make a peak to peak grow with their number.
+        """
         estimate = self.held(task, radius=radius)
+        n_points = n_points or path_points(estimate)
         return estimate, find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
 
 

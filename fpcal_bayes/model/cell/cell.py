@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
@@ -42,6 +43,8 @@ class Cell:
         How the parameters drift; those not named stay.
     optics
         Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
+    mechanics
+        Sizes of the error motions, or None: the mechanism is taken as perfect. They stand outside `sha256`.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Cell:
     optical_axis: OpticalAxis
     drift: tuple[DriftSize, ...] = ()
     optics: Interferometer | None = None
+    mechanics: Mechanics | None = None
 
     @cached_property
     def interferometer(self) -> Interferometer:
@@ -114,6 +118,11 @@ class Cell:
                 ],
             }
         )
+
+    @property
+    def ideal(self) -> "Cell":
+        """The same cell with a mechanism that is taken as perfect."""
+        return self if self.mechanics is None else replace(self, mechanics=None)
 
     def with_opd(self, opd: Opd) -> "Cell":
         """The same cell with the other path model."""

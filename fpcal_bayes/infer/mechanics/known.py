@@ -1,0 +1,108 @@
+"""What a fit with mechanics knows, small enough to travel with an estimate."""
+
+from collections import Counter
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.linalg import symmetric
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.mechanics.design import path_design
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
+from fpcal_bayes.model.parameters import ParameterSet
+
+#: Poses anywhere in the joints' limits at which the directions are judged.
+_POSES = 240
+#: Directions whose effect on the cavity length is below this, in um, root mean square over poses, are cut.
+_NEGLIGIBLE = 1e-4
+_MOST_DIRECTIONS = 60
+
+
+def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKnowledge:
+    """Draws of geometry and weights, turned to the directions that a cavity length feels.
+
+    Parameters
+    ----------
+    parameters
+        Of the estimate; those that are neither free nor considered are exact.
+    """
+    problem, terms = fit.problem, fit.terms
+    draws = fit.few_draws
+    kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
+    names = _numbered([fit.design.names[i] for i in kept])
+    geometry, known = _deviations(fit, draws.scores)
+    changes = np.hstack([geometry, draws.weights[:, kept]])
+    mean = changes.mean(axis=0)
+    changes = changes - mean
+
+    vector = problem.model.vector(fit.values)
+    rng = np.random.default_rng([fit.seed, 4])
+    cell = terms.cell
+    endless = ~np.isfinite(cell.high - cell.low)
+    low, high = np.where(endless, -np.pi, cell.low), np.where(endless, np.pi, cell.high)
+    poses, middle = rng.uniform(low, high, (_POSES, len(low))), np.where(endless, 0.0, 0.5 * (low + high))
+    model = CavityModel.of(cell, ParameterSet(parameters[name] for name in known), vector)
+    rows = model.rows(np.repeat(middle[None], _POSES, axis=0), poses)
+    _, jacobian = model.predict_with_jacobian(vector[model.free.slots], rows)
+    path = path_design(terms, vector, middle, poses)
+    drift = np.zeros((_POSES, len(kept) - fit.design.motion_count))
+    for k in range(drift.shape[1]):
+        drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * float(fit.drive.end_min.max())
+    effects = changes @ np.hstack([jacobian, path.motions, drift]).T
+    left, sizes, _ = linalg.svd(effects, full_matrices=False)
+    count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
+    z = left[:, : min(count, _MOST_DIRECTIONS)] * np.sqrt(len(changes))
+    return MechanicsKnowledge(
+        sizes=terms.sizes,
+        free=problem.model.free.names,
+        names=(*known, *names),
+        mean=mean,
+        factor=changes.T @ z / len(changes),
+        draws=z,
+        scales=terms.scales,
+        log_scales=draws.log_scales,
+        session_min=float(fit.drive.end_min.max()),
+    )
+
+
+def covariance_of(fit: MechanicsFit) -> Floats:
+    """Covariance of free and considered parameters over the mixture of scales in um and rad, shape (n, n)."""
+    problem, unknowns = fit.problem, fit.solution.unknowns
+    n = problem.n_free
+    slopes = problem.prior.slopes(unknowns[:n])
+    mixed = symmetric(slopes @ fit.moments()[1][:n, :n] @ slopes.T)
+    if problem.considered is None:
+        return mixed
+    # What is held keeps its covariance; the scales widen what is free.
+    full = problem.covariance(unknowns)
+    eigenvalues, vectors = linalg.eigh((mixed - full[:n, :n]) / np.outer(problem.prior.sd, problem.prior.sd))
+    wider = (vectors * np.clip(eigenvalues, 0.0, None)) @ vectors.T
+    full[:n, :n] += symmetric(wider * np.outer(problem.prior.sd, problem.prior.sd))
+    return full
+
+
+def _deviations(fit: MechanicsFit, scores: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """Deviations (n_draws, n) of free and considered parameters from the fit to first order, and their names."""
+    problem, at = fit.problem, fit.solution.unknowns
+    n = problem.n_free
+    free = (scores[:, :n] - at[:n]) @ problem.prior.slopes(at[:n]).T
+    if problem.considered is None:
+        return free, problem.model.free.names
+    held = scores[:, n:] @ problem.considered.factor.T
+    return np.hstack([free, held]), (*problem.model.free.names, *problem.considered.parameters.names)
+
+
+def _drifts(name: str) -> bool:
+    return name.startswith("drift along")
+
+
+def _numbered(names: list[str]) -> list[str]:
+    """Names with the number of the weight within its term, in brackets."""
+    met: Counter[str] = Counter()
+    numbered = []
+    for name in names:
+        met[name] += 1
+        numbered.append(f"{name} [{met[name]}]")
+    return numbered

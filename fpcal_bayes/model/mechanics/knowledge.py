@@ -1,0 +1,126 @@
+"""What is known of a machine: its geometry and its error motions together, as draws in the directions that count."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.error_motions import Mechanics
+from fpcal_bayes.model.mechanics.terms import Terms
+from fpcal_bayes.model.parameters import ParameterSet
+
+#: Decimals of the draws, of unit variance, and digits of all else in a file.
+_DECIMALS, _DIGITS = 3, 6
+
+
+@dataclass(frozen=True)
+class MechanicsKnowledge:
+    """Geometry and weights of the error motions, x = mean + factor z; z is drawn, and has unit variance.
+
+    Attributes
+    ----------
+    sizes
+        What the cell states.
+    free
+        Geometric parameters that were identified; weights that say the same stand aside for them.
+    names
+        Of the parameters, then of the weights, n of them.
+    mean
+        Of the parameters' deviations from the estimate in um and rad, and of the weights in units of their stated
+        sizes, shape (n,).
+    factor
+        Shape (n, n_directions).
+    draws
+        Equally likely values of z, shape (n_draws, n_directions).
+    scales
+        Names of the factors on the stated sizes.
+    log_scales
+        Their logarithms in the same draws, shape (n_draws, n_scales).
+    session_min
+        How long the session took, in minutes.
+    """
+
+    sizes: Mechanics
+    free: tuple[str, ...]
+    names: tuple[str, ...]
+    mean: Floats
+    factor: Floats
+    draws: Floats
+    scales: tuple[str, ...]
+    log_scales: Floats
+    session_min: float
+
+    def terms(self, cell: Cell) -> Terms:
+        """The weights of the cell."""
+        return Terms.of(cell, self.sizes, self.free)
+
+    def geometry(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Mean (n_names,) and factor (n_names, n_directions) of some parameters; zero of those held as exact."""
+        known = {name: i for i, name in enumerate(self.names)}
+        mean, factor = np.zeros(len(names)), np.zeros((len(names), self.factor.shape[1]))
+        for k, name in enumerate(names):
+            if name in known:
+                mean[k], factor[k] = self.mean[known[name]], self.factor[known[name]]
+        return mean, factor
+
+    def weights(self, n_parameters: int) -> tuple[tuple[str, ...], Floats, Floats]:
+        """Names, mean and factor of the weights, behind `n_parameters` parameters."""
+        return self.names[n_parameters:], self.mean[n_parameters:], self.factor[n_parameters:]
+
+    @property
+    def n_parameters(self) -> int:
+        """How many of the names are parameters: those without a number in brackets."""
+        return sum(not name.endswith("]") for name in self.names)
+
+    def content(self, parameters: ParameterSet) -> dict[str, Any]:
+        """The JSON content; parameters in um and deg."""
+        scale = np.ones(len(self.names))
+        scale[: self.n_parameters] = parameters.scales[parameters.positions(self.names[: self.n_parameters])]
+        low, middle, high = np.exp(np.quantile(self.log_scales, [0.025, 0.5, 0.975], axis=0))
+        return {
+            "names": list(self.names),
+            "mean": _short(self.mean / scale),
+            "factor": [_short(row) for row in self.factor / scale[:, None]],
+            "draws": np.round(self.draws, _DECIMALS).tolist(),
+            "free": list(self.free),
+            "session_min": self.session_min,
+            "sizes_sha256": self.sizes.sha256,
+            "scales": {
+                name: {"median": float(middle[i]), "low": float(low[i]), "high": float(high[i]), "share": 0.95}
+                for i, name in enumerate(self.scales)
+            },
+            "log_scales": np.round(self.log_scales, _DECIMALS).tolist(),
+        }
+
+
+def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: ParameterSet) -> MechanicsKnowledge:
+    """What `MechanicsKnowledge.content` wrote; `ValueError` if it does not hold together."""
+    names = tuple(map(str, content["names"]))
+    free = tuple(map(str, content["free"]))
+    scales = tuple(content["scales"])
+    mean, factor, draws, log_scales = (
+        np.array(content[key], dtype=float) for key in ("mean", "factor", "draws", "log_scales")
+    )
+    session_min = float(content["session_min"])
+    directions = factor.shape[1] if factor.ndim == 2 else -1
+    shapes = (mean.shape, factor.shape, draws.shape[1:], log_scales.shape)
+    if shapes != ((len(names),), (len(names), directions), (directions,), (len(draws), len(scales))) or not len(draws):
+        raise ValueError("names, mean, factor, draws and log_scales do not fit each other")
+    if not all(np.isfinite(part).all() for part in (mean, factor, draws, log_scales, session_min)):
+        raise ValueError("expected finite numbers")
+    made = MechanicsKnowledge(sizes, free, names, mean, factor, draws, scales, log_scales, session_min)
+    first = names[: made.n_parameters]
+    if not all(name in parameters for name in (*first, *free)):
+        raise ValueError("expected names of the parameters, then those of weights")
+    scale = np.ones(len(names))
+    scale[: len(first)] = parameters.scales[parameters.positions(first)]
+    return MechanicsKnowledge(
+        sizes, free, names, mean * scale, factor * scale[:, None], draws, scales, log_scales, session_min
+    )
+
+
+def _short(values: Floats) -> list[float]:
+    return [float(f"{value:.{_DIGITS}g}") for value in values]

@@ -4,6 +4,7 @@ Every rival computes the mirror poses of the same joint vectors; each is held to
 """
 
 import csv
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,10 @@ import pytest
 from conftest import Timer
 from numpy.testing import assert_allclose
 from pinocchio_cell import PinocchioCell
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from path_length import path_length
 
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model import chain
@@ -54,7 +59,7 @@ def case() -> Case:
 def products(case: Case, values: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Cavity lengths by the readable 4x4 products, shape (n_vectors, n_poses)."""
     vectors = [case.model.vector(v) for v in values]
-    return np.array([[chain.path_length(case.cell, vector, pose) for pose in q] for vector in vectors])
+    return np.array([[path_length(case.cell, vector, pose) for pose in q] for vector in vectors])
 
 
 def test_paper_sweeps(case: Case, timed: Timer) -> None:

@@ -20,6 +20,7 @@ GROUPS = {
     "bench_control": "Inverse model, beside Pinocchio with a damped Newton",
     "bench_plan": "Planning",
     "bench_track": "Tracking",
+    "bench_start": "Whole programs",
 }
 #: What we and another program do with the same input, by name of the measurements, and what is to be known about it.
 PAIRS = (

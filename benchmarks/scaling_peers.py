@@ -15,8 +15,8 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, predict, update
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import predict, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement
 
 #: Rows that one step of the linear filter takes in.

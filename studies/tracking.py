@@ -25,8 +25,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, predict
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.smoother import smooth
 from fpcal_bayes.tracking.tracker import Track, calibrate, track
 

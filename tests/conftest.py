@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
+from path_length import path_length
 
 from fpcal_bayes.cli.arguments import common as arguments
 from fpcal_bayes.io.cell import load_cell
@@ -125,7 +126,7 @@ class RandomCell:
     @cached_property
     def lengths(self) -> np.ndarray:
         """Cavity lengths by 4x4 products."""
-        return np.array([chain.path_length(self.cell, self.vector, q) for q in self.poses])
+        return np.array([path_length(self.cell, self.vector, q) for q in self.poses])
 
     @cached_property
     def tolerance(self) -> float:

@@ -42,15 +42,15 @@ def test_relative_moves_in_the_fibre_frame(estimate: Estimate) -> None:
     controller = Controller(estimate)
     controller.move_to(controller.aligned)
     before = controller.pose
-    controller.move(translation=(12.0, 0.0, -7.0))
+    controller.move(translation_um=(12.0, 0.0, -7.0))
     assert_allclose(controller.pose[:3, 3] - before[:3, 3], [12.0, 0.0, -7.0], rtol=0, atol=1e-7)
     assert_allclose(controller.pose[:3, :3], before[:3, :3], rtol=0, atol=1e-10)
     before = controller.pose
-    controller.move(rotation=(0.0, np.radians(10.0), 0.0))
+    controller.move(rotation_deg=(0.0, 10.0, 0.0))
     assert_allclose(controller.pose[:3, 3], before[:3, 3], rtol=0, atol=1e-7)
     assert_allclose(controller.pose[:3, :3], chain.rot_y(np.radians(10.0))[:3, :3] @ before[:3, :3], atol=1e-10)
-    controller.move(rotation=(0.0, np.radians(-10.0), 0.0))
-    controller.move(translation=(-12.0, 0.0, 7.0))
+    controller.move(rotation_deg=(0.0, -10.0, 0.0))
+    controller.move(translation_um=(-12.0, 0.0, 7.0))
     assert_allclose(controller.pose, controller.aligned, rtol=0, atol=1e-7)
 
 
@@ -58,7 +58,7 @@ def test_moves_that_cannot_be_made_leave_the_joints_alone(estimate: Estimate) ->
     controller = Controller(estimate)
     before = controller.q
     with pytest.raises(InputError, match="the pose cannot be taken: saturated: q2 at its upper limit 150 um"):
-        controller.move(translation=(0.0, 400.0, 0.0))
+        controller.move(translation_um=(0.0, 400.0, 0.0))
     with pytest.raises(InputError, match="orthonormal"):
         controller.move_to(1.1 * np.eye(4))
     assert_allclose(controller.q, before, rtol=0, atol=0)
@@ -70,7 +70,7 @@ def test_paths_keep_to_the_steps(estimate: Estimate) -> None:
     target = controller.aligned
     target[:3, 3] += [40.0, 2.0, 30.0]
     target[:3, :3] = chain.rot_x(np.radians(1.0))[:3, :3] @ target[:3, :3]
-    path = controller.path(target, step_um=2.0, step_rad=np.radians(0.05))
+    path = controller.path(target, step_um=2.0, step_deg=0.05)
     steps = np.abs(np.diff(path.q, axis=0))
     assert path.ok.all()
     assert steps[:, :3].max() <= 2.0

@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from path_length import path_length
 
 from fpcal_bayes.infer.fit.noise import group_blocks, whitening_of
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 
@@ -50,8 +50,8 @@ def dense_covariance(cell: Cell, sweeps: Sweeps, values: np.ndarray) -> np.ndarr
 
     def slopes(q: np.ndarray) -> np.ndarray:
         widths = np.where(cell.revolute, 1e-4, 0.1)
-        ahead = [chain.path_length(cell, vector, q + w * unit) for w, unit in zip(widths, np.eye(joints), strict=True)]
-        behind = [chain.path_length(cell, vector, q - w * unit) for w, unit in zip(widths, np.eye(joints), strict=True)]
+        ahead = [path_length(cell, vector, q + w * unit) for w, unit in zip(widths, np.eye(joints), strict=True)]
+        behind = [path_length(cell, vector, q - w * unit) for w, unit in zip(widths, np.eye(joints), strict=True)]
         return (np.array(ahead) - np.array(behind)) / (2 * widths)
 
     columns: dict[object, np.ndarray] = {}

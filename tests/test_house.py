@@ -23,6 +23,7 @@ FLOORS = (
     "fringes",
     "simulator",
     "motion",
+    "rig",
     "infer",
     "tracking",
     "decision",

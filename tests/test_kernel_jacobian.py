@@ -7,9 +7,9 @@ import pytest
 from conftest import RandomCell, ReferenceCase, random_cells
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
+from path_length import path_length
 
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.jacobian import derivative_columns
@@ -42,7 +42,7 @@ def stepped_by_parameters(cell: Cell, vector: np.ndarray, slots: np.ndarray, pos
     def lengths(values: np.ndarray) -> np.ndarray:
         moved = vector.astype(complex)
         moved[slots] = values
-        return np.array([chain.path_length(cell, moved, q) for q in poses])
+        return np.array([path_length(cell, moved, q) for q in poses])
 
     return complex_step(lengths, vector[slots])
 
@@ -68,7 +68,7 @@ def test_joints_against_complex_steps(random: RandomCell) -> None:
     derivative = random.model.joint_jacobian(random.values, random.poses)
     stepped = np.array(
         [
-            complex_step(lambda joints: np.array([chain.path_length(random.cell, random.vector, joints)]), q)[0]
+            complex_step(lambda joints: np.array([path_length(random.cell, random.vector, joints)]), q)[0]
             for q in random.poses
         ]
     )

@@ -21,8 +21,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import Innovation, update
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.tracker import calibrate, track
 

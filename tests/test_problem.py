@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from path_length import path_length
 
 from fpcal_bayes.infer.fit.minimise import gauss_newton
 from fpcal_bayes.infer.fit.noise import whitening_of
@@ -56,7 +57,7 @@ def test_residuals_are_whitened_prediction_minus_measurement_then_the_prior(cell
     vector = CavityModel.of(cell).vector(values)
 
     def length(q: np.ndarray) -> float:
-        return float(chain.path_length(cell, vector, q))
+        return float(path_length(cell, vector, q))
 
     predicted = np.array([length(end) - length(start) for start, end in zip(sweeps.q_start, sweeps.q_end, strict=True)])
     predicted[-1] = length(sweeps.q_end[-1])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from path_length import path_length
 
 from fpcal_bayes.analysis.campaign import gather
 from fpcal_bayes.cli.main import main
@@ -15,7 +16,6 @@ from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.sweeps import join
-from fpcal_bayes.model import chain
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.report.campaign.words import verdict
 
@@ -69,8 +69,8 @@ def test_the_true_error_of_a_task_is_as_predicted(folder, task):
     vector[truth.parameters.slots] = truth.at(0.0)
     path = find_task(CELL, estimate.vector(), task, n_points=25).driven()
     # By plain 4x4 products, which share no code with the kernels.
-    lengths = np.array([chain.path_length(CELL, vector, q) for q in path.q])
-    expected = np.array([chain.path_length(CELL, estimate.vector(), q) for q in path.q])
+    lengths = np.array([path_length(CELL, vector, q) for q in path.q])
+    expected = np.array([path_length(CELL, estimate.vector(), q) for q in path.q])
     peak_to_peak = 1e3 * np.ptp(lengths - expected)
     assert peak_to_peak < 2 * predicted["peak_to_peak_nm"]["high"]
 

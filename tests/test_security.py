@@ -69,6 +69,12 @@ def _call_offences(node: ast.Call) -> list[str]:
 ALLOWED: dict[str, tuple[str, ...]] = {
     # The name of a shell, for which a script of completions is printed; and a command that the parser knows.
     "cli/main.py": ("shell=", "import importlib.import_module"),
+    # The live cell talks to devices whose addresses RIG.toml names, emulates them on loopback, and starts the one
+    # program that RIG.toml names, without a shell; the clock's pair of sockets wakes a wait.
+    "rig/clock.py": ("import socket",),
+    "rig/drivers/link.py": ("import socket",),
+    "rig/drivers/photodiode.py": ("import subprocess",),
+    "rig/emulate/server.py": ("import socket",),
     # Names of the package, from a table of constants.
     "__init__.py": ("import importlib.import_module",),
     # Figures that the program drew, whose texts the SVG writer escapes, and files that come with it; the pages' own

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from path_length import path_length
 from task_fixtures import paper_estimate, paper_values
 
 from fpcal_bayes.core.errors import InputError
@@ -25,7 +26,7 @@ def test_definition(femto: Cell, opd: str) -> None:
     found = task_errors(model, truths, values, task)
 
     def change(vector: np.ndarray, q: np.ndarray) -> float:
-        return float(chain.path_length(cell, vector, q) - chain.path_length(cell, vector, task.start))
+        return float(path_length(cell, vector, q) - path_length(cell, vector, task.start))
 
     expected = [[change(model.vector(truth), q) - change(model.vector(values), q) for q in task.q] for truth in truths]
     assert_allclose(found, expected, rtol=0, atol=1e-9)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from path_length import path_length
 from task_fixtures import paper_values
 
 from fpcal_bayes.core.errors import InputError
@@ -72,7 +73,7 @@ def test_perfect_parameters_leave_no_error(femto: Cell, opd: str, name: str) -> 
     cell = femto.with_opd(opd)
     vector = vector_of(cell)
     task = task_path(cell, vector, name)
-    lengths = np.array([chain.path_length(cell, vector, q) for q in task.q])
+    lengths = np.array([path_length(cell, vector, q) for q in task.q])
     rows = CavityModel.of(cell).pose_rows(task.q)
     assert_allclose(CavityModel.of(cell).predict(paper_values(cell), rows), lengths, rtol=0, atol=1e-9)
     if opd == "axis" or not name.startswith("tilt"):

@@ -9,7 +9,8 @@ from track_fixtures import CELL, DRIFT, campaign, knock, step_of_beta_4
 
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
-from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.drift import State
+from fpcal_bayes.tracking.filter import Innovation, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement
 from fpcal_bayes.tracking.tracker import innovation_bounds, track
 

@@ -15,8 +15,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.alarms import Monitor
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, inflate, predict, update
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import inflate, predict, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.smoother import smooth

@@ -8,7 +8,7 @@ from track_fixtures import CELL, DRIFT, campaign, plan
 
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import State
 from fpcal_bayes.tracking.start import with_hidden_noise
 
 MODEL = CavityModel.of(CELL)

@@ -12,7 +12,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.simulator.sweeps import simulate
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.corrections import FewRows, ManyRows, correct_slips, row_changes
-from fpcal_bayes.tracking.filter import Innovation, State, predict
+from fpcal_bayes.tracking.drift import State
+from fpcal_bayes.tracking.filter import Innovation, predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 HALF_WAVE = CELL.wavelength / 2.0

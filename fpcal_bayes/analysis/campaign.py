@@ -8,7 +8,6 @@ import numpy as np
 from fpcal_bayes.analysis.tasks import TaskNumbers
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
-from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecast, Goal
@@ -26,7 +25,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.trust import POOR_FIT_BELOW
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import TASKS, Task, find_task
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
@@ -165,22 +164,15 @@ class CampaignFacts:
         return found
 
     @property
-    def unusable(self) -> str:
-        """Why nothing on the page is to be used: a fit that failed or that the noise does not explain; else empty."""
-        found = self.calibration
-        if not found.converged or (self.track is not None and not self.track.converged):
-            return "the fit did not converge"
-        fit = found.fit
-        # Slipped counts that the track has corrected spoil nothing.
-        mended = (
-            self.track is not None
-            and chi2_tail(self.track.outcomes[0].nis, self.track.outcomes[0].dof) > POOR_FIT_BELOW
-        )
-        if fit.p_value < POOR_FIT_BELOW and not mended:
-            return (
-                f"the calibration does not fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f}"
-            )
-        return ""
+    def trust(self) -> Trust:
+        """What is held against the numbers of the page."""
+        return self.calibration.estimate.trust if self.track is None else self.track.trust
+
+    @property
+    def fit_is_wrong(self) -> bool:
+        """Whether nothing on the page is to be used, of any time, since it rests on a fit that is wrong."""
+        first = self.calibration.estimate.trust if self.track is None else self.track.outcomes[0].trust
+        return not first.usable
 
 
 def gather(
@@ -261,7 +253,8 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
     state, drift = followed.last.state, followed.drift
     _, covariance = drift.propagate(state.mean, state.covariance, now_h - state.time_h)
     grown = replace(state, time_h=now_h, covariance=covariance)
-    return estimate_of(followed.cell, drift, grown, followed.status, followed.data)
+    now = estimate_of(followed.cell, drift, grown, followed.status, followed.data)
+    return replace(now, trust=followed.trust)
 
 
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskOutlook:
@@ -276,6 +269,8 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskOutl
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
     """The budget of the first task after the calibration, from the sweeps that it was made from where that can be."""
     estimate = found.estimate
+    if not estimate.trust.usable:
+        return None, estimate.trust.against
     try:
         driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius).driven()
         try:

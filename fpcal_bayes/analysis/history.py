@@ -122,7 +122,7 @@ def parameter_band(
 def outlooks(facts: CampaignFacts) -> Outlooks | None:
     """Error of the tasks through time, or None where there is no forecast."""
     followed, forecast = facts.track, facts.forecast
-    if followed is None or forecast is None:
+    if followed is None or forecast is None or facts.fit_is_wrong:
         return None
     hours, after = _grid(followed, facts.now_h + facts.costs.horizon_h, _MOST_OUTLOOKS)
     rows = []
@@ -220,7 +220,7 @@ def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
 
 def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
     """How long the estimate of each session held; None where that cannot be said."""
-    if facts.track is None or facts.forecast is None:
+    if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
         return None
     entries, outcomes = [], facts.track.outcomes
     for i, outcome in enumerate(outcomes):

@@ -32,14 +32,9 @@ class DrawnParameter:
 def sampled_parameters(posterior: Posterior) -> list[DrawnParameter]:
     """Of a posterior in memory, with 90 % intervals."""
     free = posterior.identification.free
-    return [
-        DrawnParameter(
-            name,
-            free[name].unit,
-            *(entry[key] for key in ("mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")),
-        )
-        for name, entry in summarise(posterior).items()
-    ]
+    keys = ("mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
+    found = summarise(posterior).items()
+    return [DrawnParameter(name, free[name].unit, *(entry[key] for key in keys)) for name, entry in found]
 
 
 def saved_parameters(posterior: PosteriorSummary) -> list[DrawnParameter]:

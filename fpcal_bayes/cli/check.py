@@ -1,6 +1,7 @@
 """``fpcal check``: is the calibration still right, by a path recorded on the cell itself."""
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,10 +50,13 @@ def run(options: argparse.Namespace) -> int:
         level=options.level,
         seed=options.seed,
     )
+    check = replace(check, trust=estimate.trust)
+    if not estimate.trust.usable:
+        check = replace(check, verdict="not evaluated")
     tolerance = None if options.tolerance_nm is None else 1e-3 * options.tolerance_nm
     for line in check_sentences(check, tolerance):
         console(options).say(line)
-    warnings = check_warnings(check)
+    warnings = check_warnings(check) + [reason.text for reason in estimate.trust.reasons]
     if options.output is not None and check.verdict != "not evaluated":
         _write_rows(options, cell, estimate, trace, measured)
     elif options.output is not None:

@@ -26,5 +26,5 @@ def run(options: argparse.Namespace) -> int:
     out.print(compare_table(comparison, f"{options.file}, session {sweeps.sessions[0]}: {len(sweeps)} rows"))
     out.say(f"verdict: {comparison.verdict}")
     warn(comparison.warnings)
-    write_result(options.json, "compare", comparison.content())
+    write_result(options.json, "compare", comparison.content(), comparison.trust)
     return 0 if comparison.sound else 1

@@ -8,6 +8,7 @@ from fpcal_bayes.analysis.doctor import examine
 from fpcal_bayes.cli.common import cell_of, check_output, console, write_result
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.trust import Reason, Trust
 
 
 def run(options: argparse.Namespace) -> int:
@@ -27,5 +28,6 @@ def run(options: argparse.Namespace) -> int:
     counts = [f"{sum(f.severity == severity for f in findings)} {severity}s" for severity in styles]
     rows = f"{len(sweeps)} rows, {len(sweeps.sessions)} sessions"
     out.say(f"{options.file}: {rows}: {', '.join(counts)}")
-    write_result(options.json, "doctor", {"findings": [finding.content() for finding in findings]})
+    trust = Trust(tuple(Reason("problem", found.what) for found in findings if found.severity == "problem"))
+    write_result(options.json, "doctor", {"findings": [finding.content() for finding in findings]}, trust)
     return 0

@@ -27,6 +27,7 @@ from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.kernels.compile import needs_compilation
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.fringes import draw_sweep
 
 
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
-    write_result(options.json, "ingest", _content(found, index, cell))
+    write_result(options.json, "ingest", _content(found, index, cell), Trust())
     _report(options, found, folder if drawn else None)
     if alignment is not None:
         _write_alignment(options, alignment, index)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli.arguments import identify, keep, measure
+from fpcal_bayes.cli.arguments import identify, keep, live, measure
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.version import __version__
 
@@ -27,6 +27,8 @@ _COMMANDS = (
     keep.plan,
     keep.track,
     keep.decide,
+    live.measure,
+    live.rig,
     keep.report,
     keep.week,
     keep.study,

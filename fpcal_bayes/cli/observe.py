@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     title = f"{options.file}, session {sweeps.sessions[0]}"
     print_observability(result, title, console(options))
     warn(result.warnings)
-    write_result(options.json, "observe", result.content())
+    write_result(options.json, "observe", result.content(), result.trust)
     if options.html is not None:
         write_observe_html(result, title, options.html)
     return 0 if result.identification is None or result.identification.converged else 1

@@ -20,6 +20,7 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
 from fpcal_bayes.tracking.drift import aged
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     settings = _settings(options)
     tasks = _tasks(options, targets)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
-    ground, check = _grounds(options, cell, tasks)
+    ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
     papers = _paper(cell)
     warnings = []
@@ -69,17 +70,21 @@ def run(options: argparse.Namespace) -> int:
         save_figure(draw_plan(cell, ordered), options.figure)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
-    out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
+    if trust.usable:
+        out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
+    warnings += [reason.text for reason in trust.reasons]
     warn(warnings)
-    content = plan_content(chosen, ordered, expected, seconds, _record(options, settings), warnings)
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content})
+    content = plan_content(
+        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
+    )
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     return 0
 
 
-def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple[Ground, Ground]:
-    """What the plan is made on, and what it is judged on."""
+def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple[Ground, Ground, Trust]:
+    """What the plan is made on, what it is judged on, and what is held against what is known."""
     sigma, common = options.sigma_nm * 1e-3, {"tasks": tasks, "radius": options.radius_um}
     first: Sweeps | None = None
     if options.after is not None:
@@ -106,7 +111,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         extra.append(_absolute(cell))
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
-    return grounds[0], grounds[1]
+    return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
 
 
 def _absolute(cell: Cell) -> Sweeps:

@@ -4,7 +4,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, write_result
+from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -38,8 +38,10 @@ def run(options: argparse.Namespace) -> int:
         out.say(sentence)
     tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
+    warn([reason.text for reason in facts.trust.reasons])
     write_result(options.json, "report", facts.estimate.content() | {"report": content})
-    return 1 if facts.unusable else 0
+    # The reason why numbers are not to be used stands in the page; a fit that failed is an exit status too.
+    return 1 if any(reason.kind == "not-converged" for reason in facts.trust.reasons) else 0
 
 
 def _warm_up(cell: Cell) -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -14,7 +13,6 @@ from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
-from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
@@ -90,17 +88,15 @@ def run(options: argparse.Namespace) -> int:
     if slips is not None:
         likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]
         out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
-    if not posterior.converged:
-        warn(
-            f"not converged: {failure}; try fewer --draws or more informative sweeps" for failure in posterior.failures
-        )
-    tree = data_tree(
-        posterior, seed=options.seed, command=f"fpcal sample --draws {options.draws} --seed {options.seed}"
-    )
+    warn(f"not converged: {text}; try fewer --draws or more informative sweeps" for text in posterior.failures)
+    command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
+    tree = data_tree(posterior, seed=options.seed, command=command)
     write_netcdf(tree, options.output)
     write_result(options.json, "sample", content(posterior))
     if options.plots is not None:
-        _write_plots(posterior, tree, options, pairs)
+        loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
+        for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):
+            out.say(f"figure: {path}")
     store.clear()
     return 0 if posterior.converged else 1
 
@@ -119,9 +115,3 @@ def _pairs(options: argparse.Namespace, cell: Cell) -> list[str] | None:
             raise InputError(f"--pairs: {name!r:.60} is not a free parameter of cell {cell.name!r}")
     make_folder(options.plots)
     return list(dict.fromkeys(names)) or None
-
-
-def _write_plots(posterior: Posterior, tree: Any, options: argparse.Namespace, pairs: list[str] | None) -> None:
-    loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
-    for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):
-        console(options).say(f"figure: {path}")

@@ -20,6 +20,7 @@ from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.table import plain_table
 from fpcal_bayes.study.base import Study, Summary
 from fpcal_bayes.study.coverage import Coverage
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         "sentences": summary.sentences,
         "warnings": summary.warnings,
     }
-    write_result(options.json, "study", content)
+    write_result(options.json, "study", content, Trust())
     return 0
 
 

@@ -111,7 +111,8 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
     content = found.estimate(valid_until_h).content() | {"fit": fit}
     if options.estimate is not None:
-        write_result(options.estimate, "track", content)
+        said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
+        write_result(options.estimate, "track", content | said | {"warnings": warnings})
     write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
     return 0 if found.converged else 1
 

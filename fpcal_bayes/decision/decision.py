@@ -10,7 +10,8 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.forecast import Forecast, Outlook
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.tracking.filter import Innovation, State
+from fpcal_bayes.tracking.drift import State
+from fpcal_bayes.tracking.filter import Innovation
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 Action = Literal["hold", "extrinsic", "full"]

@@ -10,8 +10,8 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import Limits, power
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import Innovation, State
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import Innovation
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track

@@ -20,8 +20,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import DriftModel, State
 
 #: Points of a circle, whose peak to peak they meet within 0.4 %, and of the other tasks, which are smoother.
 _CIRCLE_POINTS, _POINTS = 37, 9

@@ -20,8 +20,7 @@ from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import HOURS_PER_WEEK, Limits
-from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel, State
 from fpcal_bayes.tracking.tracker import Track
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.amplitude import Amplitudes
 from fpcal_bayes.fringes.fit import CALM
@@ -258,9 +259,7 @@ def _drift(cell: Cell, amplitudes: Amplitudes, residuals: Floats) -> Floats:
 def _nonlinear(predict: Callable[[Floats], Floats], found: _Update) -> Floats:
     """Mean squares of what the linear form misses over the states that are still possible, shape (m, m)."""
     sds = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
-    values, vectors = np.linalg.eigh(found.covariance / np.outer(sds, sds))
-    root = sds[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    moves = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sds))) @ root.T
+    moves = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sds))) @ covariance_root(found.covariance, sds).T
     missed = np.array([predict(found.mean + move) - found.predicted - found.jacobian @ move for move in moves])
     return np.asarray(missed.T @ missed / _DRAWS)
 

@@ -1,12 +1,13 @@
 """A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.linalg import quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
@@ -16,6 +17,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
+from fpcal_bayes.model.trust import Trust
 
 Verdict = Literal["confirmed", "refuted", "not evaluated"]
 
@@ -78,6 +80,7 @@ class PathCheck:
     #: too uncertain to confirm what the estimate predicts (see `blunt`).
     verdict: Verdict
     level: float  # see `verdict`
+    trust: Trust = field(default_factory=Trust)  # of the estimate; nothing is evaluated against one not to be used
 
     @property
     def blunt(self) -> bool:
@@ -85,10 +88,10 @@ class PathCheck:
         noisy, predicted = np.quantile(self.expected, 0.975), np.quantile(self.predicted, 0.975)
         return bool(noisy > max(2.0 * predicted, _COARSE))
 
-    def predicted_band(self, share: float = 0.95) -> tuple[float, float]:
-        """Band that holds this share of the predicted peak-to-peak values, in um."""
-        low, high = np.quantile(self.predicted, [(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        return float(low), float(high)
+    def predicted_band(self) -> tuple[float, float]:
+        """Band that holds 95 % of the predicted peak-to-peak values, in um."""
+        low, high = quantile_band(self.predicted, 0.95).tolist()
+        return low, high
 
 
 def measure_path(

@@ -1,6 +1,6 @@
 """The direct geometric model (DGM) as 4x4 transforms, written to be read.
 
-The compiled kernels in `fpcal_bayes.model.kernels` compute the same cavity lengths faster; tests hold them to this.
+The compiled kernels in `fpcal_bayes.model.kernels` compute the same faster; tests hold them to this.
 All functions also take complex model vectors, so that derivatives can be checked by complex steps.
 """
 
@@ -97,16 +97,6 @@ def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
     """
     frame = fibre_in_world(vector)
     return frame[:3, 2] if cell.optical_axis == "z" else -frame[:3, 1]
-
-
-def path_length(cell: Cell, vector: Matrix, q: Matrix) -> Any:
-    """Cavity length L in um at one joint vector, paper equation (24), for the cell's own path model."""
-    mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
-    normal, to_mirror = mirror[:3, 2], mirror[:3, 3] - fibre[:3, 3]
-    distance = normal @ to_mirror
-    if cell.opd == "axis":
-        return distance / (normal @ optical_axis(cell, vector))
-    return distance if np.real(distance) >= 0 else -distance
 
 
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:

@@ -14,6 +14,7 @@ KINDS: dict[str, bool] = {
     "not-converged": True,
     "poor-fit": True,
     "intrinsics-moved": True,
+    "problem": True,
     "stale": True,
     "too-good-fit": False,
     "second-solution": False,

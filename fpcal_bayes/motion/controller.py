@@ -33,6 +33,8 @@ class Controller:
     now_h
         Tells the time in hours since the campaign began; by default this machine's clock does, where the estimate
         carries a clock time.
+    accept_untrusted
+        Drive with an estimate that is not to be used; without it such an estimate is refused.
 
     Warns
     -----
@@ -42,13 +44,18 @@ class Controller:
     Raises
     ------
     InputError
-        If the cell has other than six joints, or `q` lies outside its limits.
+        If the cell has other than six joints, `q` lies outside its limits, or the estimate is not to be used.
     """
 
     def __init__(
-        self, estimate: Estimate, q: Floats | None = None, *, now_h: Callable[[], float] | None = None
+        self,
+        estimate: Estimate,
+        q: Floats | None = None,
+        *,
+        now_h: Callable[[], float] | None = None,
+        accept_untrusted: bool = False,
     ) -> None:
-        self._now_h, self._told = now_h, False
+        self._now_h, self._told, self._accept_untrusted = now_h, False, accept_untrusted
         self._inverse = InverseModel(estimate.cell)
         self._load(estimate)
         self._q = self._checked(np.zeros(len(estimate.cell.joints)) if q is None else np.asarray(q, dtype=float))
@@ -82,7 +89,7 @@ class Controller:
         Raises
         ------
         InputError
-            If it is an estimate of another cell.
+            If it is an estimate of another cell, or not to be used.
         """
         if estimate.cell.sha256 != self._estimate.cell.sha256:
             raise InputError(
@@ -127,16 +134,16 @@ class Controller:
         return self._go(self.joints(pose))
 
     def move(
-        self, translation: Sequence[float] = (0.0, 0.0, 0.0), rotation: Sequence[float] = (0.0, 0.0, 0.0)
+        self, translation_um: Sequence[float] = (0.0, 0.0, 0.0), rotation_deg: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> Floats:
         """Go to a pose relative to the present one: shift, and turn about the reflection point, in the fibre frame.
 
         Parameters
         ----------
-        translation
-            Along Xf, Yf, Zf, in um; in the mirror plane of the aligned pose that is Xf and Zf.
-        rotation
-            About the fibre frame's X, then Y, then Z axis through the reflection point, in rad.
+        translation_um
+            Along Xf, Yf, Zf; in the mirror plane of the aligned pose that is Xf and Zf.
+        rotation_deg
+            About the fibre frame's X, then Y, then Z axis through the reflection point.
 
         Returns
         -------
@@ -149,11 +156,11 @@ class Controller:
             If the joints cannot take the pose; the controller stays where it is then.
         """
         pose = self.pose
-        pose[:3, :3] = turns(np.asarray(rotation, dtype=float)[None])[0] @ pose[:3, :3]
-        pose[:3, 3] += np.asarray(translation, dtype=float)
+        pose[:3, :3] = turns(np.radians(_triple(rotation_deg, "rotation_deg"))[None])[0] @ pose[:3, :3]
+        pose[:3, 3] += _triple(translation_um, "translation_um")
         return self.move_to(pose)
 
-    def path(self, pose: Floats, *, step_um: float = 1.0, step_rad: float = float(np.radians(0.1))) -> JointSolutions:
+    def path(self, pose: Floats, *, step_um: float = 1.0, step_deg: float = 0.1) -> JointSolutions:
         """A straight path from where the joints stand to `pose`, in steps that no joint exceeds, without going there.
 
         The mirror point moves on a straight line while the mirror turns about one axis; where the joints run fastest
@@ -163,7 +170,7 @@ class Controller:
         ----------
         pose
             fX at the end, shape (4, 4).
-        step_um, step_rad
+        step_um, step_deg
             Longest step of a prismatic and of a revolute joint from point to point.
 
         Returns
@@ -176,9 +183,9 @@ class Controller:
         InputError
             If `pose` is no pose, a step is not above zero or asks for more than a million points.
         """
-        if not (step_um > 0 and step_rad > 0):
-            raise InputError(f"steps {step_um:g} um, {step_rad:g} rad: expected numbers above zero")
-        steps = np.where(self._inverse.cell.revolute, step_rad, step_um)
+        if not (step_um > 0 and step_deg > 0):
+            raise InputError(f"steps {step_um:g} um, {step_deg:g} deg: expected numbers above zero")
+        steps = np.where(self._inverse.cell.revolute, np.radians(step_deg), step_um)
         self.joints(pose)
         points = 2
         while points <= _MOST_POINTS:
@@ -189,7 +196,7 @@ class Controller:
                 return found
             points = max(points + 1, int(np.ceil((points - 1) * ratio)) + 1)
         raise InputError(
-            f"steps {step_um:g} um, {step_rad:g} rad: expected such that a path has a million points or less"
+            f"steps {step_um:g} um, {step_deg:g} deg: expected such that a path has a million points or less"
         )
 
     def follow(self, name: str, offsets: Floats) -> Task:
@@ -207,6 +214,8 @@ class Controller:
             warnings.warn(text, StaleEstimateWarning, stacklevel=3)
 
     def _load(self, estimate: Estimate) -> None:
+        if not (estimate.trust.usable or self._accept_untrusted):
+            raise InputError(f"the estimate is not to be driven with: {estimate.trust.against}")
         self._told = False
         self._estimate, self._vector = estimate, estimate.vector()
         self._placement = Placement.of(estimate.cell, self._vector)
@@ -227,6 +236,13 @@ class Controller:
             number = int(np.argmax(outside))
             raise InputError(f"q{number + 1} = {q[number] / cell.joint_scales[number]:g} is outside its limits")
         return q.copy()
+
+
+def _triple(values: Sequence[float], name: str) -> Floats:
+    found = np.asarray(values, dtype=float)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise InputError(f"{name}: expected three finite numbers")
+    return found
 
 
 def interpolate(start: Floats, end: Floats, n_points: int) -> Floats:

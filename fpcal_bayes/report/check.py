@@ -11,6 +11,9 @@ def check_sentences(check: PathCheck, tolerance: float | None) -> list[str]:
     found, measured = CheckNumbers.of(check, tolerance), check.measured
     low, _, high = found.predicted
     size = f"{1e3 * measured.peak_to_peak:.1f} +- {1e3 * measured.peak_to_peak_sd:.1f} nm"
+    if not check.trust.usable:
+        measured_line = f"Measured: the cavity length goes {size} peak to peak beside what the estimate expects."
+        return [measured_line, f"Not evaluated: {check.trust.against}."]
     lines = [
         f"Measured: the cavity length goes {size} peak to peak beside what the estimate expects along the path.",
         f"Predicted by the estimate: {low:.1f} to {high:.1f} nm (95 %); with the noise of this recording "
@@ -50,7 +53,7 @@ def check_warnings(check: PathCheck) -> list[str]:
 def check_content(check: PathCheck, tolerance: float | None) -> dict[str, Any]:
     """A check as JSON: lengths in nm, `tolerance` in um."""
     measured, found = check.measured, CheckNumbers.of(check, tolerance)
-    content = {
+    content: dict[str, Any] = {
         "verdict": check.verdict,
         "probability": check.probability,
         "level": check.level,
@@ -66,9 +69,11 @@ def check_content(check: PathCheck, tolerance: float | None) -> dict[str, Any]:
         "error_nm": (1e3 * measured.error[measured.places]).tolist(),
         "error_sd_nm": (1e3 * measured.draws.std(axis=0)).tolist(),
     }
+    if not check.trust.usable:
+        content |= {"probability": None, "predicted_nm": None, "expected_high_nm": None}
     if tolerance is not None:
         content["tolerance_nm"] = 1e3 * tolerance
-        content["within_tolerance_probability"] = found.within
+        content["within_tolerance_probability"] = found.within if check.trust.usable else None
     return content
 
 

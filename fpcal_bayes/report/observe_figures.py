@@ -32,14 +32,8 @@ def spectrum_figure(result: Observability) -> str:
         seen = number <= spectrum.rank
         axis.semilogy(number[seen], values[seen], "o", color=BLUE, label=f"seen ({spectrum.rank})")
         if not seen.all():
-            axis.semilogy(
-                number[~seen],
-                values[~seen],
-                "v",
-                color=VERMILION,
-                fillstyle="none",
-                label=f"not seen ({n - spectrum.rank})",
-            )
+            label = f"not seen ({n - spectrum.rank})"
+            axis.semilogy(number[~seen], values[~seen], "v", color=VERMILION, fillstyle="none", label=label)
             axis.axvline(spectrum.rank + 0.5, color=GREY, linewidth=0.8)
         axis.axhline(1.0, color=GREY, linestyle=":", label="data tell as much as the prior")
         if spectrum.tolerance > 0:

@@ -43,18 +43,23 @@ def sweeps_table(cell: Cell, sweeps: Sweeps, title: str) -> Table:
 def plan_content(
     chosen: ChosenSweeps,
     ordered: Sweeps,
-    expected: Outlook,
+    expected: Outlook | None,
     seconds: Mapping[str, float],
     settings: Mapping[str, Any],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """What ``plan --json`` writes, without schema and command; `ordered` are the sweeps as they are made."""
+    """What ``plan --json`` writes, without schema and command; `ordered` are the sweeps as they are made.
+
+    `expected` is None where the plan is made from what is not to be used.
+    """
     return {
         "n_sweeps": len(chosen),
         "order": ordered.label.tolist(),
         "most_useful_first": chosen.sweeps.label.tolist(),
-        "expected_sd_nm": {what: {task: 1e3 * value for task, value in sd.items()} for what, sd in expected.items()},
-        "sd_after_nm": {task: (1e3 * sd).tolist() for task, sd in chosen.sd.items()},
+        "expected_sd_nm": None
+        if expected is None
+        else {what: {task: 1e3 * value for task, value in sd.items()} for what, sd in expected.items()},
+        "sd_after_nm": None if expected is None else {task: (1e3 * sd).tolist() for task, sd in chosen.sd.items()},
         "seconds": dict(seconds),
         "settings": dict(settings),
         "warnings": list(warnings),
@@ -74,14 +79,8 @@ def draw_plan(cell: Cell, sweeps: Sweeps) -> Figure:
     for axis, (across, up) in zip(axes, pairs, strict=True):
         for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
             colour = _COLOURS[number % len(_COLOURS)]
-            axis.plot(
-                [start[across], end[across]],
-                [start[up], end[up]],
-                color=colour,
-                marker="o",
-                markersize=3,
-                linewidth=1.2,
-            )
+            line = [start[across], end[across]], [start[up], end[up]]
+            axis.plot(*line, color=colour, marker="o", markersize=3, linewidth=1.2)
             place = (start[across], start[up])
             axis.annotate(str(number + 1), place, (3, 3), textcoords="offset points", fontsize=7, color=colour)
         axis.set_xlabel(f"q{across + 1} [{cell.joints[across].unit}]")

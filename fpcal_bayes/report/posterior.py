@@ -19,7 +19,6 @@ from fpcal_bayes.analysis.parameters import (
     tree_draws,
 )
 from fpcal_bayes.core.files import make_folder
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
 from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut
@@ -75,13 +74,14 @@ def write_posterior_figures(
 
 def rank_figure(tree: Any) -> Figure:
     """Distribution of the ranks of each ensemble's draws among all draws, less the uniform one."""
+    import arviz as az
     import arviz_plots as azp
 
     # The test in each panel is for independent draws: of each ensemble as many are ranked as it is worth.
     names, ensembles = ensemble_draws(tree, _FEWEST_DRAWS, _SHOWN_DRAWS)
     n_ensembles = ensembles.shape[1]
     plot = azp.plot_rank(
-        _tree_of({"posterior": dict(zip(names, ensembles, strict=True))}),
+        az.from_dict({"posterior": dict(zip(names, ensembles, strict=True))}),
         backend="matplotlib",
         visuals={"title": False, "xlabel": False, "remove_axis": False},
         **_layout(len(names), sharex=False, sharey=True),
@@ -95,29 +95,26 @@ def rank_figure(tree: Any) -> Figure:
         axis.set_xlabel("rank / number of draws [1]")
         if i % _N_COLUMNS == 0:
             axis.set_ylabel("share of draws\nabove uniform [1]")
-    handles = [Line2D([], [], color=f"C{i}") for i in range(n_ensembles)]
-    figure.legend(
-        handles, [f"ensemble {i + 1}" for i in range(n_ensembles)], loc="outside upper center", ncols=4, frameon=False
-    )
+    handles = [Line2D([], [], color=f"C{i}", label=f"ensemble {i + 1}") for i in range(n_ensembles)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
     return figure
 
 
 def prior_posterior_figure(tree: Any) -> Figure:
     """Distribution functions of prior and posterior, which stay legible where one is far narrower than the other."""
+    import arviz as az
     import arviz_plots as azp
 
     styles: dict[str, tuple[str, Literal["--", "-"]]] = {"prior": (VERMILION, "--"), "posterior": (BLUE, "-")}
     names, draws = tree_draws(tree)
     _, prior = tree_draws(tree, "prior")
-    flat, every = draws.reshape(len(names), 1, -1), -(-draws[0].size // (2 * _SHOWN_DRAWS))
-    before = prior.reshape(len(names), 1, -1)
+    every = -(-draws[0].size // (2 * _SHOWN_DRAWS))
+    groups = {
+        group: dict(zip(names, drawn.reshape(len(names), 1, -1)[:, :, ::every], strict=True))
+        for group, drawn in (("posterior", draws), ("prior", prior))
+    }
     plot = azp.plot_prior_posterior(
-        _tree_of(
-            {
-                "posterior": dict(zip(names, flat[:, :, ::every], strict=True)),
-                "prior": dict(zip(names, before[:, :, ::every], strict=True)),
-            }
-        ),
+        az.from_dict(groups),
         var_names=names,
         kind="ecdf",
         backend="matplotlib",
@@ -225,12 +222,6 @@ def pareto_k_figure(tree: Any, loo: LeaveOneOut) -> Figure:
     axis.set_ylabel("Pareto k of leaving\nthe row out [1]")
     figure.legend(loc="outside upper center", frameon=False)
     return figure
-
-
-def _tree_of(groups: dict[str, dict[str, Floats]]) -> Any:
-    import arviz as az
-
-    return az.from_dict(groups)
 
 
 def _label(tree: Any, name: str) -> str:

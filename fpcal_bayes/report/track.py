@@ -127,9 +127,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "tolerance_nm": 1e3 * goal.tolerance,
         "tasks": list(goal.tasks),
         "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
-        "task_error_nm": {
-            name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()
-        },
+        "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
         "probability_out": {
             name: outlook.exceeds(goal.tolerance) if usable else None for name, outlook in outlooks.items()

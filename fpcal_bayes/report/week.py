@@ -98,17 +98,11 @@ def draw_week(week: Week, followed: Followed) -> Figure:
         for kind, colour, marker in (("all", BLUE, "o"), ("extrinsic", VERMILION, "s")):
             chosen = [s for s in SESSIONS if s.free == kind]
             shown = [week.identifications[s.name].estimate.shown()[parameter.name] for s in chosen]
-            axis.errorbar(
-                [s.day for s in chosen],
-                [entry["value"] for entry in shown],
-                [2 * entry["sd"] for entry in shown],
-                fmt=marker,
-                color=colour,
-                markersize=4,
-                capsize=3,
-                linewidth=1,
-                label="full identification" if kind == "all" else "extrinsic only, day-2 intrinsics",
-            )
+            at, values = [s.day for s in chosen], [entry["value"] for entry in shown]
+            sds = [2 * entry["sd"] for entry in shown]
+            label = "full identification" if kind == "all" else "extrinsic only, day-2 intrinsics"
+            style = {"fmt": marker, "color": colour, "markersize": 4, "capsize": 3, "linewidth": 1}
+            axis.errorbar(at, values, sds, label=label, **style)
         axis.set_ylabel(parameter.latex)
         axis.grid(alpha=0.3)
     for axis in axes[-1]:

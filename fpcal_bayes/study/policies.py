@@ -19,7 +19,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.study.base import Results, Study, Summary
 from fpcal_bayes.study.drifting_week import HOURS, STEP, DriftingWeek, Rule, Setting, follow, simulate_week
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import State
 from fpcal_bayes.tracking.session import SessionOutcome
 
 #: Makes a rule anew for each week: some remember what they saw.

@@ -16,8 +16,8 @@ from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import Innovation, State, update
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import Innovation, update
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 

@@ -19,6 +19,17 @@ HOURS_PER_DAY = 24.0
 
 
 @dataclass(frozen=True)
+class State:
+    """What is known at a time."""
+
+    time_h: float  # hours since the campaign began
+    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
+    mean: Floats
+    covariance: Floats
+    temperature_c: float = float("nan")  # last temperature that was logged, or NaN
+
+
+@dataclass(frozen=True)
 class Transition:
     """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`."""
 

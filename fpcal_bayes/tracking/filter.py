@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 
 from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
 
 #: The iteration ends when a step is shorter than this, in standard deviations of the prediction.
@@ -21,17 +21,6 @@ _MAX_STEPS = 50
 _SLOW = 0.3
 #: What rounding may add to the sum of squares.
 _ROUNDING = 1e-9
-
-
-@dataclass(frozen=True)
-class State:
-    """What is known at a time."""
-
-    time_h: float  # hours since the campaign began
-    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
-    mean: Floats
-    covariance: Floats
-    temperature_c: float = float("nan")  # last temperature that was logged, or NaN
 
 
 @dataclass(frozen=True)

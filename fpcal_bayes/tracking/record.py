@@ -16,8 +16,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, predict
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
 from fpcal_bayes.tracking.solutions import LOOKS

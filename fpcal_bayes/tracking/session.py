@@ -10,8 +10,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, Verdict, extend, findings
 from fpcal_bayes.tracking.corrections import correct_slips, with_signs
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import Innovation, State, Update, inflate, kelvin_between, predict, update
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import Innovation, Update, inflate, kelvin_between, predict, update
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.sessions import mean_temperature
 

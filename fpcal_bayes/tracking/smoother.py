@@ -19,8 +19,8 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State, kalman, kelvin_between
+from fpcal_bayes.tracking.drift import DriftModel, State
+from fpcal_bayes.tracking.filter import kalman, kelvin_between
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
 from fpcal_bayes.tracking.session import SessionOutcome, take_in
 

@@ -27,8 +27,7 @@ from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import DriftModel, State
 
 #: Random sweeps that stand for what will be asked of the model, and the weight of each, as its sigma in um.
 N_SWEEPS, SIGMA = 200, 0.005

@@ -19,8 +19,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import Limits, Monitor
-from fpcal_bayes.tracking.drift import DriftModel, likely_drift
-from fpcal_bayes.tracking.filter import State
+from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature

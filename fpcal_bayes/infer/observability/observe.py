@@ -29,6 +29,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Trust
 
 #: Standard deviation of an absolute length where a block supposes one: an eighth of a wavelength, in wavelengths.
 _ABSOLUTE_SD = 0.125
@@ -100,6 +101,11 @@ class Observability:
         row = self.correlation[self.parameters.position(name)]
         order = [int(i) for i in np.argsort(-np.abs(row), kind="stable") if self.parameters.names[i] != name]
         return [(self.parameters.names[i], float(row[i])) for i in order[:n]]
+
+    @property
+    def trust(self) -> Trust:
+        """What is held against the fit at which measured sweeps were linearised."""
+        return Trust() if self.identification is None else self.identification.estimate.trust
 
     def content(self) -> dict[str, Any]:
         """What ``observe --json`` writes, without schema and command."""

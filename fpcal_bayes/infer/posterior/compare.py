@@ -17,7 +17,7 @@ from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, st
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell, Opd
-from fpcal_bayes.model.trust import POOR_FIT_BELOW
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Trust
 
 State = Literal["sampled", "no minimum", "not sampled"]
 
@@ -220,6 +220,13 @@ class Comparison:
             left = next(model for model in self.models if model.loo is not None)
             said.insert(0, f"the data favour {left.spec.words}, the only model that could be sampled")
         return "; ".join(said)
+
+    @property
+    def trust(self) -> Trust:
+        """What is held against the model that is favoured, or against all where none fits."""
+        if any(model.fits for model in self.models):
+            return Trust()
+        return Trust().because(*(r for model in self.models for r in model.identification.estimate.trust.reasons))
 
     @property
     def warnings(self) -> tuple[str, ...]:

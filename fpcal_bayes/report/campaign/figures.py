@@ -15,7 +15,7 @@ _HOURS_PER_DAY = 24.0
 
 def task_figure(facts: CampaignFacts) -> str:
     """The 95 % band of each task's error along its path, with the tolerance."""
-    drawn = [outlook for outlook in facts.tasks if outlook.prediction is not None]
+    drawn = [outlook for outlook in facts.tasks if outlook.prediction is not None and facts.trust.usable]
     n_rows = -(-len(drawn) // 3)
     if not drawn:
         return ""
@@ -36,9 +36,8 @@ def task_figure(facts: CampaignFacts) -> str:
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
             most = 1.15 * max(half, float(np.abs([low, high]).max()))
             axis.set_ylim(-most, most)
-            axis.set_title(
-                drawable(outlook.name) + (" (to be held)" if outlook.asked else ""), fontsize=9, parse_math=False
-            )
+            title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
+            axis.set_title(title, fontsize=9, parse_math=False)
             axis.set_xlabel(f"along the path [{found.task.unit}]")
             if i % 3 == 0:
                 axis.set_ylabel("error of cavity length [nm]")
@@ -51,10 +50,8 @@ def outlook_figure(facts: CampaignFacts, found: Outlooks) -> str:
     """Error of the worst task through time: it grows between sessions and falls at each."""
     with svg_figure(9.6, 3.4) as (figure, svg):
         axis = figure.subplots()
-        days = found.hours / _HOURS_PER_DAY
-        axis.fill_between(
-            days, 1e3 * found.low, 1e3 * found.high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band"
-        )
+        days, low, high = found.hours / _HOURS_PER_DAY, 1e3 * found.low, 1e3 * found.high
+        axis.fill_between(days, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
         axis.plot(days, 1e3 * found.median, color=BLUE, label="median")
         tolerance = 1e3 * facts.goal.tolerance
         axis.axhline(tolerance, color=VERMILION, linestyle="--", linewidth=1, label=f"tolerance {tolerance:g} nm")

@@ -40,15 +40,14 @@ class Verdict:
 
 def verdict(facts: CampaignFacts) -> Verdict:
     """Hold, re-identify or recalibrate; or why that cannot be said."""
-    if facts.unusable:
+    if facts.fit_is_wrong or not (facts.trust.usable or (facts.track is not None and facts.track.calibration_due)):
         meaning = "These numbers are not to be used: they rest on a fit that is wrong."
-        said = f"{facts.unusable[0].upper()}{facts.unusable[1:]}."
+        said = f"{facts.trust.against[0].upper()}{facts.trust.against[1:]}."
         return Verdict("Do not use", "bad", meaning, (said, f"What to do: fpcal doctor {facts.file}."))
     sentences = [_task_sentence(facts)]
     if facts.decision is None or facts.track is None:
-        return Verdict(
-            "No verdict", "caution", f"It cannot be said what to do: {facts.decision_reason}.", tuple(sentences)
-        )
+        meaning = f"It cannot be said what to do: {facts.decision_reason}."
+        return Verdict("No verdict", "caution", meaning, tuple(sentences))
     word, style, meaning = _ACTIONS[facts.decision.action]
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
@@ -63,6 +62,9 @@ def _task_sentence(facts: CampaignFacts) -> str:
         if not outlook.asked:
             continue
         found = outlook.numbers
+        if found is not None and found.exceeds is None:
+            parts.append(f"{outlook.name} is not known: {facts.trust.against}")
+            continue
         if found is None:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
             continue
@@ -72,7 +74,7 @@ def _task_sentence(facts: CampaignFacts) -> str:
 
 def standing(outlook: TaskOutlook, facts: CampaignFacts) -> tuple[str, str]:
     """Where a task stands against the tolerance, in words, and the class of the style sheet."""
-    if facts.unusable:
+    if not facts.trust.usable:
         return "not known", "bad"
     risk = None if outlook.numbers is None else outlook.numbers.exceeds
     if risk is None:
@@ -91,7 +93,8 @@ def task_table(facts: CampaignFacts) -> Table:
         said, style = standing(outlook, facts)
         asked, found = "yes" if outlook.asked else "no", outlook.numbers
         if found is None or found.exceeds is None:
-            table.add_row(outlook.name, asked, Cell(f"{said}: {outlook.reason}", said, style), "", "", "", "")
+            reason = outlook.reason or facts.trust.against
+            table.add_row(outlook.name, asked, Cell(f"{said}: {reason}", said, style), "", "", "", "")
             continue
         table.add_row(
             outlook.name,
@@ -254,7 +257,7 @@ def budget_sentence(facts: CampaignFacts) -> str:
         f"Combined standard uncertainty {1e3 * budget.combined:.2f} nm; {COVERAGE:.0%} coverage interval {low:.2f} to "
         f"{high:.2f} nm, by Monte Carlo (JCGM 100, 101)."
     )
-    if now is None:
+    if now is None or now.exceeds is None:
         return sentence
     left = f"{now.worst_sd:.2f} nm"
     return f"{sentence} Now, after all sessions and the drift since, {left} are left at the worst point."
@@ -262,20 +265,17 @@ def budget_sentence(facts: CampaignFacts) -> str:
 
 def provenance(facts: CampaignFacts) -> list[tuple[str, str]]:
     """Where the numbers come from."""
-    cell, campaign = facts.cell, facts.campaign
+    cell, campaign, posterior = facts.cell, facts.campaign, facts.posterior
     rows = [
         ("data", f"{facts.file}, sha256 {facts.sha256}"),
         ("cell", f"{cell.name}, path model {cell.opd}, sha256 {cell.sha256}"),
     ]
     if campaign is not None:
-        rows.append(
-            ("data made by", f"fpcal_bayes {campaign.program_version}: {campaign.command or 'command not stated'}")
-        )
+        command = campaign.command or "command not stated"
+        rows.append(("data made by", f"fpcal_bayes {campaign.program_version}: {command}"))
         rows.append(("seed of the data", "none: not simulated" if campaign.seed is None else str(campaign.seed)))
-    if facts.posterior is not None:
-        rows.append(
-            ("posterior", f"{facts.posterior.file}, sha256 {facts.posterior.sha256}; {facts.posterior.command}")
-        )
+    if posterior is not None:
+        rows.append(("posterior", f"{posterior.file}, sha256 {posterior.sha256}; {posterior.command}"))
     rows.append(("report made by", f"fpcal_bayes {__version__}: {facts.command or 'the Python interface'}"))
     rows.append(("report for the time", shown_time(facts.now_h, facts)))
     libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)

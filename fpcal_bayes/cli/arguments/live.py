@@ -1,0 +1,45 @@
+"""Options of the commands that drive the live cell, or an emulated one."""
+
+from pathlib import Path
+
+from fpcal_bayes.cli.arguments.common import Commands, add_command
+
+_MEASURE = """\
+Before the first move every move of the ticket is held to the joints' limits, the cell's envelope and the least gap of
+RIG.toml; --dry-run stops there and shows moves, times, gap and fringe rate. Positions read back are what is stored.
+Each sweep ends with a return to its start; one whose length does not close is driven again, then kept apart as
+doubtful. Ctrl-C, a lost device or a forbidden move stop all axes at once; what was measured is kept in SESSION, and the
+same command goes on from there (SESSION.journal). Every message to a device stands in the log beside SESSION.
+
+A ticket without rows does nothing. Out of date, used up or measured already: refused.
+"""
+
+
+def measure(commands: Commands) -> None:
+    """Add ``fpcal measure``."""
+    parser = add_command(commands, "measure", "drive a ticket on the live cell", _MEASURE)
+    parser.add_argument("ticket", metavar="TICKET", help="ticket or plan: CSV without measured values")
+    parser.add_argument("--rig", metavar="RIG", required=True, help="devices: RIG.toml")
+    parser.add_argument(
+        "-o", dest="output", metavar="SESSION", type=Path, required=True, help="session to write: .h5 or .csv"
+    )
+    parser.add_argument("--campaign", metavar="C", help="campaign that the session will belong to: its clock, its past")
+    parser.add_argument("--estimate", metavar="ESTIMATE", help="geometry that tells the gap (default: the nominal one)")
+    parser.add_argument("--dry-run", action="store_true", help="look at every move and make none")
+
+
+_RIG = """\
+All devices of RIG.toml listen on loopback and speak their real protocols; behind them is one simulated cell whose truth
+drifts. Port 0 takes a free one: LIVE is RIG.toml with the ports that are open and the clock that runs, for
+`fpcal measure --rig LIVE`. [clock] speedup lets the cell's time run faster; [emulate] gives truth, seed, hour and
+faults. Ends with Ctrl-C.
+"""
+
+
+def rig(commands: Commands) -> None:
+    """Add ``fpcal rig``."""
+    parser = add_command(commands, "rig", "emulate the devices of a cell", _RIG)
+    parser.add_argument("--emulate", metavar="RIG", required=True, help="devices to emulate: RIG.toml")
+    parser.add_argument(
+        "-o", dest="output", metavar="LIVE", type=Path, help="rig file to write (default: RIG_live.toml)"
+    )

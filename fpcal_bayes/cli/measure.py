@@ -1,0 +1,116 @@
+"""``fpcal measure``: drive a ticket on the live cell."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.table import Table
+
+from fpcal_bayes.cli.common import cell_of, check_output, console, warn
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.rig.agenda import Agenda, origin_of
+from fpcal_bayes.rig.bench import Bench, is_recording
+from fpcal_bayes.rig.clock import Halt, Halted
+from fpcal_bayes.rig.drivers.interface import CommandLog
+from fpcal_bayes.rig.reader import read_rig
+from fpcal_bayes.rig.route import Guard, Leg, dry_run, total_seconds
+from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
+from fpcal_bayes.rig.settings import Rig
+from fpcal_bayes.rig.ticket import Ticket, orders_of, read_ticket
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    cell = cell_of(options)
+    ticket = read_ticket(options.ticket, cell)
+    if ticket.plan is None:
+        console(options).say(f"{options.ticket}: no rows, nothing to measure")
+        return 0
+    rig = read_rig(options.rig, cell)
+    check_output(options.output, options.ticket, options.rig, options.campaign, options.estimate)
+    estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
+    warm_up(cell)
+    guard = Guard(cell, rig, estimate)
+    if options.dry_run:
+        return _show(options, cell, guard, ticket)
+    campaign = None if options.campaign is None else read_sweeps(options.campaign, cell)
+    origin = origin_of(ticket, campaign, rig.clock.now())
+    command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
+    agenda = Agenda(ticket, cell, rig, options.output, origin, command)
+    return _measure(options, cell, rig, guard, agenda)
+
+
+def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
+    """The dry run, as a table."""
+    orders = orders_of(ticket)
+    legs = dry_run(guard, orders, guard.inside(orders[0].start))
+    table = Table("sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most", box=None)
+    for order, moves in zip(orders, legs, strict=True):
+        table.add_row(order.label, str(len(moves)), f"{total_seconds([moves]):.1f}", *_extremes(moves))
+    every = [leg for moves in legs for leg in moves]
+    out = console(options)
+    out.print(table)
+    gap, rate = _extremes(every)
+    out.say(
+        f"{len(orders)} sweeps, {len(every)} moves, {total_seconds(legs) / 60.0:.1f} min from the first sweep's start; "
+        f"least gap {gap} um, at most {rate} fringes a second; no move was made"
+    )
+    return 0
+
+
+def _extremes(legs: list[Leg]) -> tuple[str, str]:
+    return f"{min(leg.gap for leg in legs):.1f}", f"{max(leg.fringe_rate for leg in legs):.3g}"
+
+
+def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, agenda: Agenda) -> int:
+    if is_recording(rig):
+        make_folder(agenda.folder)
+    if agenda.resumed:
+        warn([f"{options.output}: goes on after {len(agenda.outcomes)} of {len(agenda.orders)} sweeps"])
+    halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
+    try:
+        with halt.on_signals():
+            bench = Bench(cell, rig, guard, halt, log, agenda.folder)
+            try:
+                summary = measure(agenda, bench, guard, _Teller(options))
+            except Failed as failed:
+                _report(options, failed.summary)
+                warn(failed.unsure)
+                if isinstance(failed.__cause__, Halted):
+                    raise KeyboardInterrupt from failed
+                raise failed.__cause__ or InputError(str(failed)) from None
+    finally:
+        log.close()
+        halt.close()
+    _report(options, summary)
+    return 0 if summary.done == summary.total else 1
+
+
+class _Teller:
+    """Prints how far a session is: each sweep on a terminal, about ten lines elsewhere."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._out = console(options)
+        self._often = sys.stdout.isatty()
+
+    def __call__(self, progress: Progress) -> None:
+        tenth = max(1, progress.total // 10)
+        if progress.doubt:
+            warn([f"{progress.label}: {progress.doubt}"])
+        if self._often or progress.done % tenth == 0 or progress.done == progress.total:
+            self._out.print(
+                f"{progress.done} of {progress.total} sweeps, {progress.left_s / 60.0:.1f} min left", markup=False
+            )
+
+
+def _report(options: argparse.Namespace, summary: Summary) -> None:
+    where = f" -> {options.output}" if summary.rows else ""
+    doubtful = f", {len(summary.doubtful)} doubtful" if summary.doubtful else ""
+    console(options).say(
+        f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
+    )

@@ -1,0 +1,31 @@
+"""``fpcal rig``: emulate the devices of a cell."""
+
+import argparse
+import contextlib
+from pathlib import Path
+
+from fpcal_bayes.cli.common import cell_of, check_output, console
+from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.rig.clock import Halt, Halted
+from fpcal_bayes.rig.emulate.bench import EmulatedBench
+from fpcal_bayes.rig.reader import read_rig
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    cell = cell_of(options)
+    rig = read_rig(options.emulate, cell)
+    source = Path(options.emulate)
+    output = options.output or source.with_name(f"{source.stem}_live.toml")
+    check_output(output, options.emulate)
+    warm_up(cell)
+    halt = Halt()
+    with halt.on_signals():
+        emulated = EmulatedBench(rig, cell)
+        emulated.write_live(output)
+        listening = ", ".join(f"{name} at {end.address}" for name, end in emulated.server.endpoints.items())
+        console(options).say(f"{listening} -> {output}")
+        with contextlib.suppress(Halted):
+            emulated.run(halt)
+    halt.close()
+    return 0

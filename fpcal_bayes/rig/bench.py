@@ -1,0 +1,360 @@
+"""The devices of a cell under one hand: go to a pose, read the length, drive an order, stop."""
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.traces import write_trace
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.rig.clock import Halt
+from fpcal_bayes.rig.drivers.attocube import AttocubeIDS
+from fpcal_bayes.rig.drivers.interface import (
+    CommandLog,
+    DeviceError,
+    Disturbed,
+    Interferometer,
+    Recorder,
+    Stage,
+)
+from fpcal_bayes.rig.drivers.link import Link
+from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
+from fpcal_bayes.rig.drivers.pi import PIStage
+from fpcal_bayes.rig.drivers.smaract import SmarActStage
+from fpcal_bayes.rig.route import Guard
+from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice, Rig
+from fpcal_bayes.rig.ticket import Order
+
+#: Longest and shortest pause between two looks at the devices, in s of the wall.
+_LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005
+#: How long the axes may take to stand still after a stop, in s of the wall.
+_STOP_S = 2.0
+#: An emulated clock runs on while this program waits for a core: no move fails sooner, in s of the wall.
+_PATIENCE_S = 1.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The length at one pose.
+
+    Attributes
+    ----------
+    q
+        Joint values read back, in um and rad, shape (n_joints,).
+    length
+        In um, up to a constant; NaN where a program records.
+    moment
+        Unix time of the cell.
+    temperature_c
+        Or NaN.
+    """
+
+    q: Floats
+    length: float
+    moment: float
+    temperature_c: float
+
+
+class Bench:
+    """All devices of a rig.
+
+    Parameters
+    ----------
+    folder
+        Where a recording program writes its traces.
+    """
+
+    def __init__(self, cell: Cell, rig: Rig, guard: Guard, halt: Halt, log: CommandLog, folder: Path) -> None:
+        self._cell = cell
+        self._rig = rig
+        self._guard = guard
+        self._halt = halt
+        self._links: list[Link] = []
+        self._log = log
+        self.stages: list[Stage] = [self._stage(controller.name) for controller in rig.controllers]
+        self.instrument: Interferometer | None = None
+        self.recorder: Recorder | None = None
+        device = rig.instrument
+        if isinstance(device, IDSDevice):
+            self.instrument = AttocubeIDS(self._link(device.name, device), device.settings)
+        else:
+            self.recorder = PhotodiodeProgram(device.command, folder, device.timeout_s, halt, log)
+        self._folder = folder
+        self._commanded = np.full(len(cell.joints), np.nan)
+        self._moved = False
+
+    def prepare(self) -> None:
+        """Connect to all devices and hold them to what safe moves and good readings need."""
+        for stage in self.stages:
+            stage.prepare()
+        if self.instrument is not None:
+            try:
+                self.instrument.prepare()
+            except Disturbed as error:
+                raise InputError(f"{self.instrument.name}: {error}: align it, then start again") from error
+        self._guard.check_pose(self.position(), "the cell as it stands")
+
+    def position(self) -> Floats:
+        """Joint values read back, in um and rad, shape (n_joints,)."""
+        q = np.empty(len(self._cell.joints))
+        for stage in self.stages:
+            q[list(stage.joints)] = stage.position()
+        if not np.isfinite(q).all():
+            raise InputError("a controller shows a position that is no number")
+        return q
+
+    def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
+        """Move to a pose and wait until it is reached and held; the joint values read back.
+
+        Raises
+        ------
+        ForbiddenMoveError
+            If the move is forbidden; then nothing has moved.
+        DeviceError
+            If a device fails or an axis does not get there.
+        Disturbed
+            If `watch` is set and the fringes were lost on the way; the joints are at the target all the same.
+        """
+        here = self.position()
+        # Where the joints were sent they stand; the encoders' last digits are no motion.
+        here = np.where(np.abs(here - self._commanded) <= self._guard.tolerance, self._commanded, here)
+        self._guard.check_move(here, target, what)
+        lost = ""
+        for pose in self._guard.turns(here, target):
+            lost = self._turn(here, pose, what, watch and not lost) or lost
+        if lost:
+            raise Disturbed(lost)
+        return self.position()
+
+    def _turn(self, here: Floats, target: Floats, what: str, watch: bool) -> str:
+        """Move joints that may move at once; why the fringes were lost on the way, or nothing."""
+        moving = self._commanded != target
+        seconds = self._guard.seconds(here, target)
+        allowed = seconds + max(
+            (joint.settle_timeout_s for joint, moves in zip(self._rig.joints, moving, strict=True) if moves),
+            default=0.0,
+        )
+        stages = [stage for stage in self.stages if moving[list(stage.joints)].any()]
+        self._commanded[:] = np.nan
+        self._moved = self._moved or bool(stages)
+        for stage in stages:
+            stage.move(target[list(stage.joints)])
+        lost = self._wait(target, stages, seconds, allowed, what, watch)
+        self._commanded = target.copy()
+        return lost
+
+    def _wait(self, target: Floats, stages: list[Stage], seconds: float, allowed: float, what: str, watch: bool) -> str:
+        """Wait until the joints stand at `target`; why the fringes were lost on the way, or nothing."""
+        clock, lost = self._rig.clock, ""
+        began, wall, since = clock.now(), time.monotonic(), math.inf
+        held = [self._rig.joints[i].settle_s for stage in stages for i in stage.joints]
+        hold = max(held, default=0.0)
+        while True:
+            # Every controller is asked, so that a failure is seen at once.
+            settled = not [stage for stage in stages if not stage.settled()]
+            q = self.position()
+            self._guard.check_pose(q, f"{what}, on the way")
+            if watch and not lost:
+                lost = self._lost()
+            now = clock.now()
+            away = np.abs(q - target) > self._guard.tolerance
+            if settled and not away.any():
+                since = min(since, now)
+                if now - since >= hold:
+                    return lost
+            else:
+                since = math.inf
+            late = time.monotonic() - wall > min(_PATIENCE_S, allowed)
+            if late and now - began > allowed:
+                raise self._unsettled(target, q, away, now - began)
+            pause = clock.wall(max(began + 0.5 * seconds, since + hold if since < math.inf else 0.0) - now)
+            self._halt.wait(min(max(pause, _SHORTEST_PAUSE), _LONGEST_PAUSE))
+
+    def _lost(self) -> str:
+        if self.instrument is None:
+            return ""
+        try:
+            self.instrument.watch()
+        except Disturbed as error:
+            return str(error)
+        return ""
+
+    def _unsettled(self, target: Floats, q: Floats, away: np.ndarray[Any, np.dtype[np.bool_]], s: float) -> DeviceError:
+        i = int(np.argmax(away)) if away.any() else int(np.argmax(np.abs(q - target) / self._guard.tolerance))
+        joint, scale, axis = self._cell.joints[i], self._cell.joint_scales[i], self._rig.joints[i].axis
+        stands = f"q{i + 1} stands at {q[i] / scale:.9g} {joint.unit} after {s:.3g} s"
+        return DeviceError(
+            axis.name, self._address(axis.name), f"move q{i + 1} to {target[i] / scale:.9g}", f"not settled: {stands}"
+        )
+
+    def read(self, target: Floats) -> Reading:
+        """Read positions and length at rest.
+
+        Raises
+        ------
+        Disturbed
+            If the length is not steady or not seen, or the joints move meanwhile.
+        DeviceError
+            If a device fails or a joint does not stand at `target`.
+        """
+        before = self.position()
+        away = np.abs(before - target) > self._guard.tolerance
+        if away.any():
+            raise self._unsettled(target, before, away, 0.0)
+        length = math.nan if self.instrument is None else self.instrument.length()
+        moment = self._rig.clock.now()
+        celsius = math.nan if self.instrument is None else self.instrument.temperature_c()
+        after = self.position()
+        if (np.abs(after - before) > self._guard.tolerance).any():
+            raise Disturbed("the joints moved while the length was read")
+        return Reading(before, length, moment, celsius)
+
+    def drive(self, number: int, order: Order) -> dict[str, Any]:
+        """Drive an order, again if it is disturbed; what came of it, as `Agenda.ingest` takes it.
+
+        A disturbed sweep that stays so has a ``doubt`` and no readings.
+        """
+        doubt, closing = "", math.nan
+        for attempt in range(self._rig.repeats + 1):
+            self._await_fringes()
+            try:
+                if self.recorder is not None:
+                    return self._record(number, order)
+                readings = self._sweep(order)
+            except Disturbed as error:
+                doubt, closing = str(error), math.nan
+            else:
+                closing = readings[-1].length - readings[0].length
+                if abs(closing) <= self._rig.close:
+                    return _outcome(number, readings[:-1], closing)
+                doubt = f"does not close: {1e3 * closing:.1f} nm between the start and the return to it"
+            self._log.write("measure", "-", f"{order.label}: {doubt} (drive {attempt + 1})")
+        return _outcome(number, [], closing) | {"doubt": doubt}
+
+    def _sweep(self, order: Order) -> list[Reading]:
+        """Start, targets and the return to the start."""
+        readings = []
+        for number, target in enumerate(self._guard.stops(order)):
+            what = f"row {order.row}: {order.label!r}"
+            # On the way to the start nothing is measured yet.
+            self.go(target, what, watch=number > 0)
+            readings.append(self.read(target))
+        return readings
+
+    def _record(self, number: int, order: Order) -> dict[str, Any]:
+        """Record the whole way from the start to the end."""
+        if self.recorder is None:
+            raise InputError("no program records, expected one")
+        what = f"row {order.row}: {order.label!r}"
+        stops = list(self._guard.stops(order))
+        start, end = stops[0], stops[-2]
+        joints = np.flatnonzero(order.start != order.targets[-1])
+        if len(joints) != 1:
+            raise InputError(f"{what}: {len(joints)} joints move, expected one: a trace holds one")
+        joint = int(joints[0])
+        scale = float(self._cell.joint_scales[joint])
+        self.go(start, what)
+        first = self.read(start)
+        seconds = self._guard.seconds(start, end) + self._rig.joints[joint].settle_timeout_s
+        try:
+            self.recorder.start(seconds, joint, start[joint] / scale, end[joint] / scale)
+            self.go(end, what)
+            trace = self.recorder.finish(scale)
+        finally:
+            self.recorder.abandon()
+        last = self.read(end)
+        ends = np.array([trace.joint[0] - first.q[joint], trace.joint[-1] - last.q[joint]])
+        if (np.abs(ends) > 10.0 * self._guard.tolerance[joint]).any():
+            raise Disturbed("the trace does not begin and end where the joint stood")
+        path = self._folder / f"{number + 1:04d}_kept.csv"
+        write_trace(path, trace, scale)
+        self.go(start, what)
+        return _outcome(number, [first, last], math.nan) | {"trace": path.name}
+
+    def _await_fringes(self) -> None:
+        """Give lost fringes as long as an axis has to settle to come back."""
+        clock = self._rig.clock
+        end = clock.now() + max(joint.settle_timeout_s for joint in self._rig.joints)
+        while self._lost() and clock.now() < end:
+            self._halt.wait(_LONGEST_PAUSE)
+
+    def stop(self) -> list[str]:
+        """Stop all axes, then make sure that they stand; what could not be made sure of, if anything was moved.
+
+        The stops go out first, to all controllers, without waiting for any of them; then each is asked over a
+        connection of its own, so that no answer of an exchange that was cut is taken for another.
+        """
+        for stage in self.stages:
+            stage.stop()
+        if self.recorder is not None:
+            self.recorder.abandon()
+        for link in self._links:
+            link.obeys = False
+        doubts = []
+        for stage in self.stages:
+            end, why = time.monotonic() + _STOP_S, "it moves"
+            while time.monotonic() < end:
+                try:
+                    if stage.stopped():
+                        why = ""
+                        break
+                except DeviceError as error:
+                    why = str(error)
+                    break
+                time.sleep(_SHORTEST_PAUSE)
+            if why:
+                doubts.append(f"{stage.name}: not sure that its axes stand ({why})")
+        self._commanded[:] = np.nan
+        for link in self._links:
+            link.obeys = True
+        return doubts if self._moved else []
+
+    def close(self) -> None:
+        """Let go of all connections."""
+        for link in self._links:
+            link.close()
+
+    def _address(self, name: str) -> object:
+        return next((link.address for link in self._links if link.device == name), "?")
+
+    def _link(self, name: str, device: Any) -> Link:
+        link = Link(name, device.address, device.timeout_s, self._halt, self._log)
+        self._links.append(link)
+        return link
+
+    def _stage(self, name: str) -> Stage:
+        settings = next(controller for controller in self._rig.controllers if controller.name == name)
+        joints = tuple(i for i, joint in enumerate(self._rig.joints) if joint.axis.name == name)
+        axes = tuple(self._rig.joints[i].axis for i in joints)
+        speeds = np.array([self._rig.joints[i].speed for i in joints])
+        link = self._link(name, settings)
+        if settings.driver == "pi-gcs2":
+            return PIStage(link, joints, axes, speeds, settings.servo_on)
+        return SmarActStage(link, joints, axes, speeds, self._cell.revolute[list(joints)])
+
+
+def is_recording(rig: Rig) -> bool:
+    """Whether a program records, in place of an interferometer that counts."""
+    return isinstance(rig.instrument, ProgramDevice)
+
+
+def _outcome(number: int, readings: list[Reading], closing: float) -> dict[str, Any]:
+    return {
+        "_id": number,
+        "doubt": "",
+        "closing_um": closing if math.isfinite(closing) else None,
+        "readings": [
+            {
+                "q": reading.q.tolist(),
+                "length_um": reading.length if math.isfinite(reading.length) else None,
+                "moment_s": reading.moment,
+                "temperature_c": reading.temperature_c if math.isfinite(reading.temperature_c) else None,
+            }
+            for reading in readings
+        ],
+    }

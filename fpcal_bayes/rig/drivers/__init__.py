@@ -1,0 +1,1 @@
+"""Devices: motion controllers, interferometers and photodiodes, one file each behind one interface."""

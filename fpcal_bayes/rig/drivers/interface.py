@@ -1,0 +1,130 @@
+"""What every device can do, and how its failures read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Protocol
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.traces import Trace
+from fpcal_bayes.rig.clock import Clock, iso
+
+#: What a log line holds of one message.
+_LOGGED = 400
+
+
+class DeviceError(InputError):
+    """A device failed; the message is one line: device, address, command, what happened."""
+
+    def __init__(self, device: str, address: object, command: str, what: str) -> None:
+        super().__init__(f"{device} at {address}: {shown(command)}: {what}")
+        self.device = device
+
+
+class Disturbed(Exception):
+    """A reading or a sweep that gives no reliable number; the devices are well."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Host and port of a device."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+class Stage(Protocol):
+    """A motion controller with some of the cell's joints."""
+
+    name: str
+    #: Which places of the joint vector its axes hold, in the order of all arrays below.
+    joints: tuple[int, ...]
+
+    def prepare(self) -> None:
+        """Connect; hold the axes to what a safe move needs (servo, reference, speed)."""
+
+    def move(self, positions: Floats) -> None:
+        """Start to move to joint values in um and rad, shape (n_axes,); does not wait."""
+
+    def position(self) -> Floats:
+        """Joint values read back, in um and rad, shape (n_axes,)."""
+
+    def settled(self) -> bool:
+        """Whether the controller says that all axes stand on their targets; `DeviceError` if they never will."""
+
+    def stop(self) -> None:
+        """Tell all axes to stop, at once, without waiting for an answer and whatever was asked before."""
+
+    def stopped(self) -> bool:
+        """Whether all axes stand still, asked over a connection of its own after `stop`."""
+
+    def close(self) -> None:
+        """Let go of the connection."""
+
+
+class Interferometer(Protocol):
+    """An instrument that knows the cavity length at rest, up to a constant."""
+
+    name: str
+
+    def prepare(self) -> None:
+        """Connect; hold the instrument to what a reading needs."""
+
+    def length(self) -> float:
+        """Cavity length in um, up to a constant; `Disturbed` if it is not steady or not seen."""
+
+    def watch(self) -> None:
+        """Raise `Disturbed` if the fringes are lost now."""
+
+    def temperature_c(self) -> float:
+        """Temperature of the air, or NaN."""
+
+    def close(self) -> None:
+        """Let go of the connection."""
+
+
+class Recorder(Protocol):
+    """A program that records the photodiode during one sweep of one joint."""
+
+    name: str
+
+    def start(self, seconds: float, joint: int, start: float, end: float) -> None:
+        """Begin to record; comes back when samples are taken. Joint values as people read them."""
+
+    def finish(self, scale: float) -> Trace:
+        """End the recording and read it; `scale` is um or rad per shown unit of the joint."""
+
+    def abandon(self) -> None:
+        """End the recording, unread."""
+
+
+class CommandLog:
+    """A log of every message to and from the devices, a line each, in the cell's time."""
+
+    def __init__(self, path: Path | None, clock: Clock) -> None:
+        self._clock = clock
+        self._file: IO[str] | None = None
+        if path is not None:
+            try:
+                self._file = path.open("a", encoding="utf-8", buffering=1)
+            except OSError as error:
+                raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+    def write(self, device: str, mark: str, text: str) -> None:
+        """Add a line; `mark` is ``>`` for what is sent, ``<`` for what comes back, ``-`` for a remark."""
+        if self._file is not None:
+            self._file.write(f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def shown(text: str, most: int = 80) -> str:
+    """A message as a line of text: control characters escaped, cut if it is long."""
+    line = text.rstrip("\r\n").encode("unicode_escape").decode("ascii")
+    return line if len(line) <= most else line[:most] + "..."

@@ -1,0 +1,1 @@
+"""Emulated devices: one simulated cell behind real protocols, on loopback."""

@@ -1,0 +1,109 @@
+"""The emulated cell of a RIG.toml: all its devices on loopback, and the RIG.toml that finds them."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import read_text, write_text
+from fpcal_bayes.io.truth import read_truth
+from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.rig.clock import Halt
+from fpcal_bayes.rig.emulate.attocube import IDS3010
+from fpcal_bayes.rig.emulate.cell import Machine, SimulatedCell
+from fpcal_bayes.rig.emulate.pi import PIController
+from fpcal_bayes.rig.emulate.server import Server
+from fpcal_bayes.rig.emulate.smaract import MCS2
+from fpcal_bayes.rig.settings import IDSDevice, Rig
+
+
+class EmulatedBench:
+    """All devices of a rig, emulated.
+
+    Parameters
+    ----------
+    truth
+        By default that of the rig's file, else the paper's.
+    machine
+        Mechanics beyond the geometry, or None.
+
+    Attributes
+    ----------
+    lab
+        The simulated cell behind them.
+    server
+        Serves them; `server.inject` gives them faults.
+    """
+
+    def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:
+        stated = rig.emulation
+        if truth is None:
+            truth = read_truth(Path(rig.file).parent / stated.truth, cell) if stated.truth else paper_truth(cell)
+        instrument = rig.instrument
+        if not isinstance(instrument, IDSDevice):
+            raise InputError(f"{rig.file}: key interferometer.record: a program is not emulated, expected attocube-ids")
+        self.rig = rig
+        self.lab = SimulatedCell(
+            cell,
+            truth,
+            rig.clock,
+            noise=instrument.noise * instrument.settings.samples**0.5,
+            settle_s=stated.settle_s,
+            seed=stated.seed,
+            time_h=stated.time_h,
+            machine=machine,
+        )
+        self.server = Server(rig.clock)
+        self.stages: dict[str, PIController | MCS2] = {}
+        for controller in rig.controllers:
+            axes = {i: joint.axis for i, joint in enumerate(rig.joints) if joint.axis.name == controller.name}
+            for i in axes:
+                self.lab.axes[i].speed = rig.joints[i].speed
+            made = PIController if controller.driver == "pi-gcs2" else MCS2
+            self.stages[controller.name] = made(self.lab, axes)
+            self.server.add(controller.name, self.stages[controller.name], controller.address)
+        space = instrument.settings.namespace
+        spaces = ("ids", "sen") if space == "auto" else (space,)
+        self.ids = IDS3010(self.lab, instrument.settings.axis, instrument.settings.sign, spaces)
+        self.server.add(instrument.name, self.ids, instrument.address)
+        self._pending = sorted(stated.faults, key=lambda fault: fault.at_s)
+
+    def live_toml(self) -> str:
+        """The rig's file with the ports that are open and the clock that runs."""
+        table = tomllib.loads(read_text(Path(self.rig.file)))
+        for name in self.stages:
+            table["controller"][name]["address"] = str(self.server.endpoints[name].address)
+        instrument = self.rig.instrument
+        table["interferometer"]["address"] = str(self.server.endpoints[instrument.name].address)  # type: ignore[union-attr]
+        table["clock"] = {"speedup": self.rig.clock.speedup, "anchor_s": self.rig.clock.anchor}
+        table.pop("emulate", None)
+        return _toml(table)
+
+    def write_live(self, path: Path) -> None:
+        """Write `live_toml` to a file."""
+        write_text(path, self.live_toml())
+
+    def run(self, halt: Halt) -> None:
+        """Serve until `halt` says so; faults of the file come at their times."""
+        began = self.rig.clock.now()
+        self.server.start()
+        try:
+            for fault in self._pending:
+                wait = began + fault.at_s - self.rig.clock.now()
+                halt.wait(self.rig.clock.wall(wait))
+                self.server.inject(fault.device, fault.kind, fault.duration_s)
+            halt.wait(float("inf"))
+        finally:
+            self.server.stop()
+
+
+def _toml(table: dict[str, Any], place: str = "") -> str:
+    """A table as TOML: what RIG.toml holds, texts, numbers, flags and tables of these."""
+    lines = [f"{key} = {json.dumps(value)}\n" for key, value in table.items() if not isinstance(value, (dict, list))]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            name = f"{place}{json.dumps(key)}"
+            lines.append(f"\n[{name}]\n{_toml(value, f'{name}.')}")
+    return "".join(lines)

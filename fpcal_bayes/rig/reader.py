@@ -1,0 +1,242 @@
+"""Read RIG.toml, with a message for everything that can be wrong in it."""
+
+import math
+import time
+import tomllib
+from pathlib import Path
+from typing import Any, get_args
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import read_text, require_line_end
+from fpcal_bayes.io.validate import Tables, literal
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.joints import ControllerAxis, Joint
+from fpcal_bayes.rig.clock import Clock
+from fpcal_bayes.rig.drivers import attocube, pi, smaract
+from fpcal_bayes.rig.drivers.attocube import IDSSettings, Namespace
+from fpcal_bayes.rig.drivers.interface import Address
+from fpcal_bayes.rig.settings import (
+    ControllerSettings,
+    EmulationSettings,
+    FaultSettings,
+    IDSDevice,
+    JointSettings,
+    ProgramDevice,
+    Rig,
+    StageDriver,
+)
+
+SCHEMA = "fpcal-rig/1"
+
+#: Kinds of faults, see `emulate.faults`.
+FAULTS = (
+    "no-answer",
+    "half-line",
+    "end-stop",
+    "following-error",
+    "reset",
+    "slow-settling",
+    "lost-fringe",
+)
+
+_PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "attocube-ids": attocube.DEFAULT_PORT}
+
+
+def read_rig(source: str | Path, cell: Cell) -> Rig:
+    """Read the rig of `cell` from a TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or anything in it is not as documented, or a joint has no controller.
+    """
+    path = Path(source)
+    text = read_text(path)
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{source}: not a TOML file: {error}") from error
+    rig = _Reader(str(source)).rig(table, cell)
+    if text[-1:].isdigit():
+        require_line_end(path, text)
+    return rig
+
+
+class _Reader(Tables):
+    """Turns the tables of one file into a rig; every refusal names the file and the key."""
+
+    def rig(self, table: dict[str, Any], cell: Cell) -> Rig:
+        self.keys(table, "", {"schema", "name", "clock", "session", "controller", "joint", "interferometer", "emulate"})
+        if table.get("schema") != SCHEMA:
+            raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
+        session = self.optional(table, "session")
+        self.keys(session, "session", {"close_nm", "repeats", "least_gap_um"})
+        named = self.table(table, "", "controller")
+        controllers = tuple(self.controller(named, name) for name in named)
+        joints = self.table(table, "", "joint")
+        places = [f"q{number}" for number in range(1, len(cell.joints) + 1)]
+        self.keys(joints, "joint", set(places))
+        driven = tuple(
+            self.joint(self.table(joints, "joint", place), f"joint.{place}", joint, set(named))
+            for place, joint in zip(places, cell.joints, strict=True)
+        )
+        self.each_once(driven, places)
+        idle = set(named) - {joint.axis.name for joint in driven}
+        if idle:
+            raise self.error(f"controller.{sorted(idle)[0]}", "no joint of the cell is on it, expected one or more")
+        instrument = self.instrument(self.table(table, "", "interferometer"))
+        return Rig(
+            file=str(self.file),
+            name=self.text(table, "", "name"),
+            clock=self.clock(self.optional(table, "clock")),
+            controllers=controllers,
+            joints=driven,
+            instrument=instrument,
+            close=self.number(session, "session", "close_nm", low=0.0, default=30.0) * 1e-3,
+            repeats=self.whole(session, "session", "repeats", 0, 100, 1),
+            least_gap=self.number(session, "session", "least_gap_um", low=0.0, default=0.0),
+            emulation=self.emulation(
+                self.optional(table, "emulate"),
+                {*named, *([instrument.name] if isinstance(instrument, IDSDevice) else [])},
+            ),
+        )
+
+    def clock(self, table: dict[str, Any]) -> Clock:
+        self.keys(table, "clock", {"speedup", "anchor_s"})
+        speedup = self.number(table, "clock", "speedup", low=1.0, high=1e6, default=1.0)
+        return Clock(speedup, self.number(table, "clock", "anchor_s", low=0.0, default=time.time()))
+
+    def controller(self, named: dict[str, Any], name: str) -> ControllerSettings:
+        table, place = self.table(named, "controller", name), f"controller.{name}"
+        self.keys(table, place, {"driver", "address", "timeout_s", "servo_on"})
+        driver = self.choice(table, place, "driver", get_args(StageDriver), None)
+        return ControllerSettings(
+            name=name,
+            driver=driver,
+            address=self.address(table, place, _PORTS[driver]),
+            timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
+            servo_on=self.flag(table, place, "servo_on"),
+        )
+
+    def joint(self, table: dict[str, Any], place: str, joint: Joint, controllers: set[str]) -> JointSettings:
+        unit = joint.unit
+        scale = 1.0 if unit == "um" else math.radians(1.0)
+        known = {f"speed_{unit}_s", f"tolerance_{unit}", "settle_s", "settle_timeout_s", "controller", "channel"}
+        self.keys(table, place, known)
+        stated = joint.controller
+        if stated is None:
+            raise self.error(place, "the cell does not say how a controller counts this joint, expected it to")
+        axis = ControllerAxis(
+            self.line(table, place, "controller", stated.name),
+            self.line(table, place, "channel", stated.channel),
+            stated.sign,
+            stated.zero,
+            stated.unit,
+            stated.per_unit,
+        )
+        if axis.name not in controllers:
+            raise self.error(
+                f"{place}.controller", f"expected one of {', '.join(sorted(controllers))}, found {axis.name!r:.60}"
+            )
+        return JointSettings(
+            axis,
+            speed=self.number(table, place, f"speed_{unit}_s", low=1e-9, high=1e6) * scale,
+            tolerance=self.number(table, place, f"tolerance_{unit}", low=1e-9, high=1e3) * scale,
+            settle_s=self.number(table, place, "settle_s", low=0.0, high=600.0, default=0.1),
+            settle_timeout_s=self.number(table, place, "settle_timeout_s", low=0.001, high=3600.0, default=10.0),
+        )
+
+    def each_once(self, joints: tuple[JointSettings, ...], places: list[str]) -> None:
+        seen: dict[tuple[str, str], str] = {}
+        for place, joint in zip(places, joints, strict=True):
+            key = (joint.axis.name, joint.axis.channel)
+            if key in seen:
+                raise self.error(
+                    f"joint.{place}.channel", f"{key[0]} channel {key[1]} moves {seen[key]} already, expected another"
+                )
+            seen[key] = place
+
+    def instrument(self, table: dict[str, Any]) -> IDSDevice | ProgramDevice:
+        place = "interferometer"
+        if "record" in table:
+            self.keys(table, place, {"record", "timeout_s"})
+            timeout = self.number(table, place, "timeout_s", low=0.001, high=600.0, default=10.0)
+            return ProgramDevice(self.text(table, place, "record"), timeout)
+        known = {"driver", "name", "address", "timeout_s", "axis", "namespace", "sign", "noise_nm", "samples"}
+        self.keys(table, place, known | {"steady_nm", "least_contrast_permille", "air"})
+        self.choice(table, place, "driver", ("attocube-ids",), None)
+        sign = self.whole(table, place, "sign", -1, 1, 1)
+        if sign == 0:
+            raise self.error(f"{place}.sign", "expected 1 or -1, found 0")
+        noise = self.number(table, place, "noise_nm", low=1e-6, high=1e6) * 1e-3
+        samples = self.whole(table, place, "samples", 1, 10_000, 8)
+        least_spread = 10.0 * noise * math.sqrt(samples) * 1e3
+        return IDSDevice(
+            name=self.line(table, place, "name", "IDS3010"),
+            address=self.address(table, place, attocube.DEFAULT_PORT),
+            timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
+            settings=IDSSettings(
+                axis=self.whole(table, place, "axis", 0, 2, 0),
+                namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),
+                sign=sign,
+                samples=samples,
+                steady=self.number(table, place, "steady_nm", low=1e-3, high=1e6, default=least_spread) * 1e-3,
+                least_contrast_permille=self.number(
+                    table, place, "least_contrast_permille", low=0.0, high=1000.0, default=20.0
+                ),
+                air=self.flag(table, place, "air"),
+            ),
+            noise=noise,
+        )
+
+    def emulation(self, table: dict[str, Any], devices: set[str]) -> EmulationSettings:
+        self.keys(table, "emulate", {"truth", "seed", "time_h", "settle_s", "fault"})
+        entries = table.get("fault", [])
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise self.error("emulate.fault", "expected [[emulate.fault]] tables")
+        faults = []
+        for number, entry in enumerate(entries, 1):
+            place = f"emulate.fault {number}"
+            self.keys(entry, place, {"device", "kind", "at_s", "duration_s"})
+            faults.append(
+                FaultSettings(
+                    self.choice(entry, place, "device", tuple(sorted(devices)), None),
+                    self.choice(entry, place, "kind", FAULTS, None),
+                    self.number(entry, place, "at_s", low=0.0),
+                    self.number(entry, place, "duration_s", low=0.0, default=10.0),
+                )
+            )
+        return EmulationSettings(
+            truth=self.line(table, "emulate", "truth", ""),
+            seed=self.whole(table, "emulate", "seed", 0, 2**32 - 1, 0),
+            time_h=self.number(table, "emulate", "time_h", default=0.0),
+            settle_s=self.number(table, "emulate", "settle_s", low=0.0, high=600.0, default=0.05),
+            faults=tuple(faults),
+        )
+
+    def address(self, table: dict[str, Any], place: str, port: int) -> Address:
+        text = self.text(table, place, "address")
+        host, colon, digits = text.rpartition(":")
+        if not colon:
+            host, digits = text, str(port)
+        if not host or not digits.isdecimal() or int(digits) > 65535:
+            raise self.error(f"{place}.address", f"expected HOST or HOST:PORT, found {literal(text)}")
+        return Address(host, int(digits))
+
+    def optional(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
+        return self.table(parent, "", key) if key in parent else {}
+
+    def line(self, table: dict[str, Any], place: str, key: str, default: str) -> str:
+        return self.text(table, place, key) if key in table else default
+
+    def flag(self, table: dict[str, Any], place: str, key: str) -> bool:
+        value = table.get(key, False)
+        if not isinstance(value, bool):
+            raise self.error(f"{place}.{key}", f"expected true or false, found {literal(value)}")
+        return value
+
+    def whole(self, table: dict[str, Any], place: str, key: str, low: int, high: int, default: int) -> int:
+        value = table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self.error(f"{place}.{key}", f"expected a whole number from {low} to {high}, found {literal(value)}")
+        return value

@@ -1,0 +1,141 @@
+"""What was measured, as a session: rows, what is in doubt, and the file that holds both."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
+from fpcal_bayes.io.traces import read_trace
+from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
+from fpcal_bayes.measure.recordings import TraceIndex
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.rig.clock import iso
+from fpcal_bayes.rig.ticket import Order
+
+#: Columns that sweeps may have or not, by the version of the column engine.
+_FIELDS = {field.name for field in fields(Sweeps)}
+
+
+def sweeps_of(
+    orders: Sequence[Order],
+    outcomes: Mapping[int, Mapping[str, Any]],
+    cell: Cell,
+    *,
+    sigma: float,
+    origin_s: float,
+) -> Sweeps | None:
+    """The rows of all orders that gave reliable numbers; None if there is none.
+
+    Parameters
+    ----------
+    outcomes
+        By the order's place.
+    sigma
+        Standard deviation of a row, in um.
+    origin_s
+        Unix time of the campaign's beginning.
+    """
+    rows: list[dict[str, Any]] = []
+    for number, outcome in sorted(outcomes.items()):
+        if outcome["doubt"]:
+            continue
+        order, (first, *others) = orders[number], outcome["readings"]
+        for label, reading in zip(order.labels, others, strict=True):
+            start, end = np.array(first["q"]), np.array(reading["q"])
+            celsius = reading["temperature_c"]
+            rows.append(
+                {
+                    "session": order.session,
+                    "label": label,
+                    "time_h": (reading["moment_s"] - origin_s) / 3600.0,
+                    "q_start": start,
+                    "q_end": end,
+                    "dl": reading["length_um"] - first["length_um"],
+                    "group": order.group,
+                    "utc": iso(reading["moment_s"]),
+                    "temperature_c": np.nan if celsius is None else celsius,
+                    "t_start_h": (first["moment_s"] - origin_s) / 3600.0,
+                    "t_end_h": (reading["moment_s"] - origin_s) / 3600.0,
+                    "approach": _approach(end - start, order.targets[-1] - order.start),
+                }
+            )
+    if not rows:
+        return None
+    table: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
+    q_start, q_end = np.array(table.pop("q_start")), np.array(table.pop("q_end"))
+    for name in ("time_h", "dl", "temperature_c", "t_start_h", "t_end_h"):
+        table[name] = np.array(table[name], dtype=float)
+    known = {name: values for name, values in table.items() if name in _FIELDS}
+    return Sweeps.make(q_start, q_end, sigma=sigma, file="session", **known)
+
+
+def doubtful_of(orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]]) -> DoubtfulRecord | None:
+    """The orders that gave no reliable number; None if there is none."""
+    doubtful = [(number, outcome) for number, outcome in sorted(outcomes.items()) if outcome["doubt"]]
+    if not doubtful:
+        return None
+    n = len(doubtful)
+    return DoubtfulRecord(
+        session=np.array([orders[number].session for number, _ in doubtful], dtype=np.str_),
+        label=np.array([orders[number].label for number, _ in doubtful], dtype=np.str_),
+        reason=np.array([outcome["doubt"] for _, outcome in doubtful], dtype=np.str_),
+        recording=np.array([number for number, _ in doubtful], dtype=np.int64),
+        dl=np.full(n, np.nan),
+        sigma=np.full(n, np.nan),
+        signed=np.ones(n, dtype=bool),
+        alternatives=((),) * n,
+    )
+
+
+def recordings_of(
+    orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]], cell: Cell, folder: Path, origin_s: float
+) -> TraceIndex | None:
+    """The recorded traces of all orders; None if there is none."""
+    kept = [(orders[number], outcome) for number, outcome in sorted(outcomes.items()) if not outcome["doubt"]]
+    if not kept:
+        return None
+    ends = [np.array([outcome["readings"][end]["q"] for _, outcome in kept]) for end in (0, -1)]
+    moved = np.array([order.start != order.targets[-1] for order, _ in kept])
+    moments = [outcome["readings"][-1]["moment_s"] for _, outcome in kept]
+    traces = []
+    for (_, outcome), moves in zip(kept, moved, strict=True):
+        scale = float(cell.joint_scales[int(np.argmax(moves))])
+        traces.append(read_trace(folder / outcome["trace"], scale))
+    sweeps = Sweeps.make(
+        ends[0],
+        # A joint that was not moved stands where it stood, to the last bit of its encoder's noise.
+        np.where(moved, ends[1], ends[0]),
+        session=[order.session for order, _ in kept],
+        label=[order.label for order, _ in kept],
+        time_h=(np.array(moments) - origin_s) / 3600.0,
+        utc=[iso(moment) for moment in moments],
+        file="session",
+    )
+    return TraceIndex.of(sweeps, traces)
+
+
+def write_session(path: Path, sweeps: Sweeps, doubtful: DoubtfulRecord | None, cell: Cell, command: str) -> None:
+    """Write a session, whole or not at all; a CSV holds its rows only."""
+    if path.suffix.lower() in HDF5_SUFFIXES:
+        write_campaign(path, replace(Campaign.of(sweeps, cell, command=command), doubtful=doubtful), cell)
+    else:
+        write_sweeps(path, sweeps, cell)
+
+
+def write_recordings(path: Path, index: TraceIndex, cell: Cell) -> None:
+    """Write recordings for ``fpcal ingest``."""
+    write_index(path, index, cell)
+
+
+def _approach(moved: Floats, planned: Floats) -> str:
+    """A sign for each joint: how it came to the end of its row."""
+    return "".join(
+        "0" if plan == 0.0 else "+" if step > 0.0 else "-" for step, plan in zip(moved, planned, strict=True)
+    )

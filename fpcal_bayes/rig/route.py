@@ -1,0 +1,237 @@
+"""Where the joints go: what forbids a move, and what a dry run tells of it."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Protocol
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.rig.settings import Rig
+from fpcal_bayes.rig.ticket import Order
+
+#: Points of a straight line on which gap and length are looked at.
+_POINTS = 33
+#: Points per moving joint of the box through which joints that are not in step may pass.
+_BOX = 3
+
+
+class Envelope(Protocol):
+    """Where a cell may be, beyond the limits of its joints."""
+
+    @property
+    def together(self) -> Sequence[Sequence[int]]:
+        """Groups of joints, by position, that may move at the same time; all others move one after the other."""
+
+    def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> Sequence[str | None]:
+        """Why each of some moves may leave the envelope, or None.
+
+        Parameters
+        ----------
+        moves
+            Of each, joint vectors in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
+            end. Between two of them each joint may be anywhere between its values.
+        speed
+            Of the joints, in um/s and rad/s, shape (n_joints,).
+        """
+
+
+class ForbiddenMoveError(InputError):
+    """A move that must not be made; the message is one line and says why."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One move and the reading after it.
+
+    Attributes
+    ----------
+    name
+        What it is for.
+    start, end
+        Joint vectors in um and rad.
+    seconds
+        That it takes, with settling.
+    gap
+        Least distance of fibre and mirror on the way, in um.
+    fringe_rate
+        Most fringes per second.
+    """
+
+    name: str
+    start: Floats
+    end: Floats
+    seconds: float
+    gap: float
+    fringe_rate: float
+
+
+class Guard:
+    """Looks at every move before it is made.
+
+    Parameters
+    ----------
+    estimate
+        Geometry by which gap and length are told; by default the cell's nominal one.
+    envelope
+        Where the cell may be, beyond the limits of its joints.
+    """
+
+    def __init__(
+        self, cell: Cell, rig: Rig, estimate: Estimate | None = None, envelope: Envelope | None = None
+    ) -> None:
+        self._cell = cell
+        self._rig = rig
+        self._envelope = envelope
+        if envelope is None and getattr(cell, "envelope", None) is not None:
+            raise InputError(f"cell {cell.name!r} has an envelope, expected a rig that holds its moves to it")
+        parameters = cell.free if estimate is None else estimate.parameters
+        self._values = parameters.nominal if estimate is None else estimate.values
+        self._model = CavityModel.of(cell, parameters)
+        # Moves, either way, that were found to be allowed.
+        self._allowed: set[frozenset[bytes]] = set()
+        self.tolerance = np.array([joint.tolerance for joint in rig.joints])
+        self.speed = np.array([joint.speed for joint in rig.joints])
+
+    def inside(self, q: Floats) -> Floats:
+        """The pose that is commanded for `q`: at a limit, one tolerance inside it, where it is sure to be reached."""
+        return np.clip(q, self._cell.low + self.tolerance, self._cell.high - self.tolerance)
+
+    def check_pose(self, q: Floats, what: str) -> None:
+        """Raise `ForbiddenMoveError` where a joint is out of its limits by more than its tolerance."""
+        outside = ~((q >= self._cell.low - self.tolerance) & (q <= self._cell.high + self.tolerance))
+        if outside.any():
+            i = int(np.argmax(outside))
+            joint, scale = self._cell.joints[i], self._cell.joint_scales[i]
+            raise ForbiddenMoveError(
+                f"{what}: q{i + 1} = {q[i] / scale:g} {joint.unit} is outside the limits of cell {self._cell.name!r}, "
+                f"{joint.low / scale:g} to {joint.high / scale:g} {joint.unit}"
+            )
+
+    def check_move(self, start: Floats, end: Floats, what: str) -> None:
+        """Raise `ForbiddenMoveError` unless all poses between two are allowed, whatever the order of the joints.
+
+        Axes do not move in step: each may be anywhere between its start and its end while another is where it was.
+        """
+        self.check_moves([(start, end, what)])
+
+    def check_moves(self, moves: Sequence[tuple[Floats, Floats, str]]) -> None:
+        """`check_move` for several, of which many are alike."""
+        new: dict[frozenset[bytes], tuple[Floats, Floats, str]] = {}
+        for start, end, what in moves:
+            self.check_pose(start, what)
+            self.check_pose(end, what)
+            key = frozenset((start.tobytes(), end.tobytes()))
+            if key not in self._allowed:
+                new.setdefault(key, (start, end, what))
+        if self._rig.least_gap > 0.0:
+            for start, end, what in new.values():
+                gap = float(self.gaps(_box(start, end)).min())
+                if gap < self._rig.least_gap:
+                    raise ForbiddenMoveError(
+                        f"{what}: the mirror comes as near to the fibre as {gap:.1f} um, "
+                        f"expected {self._rig.least_gap:g} um or more"
+                    )
+        if self._envelope is not None and new:
+            stops = [[start, *self.turns(start, end)] for start, end, _ in new.values()]
+            for (_, _, what), refusal in zip(new.values(), self._envelope.refusals(stops, self.speed), strict=True):
+                if refusal:
+                    raise ForbiddenMoveError(f"{what}: {refusal}")
+        self._allowed |= set(new)
+
+    def gaps(self, q: Floats) -> Floats:
+        """Distance from the fibre's end to the mirror's plane at poses (n, n_joints), in um."""
+        normals, origins = self._model.mirrors(self._values, q)
+        fibre = chain.fibre_in_world(self._model.vector(self._values))[:3, 3]
+        distance: Floats = np.abs(np.sum(normals * (origins - fibre), axis=1))
+        return distance
+
+    def turns(self, start: Floats, end: Floats) -> list[Floats]:
+        """The poses at which a move stops on its way: joints that must not move at once go one after the other."""
+        moving = np.flatnonzero(start != end).tolist()
+        groups = [] if self._envelope is None else [list(group) for group in self._envelope.together]
+        parts = [[joint for joint in moving if joint in group] for group in groups]
+        single = [[joint] for joint in moving if not any(joint in group for group in groups)]
+        poses, pose = [], start.copy()
+        for part in [*parts, *single] if self._envelope is not None else [moving]:
+            pose = pose.copy()
+            pose[part] = end[part]
+            if part:
+                poses.append(pose)
+        return poses or [end]
+
+    def seconds(self, start: Floats, end: Floats) -> float:
+        """Time of a move, with settling."""
+        times, before = 0.0, start
+        for pose in self.turns(start, end):
+            times += self._turn_seconds(before, pose)
+            before = pose
+        return times
+
+    def _turn_seconds(self, start: Floats, end: Floats) -> float:
+        moving = start != end
+        if not moving.any():
+            return 0.0
+        rest = [joint.settle_s for joint, moves in zip(self._rig.joints, moving, strict=True) if moves]
+        return float((np.abs(end - start) / self.speed).max()) + max(rest)
+
+    def leg(self, name: str, start: Floats, end: Floats) -> Leg:
+        """A move as a dry run shows it; joints are taken to arrive together."""
+        line = start + (end - start) * np.linspace(0.0, 1.0, _POINTS)[:, None]
+        lengths = self._model.predict(self._values, self._model.pose_rows(line))
+        motion = float((np.abs(end - start) / self.speed).max())
+        change = float(np.abs(np.diff(lengths)).max()) * (_POINTS - 1)
+        rate = change / motion / (self._cell.wavelength / 2.0) if motion > 0.0 else 0.0
+        gap = float(self.gaps(np.concatenate([line, _box(start, end)])).min())
+        return Leg(name, start, end, self.seconds(start, end), gap, rate)
+
+    def moves(self, order: Order, at: Floats) -> list[tuple[Floats, Floats, str]]:
+        """The moves of an order from where the joints stand: start, end, what for."""
+        names = ["to the start", *order.labels, "back to the start"]
+        return [
+            (start, end, f"row {order.row}: {order.label!r}, {name}")
+            for name, (start, end) in zip(names, pairwise([at, *self.stops(order)]), strict=True)
+        ]
+
+    def stops(self, order: Order) -> Iterator[Floats]:
+        """The poses at which an order stops: its start, its targets, its start."""
+        yield self.inside(order.start)
+        for target in order.targets:
+            yield self.inside(target)
+        yield self.inside(order.start)
+
+
+def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]]:
+    """Every move of every order, looked at and timed, none made.
+
+    Raises
+    ------
+    ForbiddenMoveError
+        At the first move that must not be made.
+    """
+    moves = []
+    for order in orders:
+        moves.append(guard.moves(order, at))
+        at = moves[-1][-1][1]
+    guard.check_moves([move for each in moves for move in each])
+    return [[guard.leg(what, start, end) for start, end, what in each] for each in moves]
+
+
+def total_seconds(legs: Iterable[Iterable[Leg]]) -> float:
+    """Time of all moves."""
+    return sum(leg.seconds for order in legs for leg in order)
+
+
+def _box(start: Floats, end: Floats) -> Floats:
+    """A grid over all poses whose joints each lie between start and end."""
+    moving = np.flatnonzero(start != end)
+    shares = np.array(list(product(np.linspace(0.0, 1.0, _BOX), repeat=len(moving))))
+    poses = np.tile(start, (len(shares), 1))
+    poses[:, moving] += (end - start)[moving] * shares
+    return poses

@@ -1,0 +1,120 @@
+"""Measure a ticket: drive its orders until all are done, or stop all axes and keep what was measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fpcal_bayes.rig.agenda import Agenda
+from fpcal_bayes.rig.bench import Bench
+from fpcal_bayes.rig.route import Guard, dry_run, total_seconds
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a session is.
+
+    Attributes
+    ----------
+    done, total
+        Orders.
+    label, doubt
+        Of the order driven last; no doubt is empty.
+    left_s
+        Seconds of the cell that the rest will take.
+    """
+
+    done: int
+    total: int
+    label: str
+    doubt: str
+    left_s: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a session ended.
+
+    Attributes
+    ----------
+    rows
+        Rows, or traces, in the session's file.
+    done, total
+        Orders driven, and all.
+    doubtful
+        Labels of the orders without a reliable number, and why.
+    reason
+        Why it ended.
+    """
+
+    rows: int
+    done: int
+    total: int
+    doubtful: tuple[tuple[str, str], ...]
+    reason: str
+
+
+class Failed(Exception):
+    """A session ended before its time; `__cause__` says why, what was measured is kept.
+
+    Attributes
+    ----------
+    summary
+        What was kept.
+    unsure
+        Controllers whose axes may still move, a line each.
+    """
+
+    def __init__(self, summary: Summary, unsure: list[str]) -> None:
+        super().__init__(summary.reason)
+        self.summary = summary
+        self.unsure = unsure
+
+
+def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress], None]) -> Summary:
+    """Drive all orders that are left.
+
+    Every move of the ticket is looked at before the first is made. Whatever goes wrong, the axes are stopped before
+    anything else is done.
+
+    Raises
+    ------
+    Failed
+        If a device is lost, a move is forbidden, or all must stop.
+    """
+    if not agenda.left:
+        return _summary(agenda, agenda.should_stop()[1])
+    try:
+        bench.prepare()
+        here = bench.position()
+        legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], here)
+        agenda.begin()
+        expected, began, planned = total_seconds(legs), agenda.rig.clock.now(), 0.0
+        durations = dict(zip(agenda.left, (total_seconds([order]) for order in legs), strict=True))
+        while not agenda.should_stop()[0]:
+            for point in agenda.suggest(1):
+                number = int(point["_id"])
+                outcome = bench.drive(number, agenda.orders[number])
+                agenda.ingest([outcome])
+                planned += durations[number]
+                pace = (agenda.rig.clock.now() - began) / planned if planned > 0.0 else 1.0
+                done = len(agenda.outcomes)
+                left = (expected - planned) * pace
+                tell(Progress(done, len(agenda.orders), str(point["label"]), str(outcome["doubt"]), left))
+    except BaseException as error:
+        unsure = bench.stop()
+        if not isinstance(error, Exception):
+            agenda.checkpoint()
+            raise
+        raise Failed(_summary(agenda, str(error)), unsure) from error
+    finally:
+        bench.close()
+    return _summary(agenda, agenda.should_stop()[1])
+
+
+def _summary(agenda: Agenda, reason: str) -> Summary:
+    rows = agenda.checkpoint()
+    doubtful = tuple(
+        (agenda.orders[number].label, str(outcome["doubt"]))
+        for number, outcome in sorted(agenda.outcomes.items())
+        if outcome["doubt"]
+    )
+    return Summary(rows, len(agenda.outcomes), len(agenda.orders), doubtful, reason)

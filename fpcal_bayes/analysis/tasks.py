@@ -30,6 +30,10 @@ class TaskNumbers:
     turn: tuple[float, float]
     tolerance: float | None
     exceeds: float | None  # probability of a larger peak to peak than the tolerance
+    # peak to peak, median and 97.5 % quantile, of what is the same each time and of what return errors add; None where
+    # the mechanism is taken as perfect
+    repeatable: tuple[float, float] | None = None
+    returned: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
@@ -52,6 +56,8 @@ class TaskNumbers:
             turn=_largest(prediction.angles.turn),
             tolerance=None if tolerance is None else 1e3 * tolerance,
             exceeds=None if tolerance is None else prediction.exceeds(tolerance),
+            repeatable=_ranges(prediction.repeatable),
+            returned=_ranges(prediction.returned),
         )
 
     @classmethod
@@ -77,6 +83,14 @@ class TaskNumbers:
     def worst_sd(self) -> float:
         """The largest standard deviation along the path."""
         return float(self.sd.max())
+
+
+def _ranges(errors: Floats | None) -> tuple[float, float] | None:
+    """Median and upper edge of the peak to peak in nm."""
+    if errors is None:
+        return None
+    middle, most = np.quantile(np.ptp(errors, axis=1), [0.5, 0.975])
+    return 1e3 * float(middle), 1e3 * float(most)
 
 
 def _largest(angles: Floats) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import check_suffix, write_joints
 from fpcal_bayes.motion.validity import judged_at, read_now
-from fpcal_bayes.report.tasks import prediction_content, prediction_table, reach_warnings
+from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, prediction_table, reach_warnings
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,6 +31,8 @@ def run(options: argparse.Namespace) -> int:
     warnings = reach_warnings(task) + [reason.text for reason in prediction.trust.reasons]
     title = f"{options.output}: {task.ok.sum()} of {len(task)} points"
     console(options).print(prediction_table([prediction], None, title))
+    for line in mechanism_lines([prediction]):
+        console(options).say(line)
     warn(warnings)
     content = {"tasks": {task.name: prediction_content(prediction, None, task)}, "warnings": warnings}
     write_result(options.json, "control", estimate.content() | content)

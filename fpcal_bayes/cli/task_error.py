@@ -14,6 +14,7 @@ from fpcal_bayes.report.tasks import (
     budget_content,
     budget_table,
     correlation_lines,
+    mechanism_lines,
     prediction_content,
     prediction_table,
     reach_warnings,
@@ -47,10 +48,14 @@ def run(options: argparse.Namespace) -> int:
 
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
     out.print(prediction_table(predictions, tolerance, f"{Path(options.file).name}: task errors {source}"))
+    for line in mechanism_lines(predictions):
+        out.say(line)
     for budget in budgets:
         out.print(budget_table(budget))
         for line in correlation_lines(budget):
             out.say(line)
+    if sweeps is not None and estimate.mechanics is not None:
+        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
     warnings += [reason.text for reason in estimate.trust.reasons]
     warn(warnings)
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})

@@ -43,6 +43,9 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
         "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
         "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
     }
+    if found.repeatable is not None and found.returned is not None:
+        content["repeatable_nm"] = dict(zip(("median", "high"), found.repeatable, strict=True))
+        content["return_nm"] = dict(zip(("median", "high"), found.returned, strict=True))
     if tolerance is not None:
         content["tolerance_nm"] = found.tolerance
         content["exceeds_probability"] = found.exceeds
@@ -73,6 +76,19 @@ def prediction_table(predictions: list[TaskPrediction], tolerance: float | None,
             *([] if tolerance is None else ["" if found.exceeds is None else f"{found.exceeds:.3f}"]),
         )
     return table
+
+
+def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
+    """What the predictions assume of the mechanism; on a machine the repeatable part and return on lines of their own."""
+    numbers = [TaskNumbers.of(prediction) for prediction in predictions if prediction.trust.usable]
+    if all(prediction.repeatable is None for prediction in predictions):
+        return ["mechanism: taken as perfect (no error motion, reversal or return error)"]
+    lines = []
+    for word, of in (("repeatable part", "repeatable"), ("return", "returned")):
+        told = [(found.task.name, getattr(found, of)) for found in numbers if getattr(found, of) is not None]
+        lines.append(f"{word}, pk-pk [nm]: " + ", ".join(f"{name} {middle:.1f}" for name, (middle, _) in told))
+    points = dict.fromkeys(str(len(found.task)) for found in numbers)
+    return [*lines, f"return errors grow with the number of points of a path, here {' or '.join(points)}"]
 
 
 def reach_warnings(task: Task) -> list[str]:

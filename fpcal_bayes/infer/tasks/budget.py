@@ -9,7 +9,7 @@ does not know of. Its inputs are
 - without the sweeps the parameters by block as the estimate's covariance has them: blocks are correlated;
 - laser wavelength and air index: a scale of every cavity length that is read. Through the fit it scales the change
   that the estimate expects along the task, which the controller keeps constant on the axis path: hardly an error there;
-- repeatability and resolution of the joints while the task is driven.
+- repeatability and resolution of the joints while the task is driven; of a machine with error motions their terms.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
+from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -33,6 +34,8 @@ from fpcal_bayes.motion.tasks import Task
 #: Share of the probability inside the coverage interval, and draws of its Monte Carlo evaluation (JCGM 101).
 COVERAGE = 0.95
 _DRAWS = 200_000
+#: Of a machine: causes below this share of the whole stand together.
+_LEAST_SHARE = 0.02
 #: Sweeps are those that an estimate was made from if they leave the same standard deviation but for this share.
 _AGREEMENT = 0.01
 
@@ -103,6 +106,8 @@ def budget_of(
     `InputError` if they are not, or if a point of the task is out of reach.
     """
     conditions = Conditions() if conditions is None else conditions
+    if estimate.mechanics is not None:
+        return _machine_budget(estimate, task, conditions)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     jacobian = task_jacobian(model, estimate.values, task)
     worst = int(np.argmax(linear_task_sd(jacobian, estimate.covariance)))
@@ -114,11 +119,48 @@ def budget_of(
     else:
         lines, scale = _prior_lines(estimate, model, row, sweeps)
         correlation = np.eye(len(lines))
-    lines += [
+    lines += _scale_lines(conditions, scale)
+    lines += _joint_lines(estimate, model, task, worst)
+    return _budget(task, worst, lines, correlation)
+
+
+def _machine_budget(estimate: Estimate, task: Task, conditions: Conditions) -> Budget:
+    """Of a machine: geometry by block, error motions, reversal, drift and return by term, as its draws have them."""
+    made, change, parts = known_task_errors(estimate, task.start, task.q)
+    worst = int(np.argmax(made.total.std(axis=0)))
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    row = task_jacobian(model, estimate.values, task)[worst]
+    effects = {name: change[:, members] @ row[members] for name, members in _blocks(estimate.parameters)}
+    effects |= {name: errors[:, worst] for name, errors in parts.items() if name != "geometry"}
+    least = _LEAST_SHARE * float(made.total[:, worst].std())
+    small = [name for name, errors in effects.items() if errors.std() < least]
+    if small:
+        rest = np.sum([effects.pop(name) for name in small], axis=0)
+        effects["all others"] = rest
+    values = np.array(list(effects.values()))
+    sd = values.std(axis=1)
+    correlation = np.atleast_2d(np.corrcoef(values[sd > 0]))
+    lines = [
+        Line(name, "A, B", "normal", "um", 0.0, float(size), 1.0)
+        for name, size in zip(effects, sd, strict=True)
+        if size > 0
+    ]
+    change_along = float(model.predict(estimate.values, task_rows(model, task))[worst])
+    lines += _scale_lines(conditions, change_along)
+    lines += [line for line in _joint_lines(estimate, model, task, worst) if line.name.startswith("resolution")]
+    return _budget(task, worst, lines, correlation)
+
+
+def _scale_lines(conditions: Conditions, scale: float) -> list[Line]:
+    """Laser and air, which scale every length."""
+    return [
         Line("laser wavelength", "B", "rectangular", "ppm", 0.0, conditions.wavelength_ppm / 3**0.5, 1e-6 * scale),
         Line("air index", "B", "rectangular", "ppm", 0.0, conditions.index_ppm / 3**0.5, 1e-6 * scale),
     ]
-    lines += _joint_lines(estimate, model, task, worst)
+
+
+def _budget(task: Task, worst: int, lines: list[Line], correlation: Floats) -> Budget:
+    """The budget of lines of which the first have correlations."""
     full = np.eye(len(lines))
     full[: len(correlation), : len(correlation)] = correlation
     interval = _monte_carlo(lines, full, np.random.default_rng(0))

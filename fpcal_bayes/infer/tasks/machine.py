@@ -17,6 +17,8 @@ from fpcal_bayes.motion.tasks import Task
 
 #: Points of a path: return errors make a peak to peak grow with their number, so it is fixed and stated.
 PATH_POINTS = 31
+#: The draws that an estimate hands on are a few hundred: more than this tell nothing new.
+_MOST_DRAWS = 4000
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def known_task_errors(
     knowledge, cell = estimate.mechanics, estimate.cell
     if knowledge is None:
         raise InputError("the estimate knows nothing of the cell's mechanics")
-    rng = np.random.default_rng([seed, 2])
+    rng, draws = np.random.default_rng([seed, 2]), min(draws, _MOST_DRAWS)
     terms, parameters = knowledge.terms(cell), estimate.parameters
     model = CavityModel.of(cell, parameters)
     rows = model.rows(np.repeat(start[None], len(q), axis=0), q)

@@ -11,7 +11,8 @@ from fpcal_bayes.infer.mechanics.fit import fit_mechanics
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.infer.mechanics.judge import term_tests
 from fpcal_bayes.infer.mechanics.posterior import ScaleCharts, weighted_draws
-from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps, scaled_whitening
+from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import paper_truth

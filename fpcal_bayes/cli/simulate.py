@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console
+from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
@@ -37,6 +37,9 @@ def run(options: argparse.Namespace) -> int:
         plan = read_sweeps(protocol, cell, plan=True) if planned else protocol_by_name(protocol, cell)
         plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
+    if options.traces and cell.mechanics is not None:
+        warn(["traces are recorded on a perfect mechanism: error motions are in simulated sweeps only"])
+        cell = cell.ideal
     if plan is None:
         return _record_path(options, cell, truth)
     if options.traces:
@@ -69,6 +72,7 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
     sweeps = simulate(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
+    command += "" if cell.mechanics is None else " --mechanics stated"
     if options.output.suffix.lower() in HDF5_SUFFIXES:
         campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record())
         write_campaign(options.output, campaign, cell)
@@ -76,8 +80,9 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
         write_sweeps(options.output, sweeps, cell)
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
+    machine = "" if cell.mechanics is None else ", a machine drawn from the stated error motions"
     console(options).say(
-        f"{len(sweeps)} rows simulated on cell {cell.name!r}, sd {sigma_nm:g} nm{signs} -> {options.output}"
+        f"{len(sweeps)} rows simulated on cell {cell.name!r}{machine}, sd {sigma_nm:g} nm{signs} -> {options.output}"
     )
     return 0
 

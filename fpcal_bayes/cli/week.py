@@ -79,7 +79,8 @@ def run(options: argparse.Namespace) -> int:
         followed = follow_week(cell, truth, sweeps, results, sigma=sigma, seed=options.seed, progress=status.update)
         status.update("driving circles")
         checks = check_circles(cell, truth, first, results[first].estimate, options.seed)
-        renewed = renewed_circles(cell, truth, {n: r.estimate for n, r in results.items()}, options.seed + len(checks))
+        estimates = {name: result.estimate for name, result in results.items()}
+        renewed = renewed_circles(cell, truth, estimates, options.seed + len(checks), options.seed)
     week = Week(cell, truth, sweeps, results)
     command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed} --between {options.between}"
     _write_data(options, cell, week, followed, command)

@@ -164,8 +164,8 @@ class Machine:
             last = pose
         return reached
 
-    def sweep(self, drive: Drive, sigma: float) -> Floats:
-        """Measured changes of cavity length of rows driven in file order, in um, shape (n,)."""
+    def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
+        """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
         poses: list[Floats] = []
         minutes: list[float] = []
         starts: list[int] = []
@@ -184,8 +184,10 @@ class Machine:
             minutes.append(drive.end_min[i])
         q = np.array(poses)
         lengths = self.lengths(q, self.reach(q, self.side), np.array(minutes))
-        readings = self._noise(len(q)) * sigma / np.sqrt(2.0) + lengths
-        dl: Floats = readings[ends] - np.where(drive.absolute, 0.0, readings[starts])
+        noise = self._noise(len(q))
+        own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[ends]
+        dl: Floats = lengths[ends] + own * sigma / np.sqrt(2.0)
+        dl -= np.where(drive.absolute, 0.0, lengths[starts] + noise[starts] * sigma / np.sqrt(2.0))
         return dl + self._slow(len(drive))
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:

@@ -1,13 +1,17 @@
 """The simulated cell: what the interferometer would read."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.simulator.machine import Machine
 
 
 def noise_free(
@@ -33,8 +37,13 @@ def noise_free(
     return dl
 
 
-def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int) -> Sweeps:
+def simulate(
+    cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int, machine_seed: int | None = None
+) -> Sweeps:
     """Measure sweeps on the simulated cell.
+
+    A cell with mechanics is a machine whose error motions are drawn from the stated sizes by `machine_seed` (by
+    default `seed`), with functions of another family than those that are fitted; see `simulator.machine`.
 
     A row's reading is the difference of one at its end and one at its start, each with the noise sigma / sqrt(2).
     Rows of a group share the reading and the pose reached at their start, so their noises have correlation 1/2.
@@ -68,6 +77,10 @@ def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats,
     if seed < 0:
         raise InputError(f"seed {seed}: expected a whole number, zero or more")
     check_sweeps(sweeps.with_measurement(np.zeros(len(sweeps)), sigma), cell)
+    if cell.mechanics is not None:
+        machine = machine_of(cell, truth, seed if machine_seed is None else machine_seed)
+        dl = _on_machine(machine, truth, sweeps, sigma, np.random.default_rng([seed, 6]))
+        return sweeps.with_measurement(np.where(sweeps.signed | sweeps.absolute, dl, np.abs(dl)), sigma)
     generator = np.random.default_rng(seed)
     shape = sweeps.q_start.shape
     first = _first_of_group(sweeps)
@@ -81,6 +94,33 @@ def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats,
     noise = np.where(sweeps.absolute, end_reading, (end_reading - start_reading) / np.sqrt(2.0))
     dl = noise_free(cell, truth, sweeps, q_start, q_end) + sigma * noise
     return sweeps.with_measurement(np.where(sweeps.signed, dl, np.abs(dl)), sigma)
+
+
+def machine_of(cell: Cell, truth: Truth, seed: int) -> Machine:
+    """The machine of a cell with mechanics: the same for the same seed, at the first of the truth's times."""
+    assert cell.mechanics is not None
+    return Machine.draw(cell, cell.mechanics, vector_at(cell, truth, 0.0), np.random.default_rng([seed, 5]))
+
+
+def vector_at(cell: Cell, truth: Truth, time_h: float) -> Floats:
+    """The true model vector at a time."""
+    vector = cell.parameters.nominal.copy()
+    vector[truth.parameters.slots] = truth.at(float(np.clip(time_h, truth.times_h[0], truth.times_h[-1])))
+    return vector
+
+
+def _on_machine(
+    machine: Machine, truth: Truth, sweeps: Sweeps, sigma: Floats, rng: np.random.Generator
+) -> Floats:
+    """Changes of length that a machine shows, session by session in the order of the rows, in um, shape (n,)."""
+    assert machine.cell.mechanics is not None
+    dl = np.empty(len(sweeps))
+    for name in sweeps.sessions:
+        rows = np.flatnonzero(sweeps.session == name)
+        part = sweeps.take(rows)
+        now = replace(machine, vector=vector_at(machine.cell, truth, float(part.time_h[0])), rng=rng)
+        dl[rows] = now.sweep(drive_of_sweeps(part, machine.cell.mechanics.minutes_per_sweep), sigma[rows])
+    return dl
 
 
 def _first_of_group(sweeps: Sweeps) -> Ints:

@@ -152,11 +152,11 @@ class _Rig:
     """Measures the policy's plans on the simulated cell, each with noise of its own."""
 
     def __init__(self, cell: Cell, truth: Truth, sigma: float, seed: int) -> None:
-        self._cell, self._truth, self._sigma = cell, truth, sigma
+        self._cell, self._truth, self._sigma, self._machine = cell, truth, sigma, seed
         self._seeds = np.random.SeedSequence([seed, 1])
 
     def measure(self, plan: Sweeps, time_h: float) -> Sweeps:
         n = len(plan)
         timed = replace(plan, session=np.full(n, f"h{time_h:06.2f}"), time_h=np.full(n, time_h))
         seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
-        return simulate(self._cell, self._truth, timed, sigma=self._sigma, seed=seed)
+        return simulate(self._cell, self._truth, timed, sigma=self._sigma, seed=seed, machine_seed=self._machine)

@@ -10,7 +10,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.tasks.error import task_errors
+from fpcal_bayes.infer.tasks.error import task_errors, task_rows
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.traces import PathTrace
@@ -20,7 +20,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task, task_path
 from fpcal_bayes.simulator.recorder import record_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import machine_of, simulate, vector_at
 
 #: The paper's Fig 13: every 2 h for 14 h.
 CHECK_HOURS = tuple(2.0 * number for number in range(8))
@@ -50,15 +50,17 @@ def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed:
     task = _circle(estimate)
     times = [estimate.time_h + hours for hours in CHECK_HOURS]
     return [
-        _driven(cell, truth, task, estimate, f"check-{hours:02.0f}h", time_h, name, seed + number)
+        _driven(cell, truth, task, estimate, f"check-{hours:02.0f}h", time_h, name, seed + number, seed)
         for number, (hours, time_h) in enumerate(zip(CHECK_HOURS, times, strict=True))
     ]
 
 
-def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int) -> list[Circle]:
+def renewed_circles(
+    cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int, machine_seed: int
+) -> list[Circle]:
     """The circle of each identification at its own time, and before it with that of the identification before.
 
-    The estimates are by session, in order of time; `seed` is of the recordings' noise.
+    The estimates are by session, in order of time; `seed` is of the recordings' noise, `machine_seed` that of the machine.
     """
     circles: list[Circle] = []
     before = ""
@@ -67,7 +69,10 @@ def renewed_circles(cell: Cell, truth: Truth, estimates: dict[str, Estimate], se
         for held, when in [*used, (name, "after")]:
             task = _circle(estimates[held])
             number = seed + len(circles)
-            circles.append(_driven(cell, truth, task, estimates[held], f"{when}-{name}", estimate.time_h, held, number))
+            label = f"{when}-{name}"
+            circles.append(
+                _driven(cell, truth, task, estimates[held], label, estimate.time_h, held, number, machine_seed)
+            )
         before = name
     return circles
 
@@ -76,12 +81,22 @@ def _circle(estimate: Estimate) -> Task:
     return task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS).driven()
 
 
-def _driven(
-    cell: Cell, truth: Truth, task: Task, estimate: Estimate, name: str, time_h: float, held: str, seed: int
-) -> Circle:
+def _change(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: float, seed: int) -> Floats:
+    """True change of cavity length along a circle beyond what the estimate expects, shape (n,), in um."""
     model = CavityModel.of(cell, truth.parameters)
     expected = estimate.vector()[truth.parameters.slots]
-    change = task_errors(model, truth.at(time_h), expected, task)[0]
+    if cell.mechanics is None:
+        return task_errors(model, truth.at(time_h), expected, task)[0]
+    machine = replace(machine_of(cell, truth, seed), vector=vector_at(cell, truth, time_h))
+    true = machine.path(task.start, task.q, 0.0)
+    return true - model.predict(expected, task_rows(model, task))
+
+
+def _driven(
+    cell: Cell, truth: Truth, task: Task, estimate: Estimate, name: str, time_h: float, held: str, seed: int,
+    machine_seed: int,
+) -> Circle:
+    change = _change(cell, truth, task, estimate, time_h, machine_seed)
     trace = record_path(cell, truth, task.q, time_h, seed=seed)
     return Circle(name, time_h, held, task.along, change - change[0], trace)
 

@@ -17,7 +17,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
+from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
@@ -45,6 +45,7 @@ class Track:
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
     solutions: int = 1  # how many the calibration has; see `tracking.solutions`
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
+    mechanics_left_out: bool = False  # whether the cell states error motions, of which the filter knows nothing
 
     def __repr__(self) -> str:
         return (
@@ -92,6 +93,8 @@ class Track:
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
         found = self.outcomes[0].trust
+        if self.mechanics_left_out:
+            found = found.because(MECHANICS_LEFT_OUT)
         stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
         if stalled:
             text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"
@@ -170,6 +173,12 @@ def track(
         If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
         calibration.
     """
+    if cell.mechanics is not None:
+        # The filter of the drift knows nothing of error motions; it says so.
+        ideal = track(
+            cell.ideal, sweeps, drift=drift, limits=limits, known=known, calibration=calibration, draws=draws, now_h=now_h
+        )
+        return replace(ideal, mechanics_left_out=True)
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)

@@ -10,7 +10,8 @@ from scipy import linalg
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
 from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.mechanics.rows import RowNoise, drive_of_sweeps, scaled_whitening
+from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
 

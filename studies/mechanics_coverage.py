@@ -18,11 +18,11 @@ from scipy import stats
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.fit import fit_mechanics
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.infer.mechanics.rows import RowNoise
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel

@@ -165,7 +165,9 @@ def stand_in(opd: str, elpd: float, *, p_value: float = 0.5, k: float = 0.2, con
     sweeps = SimpleNamespace(signed=np.ones(20, bool), absolute=np.zeros(20, bool), group=np.full(20, ""))
     problem = SimpleNamespace(target=rows, sweeps=sweeps)
     solution = SimpleNamespace(sum_of_squares=fit.chi2_data)
-    identification = SimpleNamespace(converged=converged, fit=fit, problem=problem, solution=solution, starts=10)
+    identification = SimpleNamespace(
+        converged=converged, fit=fit, problem=problem, solution=solution, starts=10, machine=None
+    )
     loo = LeaveOneOut(rows, rows + 0.1, np.full(20, k), 0.7, np.zeros(20, bool))
     return ModelResult(ModelSpec(f"opd={opd}", opd, "gaussian"), identification, loo if converged else None)
 

@@ -8,12 +8,12 @@ import pytest
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.fit import fit_mechanics
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
-from fpcal_bayes.infer.mechanics.judge import term_tests
+from fpcal_bayes.infer.mechanics.judge import doubts_of, term_tests
 from fpcal_bayes.infer.mechanics.posterior import ScaleCharts, weighted_draws
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -182,12 +182,12 @@ def test_a_motion_beyond_the_sheet_is_named(cell):
     loud = [replace(joint, axial_runout_nm=2500.0) if i == 5 else joint for i, joint in enumerate(SIZES.joints)]
     machine = _machine(cell, 5, replace(SIZES, joints=tuple(loud)))
     fit = fit_mechanics(_problem(cell, machine), SIZES)
-    assert any("rotary, along the beam" in doubt.text or "q6" in doubt.text for doubt in fit.doubts)
+    assert any("rotary, along the beam" in doubt.text or "q6" in doubt.text for doubt in doubts_of(fit))
 
 
 def test_good_machines_are_not_doubted(fitted):
     _, fit = fitted
-    assert fit.doubts == ()
+    assert doubts_of(fit) == ()
     assert min(test.p_value for test in term_tests(fit)) > 1e-3
 
 

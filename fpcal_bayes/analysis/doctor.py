@@ -148,12 +148,20 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             if len(set(part.dl[rows].tolist())) == len(rows) > 1:
                 squares += float(((weighed - weighed.mean()) ** 2).sum())
                 free += len(rows) - 1
-        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
+        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3 and cell.mechanics is not None:
+            yield Finding(
+                "doubt", "return", name,
+                f"sweeps driven again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
+                "see that return_nm and return_urad of the joints that move cover it; sigma_um is for what readings "
+                "show that are repeated without any motion",
+            )  # fmt: skip
+        elif free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
             yield Finding(
                 "problem", "sigma", name,
                 f"sweeps measured again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
                 "raise sigma_um by this factor, or find what moves between the repeats",
             )  # fmt: skip
+        yield from _still_readings(name, sweeps.of_session(name))
     half_wave = 0.5 * cell.wavelength
     wide = sweeps.sigma > half_wave / 4
     if wide.any():
@@ -166,6 +174,24 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         yield Finding(
             "doubt", "sigma", "", f"{int(fine.sum())} rows have a sigma_um below 0.01 nm",
             "check the unit: sigma_um is in um",
+        )  # fmt: skip
+
+
+def _still_readings(name: str, part: Sweeps) -> Iterator[Finding]:
+    """The noise that readings repeated without motion show: neighbours of one group at one pose."""
+    again = (
+        (part.group[1:] == part.group[:-1]) & (part.group[1:] != "") & (part.q_end[1:] == part.q_end[:-1]).all(axis=1)
+    )
+    again |= (part.absolute[1:] & part.absolute[:-1]) & (part.q_end[1:] == part.q_end[:-1]).all(axis=1)
+    again &= part.signed[1:] & part.signed[:-1]
+    # Both rows share the reading at their start, so that their difference has the variance of one.
+    sd = np.where(part.absolute[1:], np.sqrt(2.0), 1.0) * part.sigma[1:]
+    squares, free = float(((np.diff(part.dl) / sd)[again] ** 2).sum()), int(again.sum())
+    if part.measured and free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
+        yield Finding(
+            "problem", "sigma", name,
+            f"readings repeated without motion differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
+            "raise sigma_um by this factor",
         )  # fmt: skip
 
 

@@ -97,14 +97,34 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
             "scan the wavelength before and after these sweeps, or leave them out",
         )  # fmt: skip
     fit = found.fit
+    if found.machine is not None:
+        yield from _mechanics(name, found)
     if fit.p_value < POOR_FIT_BELOW:
         yield from _poor_fit(cell, name, used, found)
+    elif found.machine is not None:
+        return
     elif fit.p_value > 1 - POOR_FIT_BELOW and fit.expected > 5:
         factor = np.sqrt(fit.chi2_data / fit.expected)
         yield Finding(
             "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says, by a factor {factor:.2f}",
             "lower sigma_um by this factor, if there is no other reason for it",
         )  # fmt: skip
+
+
+def _mechanics(name: str, found: Identification) -> Iterator[Finding]:
+    """Terms of the mechanics that the rows show beyond what the cell states."""
+    for reason in found.estimate.trust.reasons:
+        if reason.kind == "mechanics":
+            yield Finding(
+                "doubt", "mechanics", name, reason.text,
+                "find out what moves, or state the size that the rows show in [joint.mechanics]",
+            )  # fmt: skip
+        elif reason.kind == "residuals":
+            yield Finding(
+                "doubt", "residuals", name, reason.text,
+                "state a larger return_nm or return_urad of the joints that move, or the term that is named; raise "
+                "sigma_um only if readings that are repeated without any motion show it",
+            )  # fmt: skip
 
 
 def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
@@ -142,6 +162,14 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
         if rival.fit.p_value >= POOR_FIT_BELOW:
             return
     factor = np.sqrt(fit.chi2_data / fit.expected)
+    if factor < 10 and found.machine is not None:
+        yield Finding(
+            "problem", "mechanics", name,
+            f"{size}: the rows lie {factor:.1f} times as far from the fit as sigma_um and the stated mechanics say",
+            "state a larger return_nm or return_urad of the joints that move; raise sigma_um only if readings that are "
+            "repeated without any motion show it",
+        )  # fmt: skip
+        return
     if factor < 10:
         yield Finding(
             "problem", "sigma", name, f"{size}: the rows lie {factor:.1f} times as far from the fit as sigma_um says",

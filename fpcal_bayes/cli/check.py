@@ -1,6 +1,7 @@
 """``fpcal check``: is the calibration still right, by a path recorded on the cell itself."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_check import PathError, check_path, check_rows, measure_path
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.infer.tasks.source import read_estimate_draws
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import write_sweeps
@@ -47,6 +49,7 @@ def run(options: argparse.Namespace) -> int:
         estimate.covariance,
         trace,
         drift=_drift(options, cell, estimate),
+        machine=_machine(estimate, options.seed),
         level=options.level,
         seed=options.seed,
     )
@@ -65,6 +68,17 @@ def run(options: argparse.Namespace) -> int:
     content = {"check": check_content(check, tolerance), "warnings": warnings}
     write_result(options.json, "check", {**estimate.content(), **content})
     return 0
+
+
+def _machine(estimate: Estimate, seed: int) -> Callable[[Floats, int], Floats] | None:
+    """Errors along a path of a machine, as the estimate knows it; None on a perfect mechanism."""
+    if estimate.mechanics is None:
+        return None
+
+    def errors(q: Floats, draws: int) -> Floats:
+        return known_task_errors(estimate, q[0], q, draws=draws, seed=seed)[0].total
+
+    return errors
 
 
 def _index(options: argparse.Namespace, cell: Cell) -> float:

@@ -1,5 +1,6 @@
 """A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -155,6 +156,7 @@ def check_path(
     trace: PathTrace,
     *,
     drift: Floats | None = None,
+    machine: Callable[[Floats, int], Floats] | None = None,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -166,6 +168,8 @@ def check_path(
     covariance: of the free parameters, shape (n_free, n_free), in um and rad.
     trace: what was measured.
     drift: covariance of what the free parameters may have drifted since the estimate, or None.
+    machine: with mechanics, errors (n_draws, n_points) along joint vectors (n_points, n_joints), so many as asked for;
+    in place of draws and covariance.
     level: probability below which the calibration is refuted.
     seed: of the draws.
     """
@@ -173,7 +177,9 @@ def check_path(
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
     random = np.random.default_rng([seed, 1])
     _, jacobian = model.predict_with_jacobian(values, rows)
-    if draws is not None:
+    if machine is not None:
+        errors = machine(q, _DRAWS)
+    elif draws is not None:
         errors = model.predict(draws, rows) - model.predict(values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
     else:

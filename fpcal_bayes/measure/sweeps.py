@@ -225,7 +225,9 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     refuse(sweeps.t_end_h < sweeps.t_start_h, "t_end_h", "expected a time at or after t_start_h")
     signs = {text: len(text) == len(cell.joints) and set(text) <= set("+-0") for text in set(sweeps.approach.tolist())}
     bad = np.array([bool(text) and not signs[text] for text in sweeps.approach.tolist()])
-    refuse(bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}")
+    refuse(
+        bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}"
+    )
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str], int] = {}

@@ -207,6 +207,22 @@ def _capital(sentence: str) -> str:
     return sentence if "_" in first else sentence[0].upper() + sentence[1:]
 
 
+def mechanics_sentences(result: Observability) -> list[str]:
+    """What the rows say of the stated error motions, and which terms the residuals show most."""
+    if result.mechanics is None:
+        return []
+    scales = [
+        f"{name} {one['median']:.2g} ({one['low']:.2g} .. {one['high']:.2g})"
+        for name, one in result.mechanics["scales"].items()
+    ]
+    tests = [f"{test['term']} (p = {test['p_value']:.2g})" for test in result.mechanics["tests"][:3]]
+    return [
+        "",
+        f"Mechanics, times the stated size: {', '.join(scales)}",
+        f"Terms that the residuals show most: {', '.join(tests)}",
+    ]
+
+
 def print_observability(result: Observability, title: str, out: Console) -> None:
     """Print what sweeps can tell about a cell.
 
@@ -224,6 +240,7 @@ def print_observability(result: Observability, title: str, out: Console) -> None
         lines(f"- {gauge_sentence(gauge)}", f"    moves: {gauge_direction(gauge, result)}")
     if not result.gauges:
         lines("- none")
+    lines(*mechanics_sentences(result))
     lines("", "Base parameters", base_sentence(result))
     lines(*(f"- {base}" for base in result.base), "")
     out.print(block_table(result))

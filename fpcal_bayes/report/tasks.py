@@ -79,7 +79,7 @@ def prediction_table(predictions: list[TaskPrediction], tolerance: float | None,
 
 
 def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
-    """What the predictions assume of the mechanism; on a machine the repeatable part and return on lines of their own."""
+    """What the predictions assume of the mechanism; on a machine the repeatable part and return by themselves."""
     numbers = [TaskNumbers.of(prediction) for prediction in predictions if prediction.trust.usable]
     if all(prediction.repeatable is None for prediction in predictions):
         return ["mechanism: taken as perfect (no error motion, reversal or return error)"]

@@ -11,8 +11,8 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.mechanics.drive import Drive
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
+from fpcal_bayes.model.mechanics.drive import Drive
 
 Function = Callable[[Floats], Floats]
 

@@ -109,9 +109,7 @@ def vector_at(cell: Cell, truth: Truth, time_h: float) -> Floats:
     return vector
 
 
-def _on_machine(
-    machine: Machine, truth: Truth, sweeps: Sweeps, sigma: Floats, rng: np.random.Generator
-) -> Floats:
+def _on_machine(machine: Machine, truth: Truth, sweeps: Sweeps, sigma: Floats, rng: np.random.Generator) -> Floats:
     """Changes of length that a machine shows, session by session in the order of the rows, in um, shape (n,)."""
     assert machine.cell.mechanics is not None
     dl = np.empty(len(sweeps))

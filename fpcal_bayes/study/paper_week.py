@@ -60,7 +60,8 @@ def renewed_circles(
 ) -> list[Circle]:
     """The circle of each identification at its own time, and before it with that of the identification before.
 
-    The estimates are by session, in order of time; `seed` is of the recordings' noise, `machine_seed` that of the machine.
+    The estimates are by session, in order of time; `seed` is of the recordings' noise, `machine_seed` of the
+    machine.
     """
     circles: list[Circle] = []
     before = ""
@@ -86,14 +87,23 @@ def _change(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: fl
     model = CavityModel.of(cell, truth.parameters)
     expected = estimate.vector()[truth.parameters.slots]
     if cell.mechanics is None:
-        return task_errors(model, truth.at(time_h), expected, task)[0]
+        driven: Floats = task_errors(model, truth.at(time_h), expected, task)[0]
+        return driven
     machine = replace(machine_of(cell, truth, seed), vector=vector_at(cell, truth, time_h))
     true = machine.path(task.start, task.q, 0.0)
-    return true - model.predict(expected, task_rows(model, task))
+    missed: Floats = true - model.predict(expected, task_rows(model, task))
+    return missed
 
 
 def _driven(
-    cell: Cell, truth: Truth, task: Task, estimate: Estimate, name: str, time_h: float, held: str, seed: int,
+    cell: Cell,
+    truth: Truth,
+    task: Task,
+    estimate: Estimate,
+    name: str,
+    time_h: float,
+    held: str,
+    seed: int,
     machine_seed: int,
 ) -> Circle:
     change = _change(cell, truth, task, estimate, time_h, machine_seed)

@@ -176,7 +176,14 @@ def track(
     if cell.mechanics is not None:
         # The filter of the drift knows nothing of error motions; it says so.
         ideal = track(
-            cell.ideal, sweeps, drift=drift, limits=limits, known=known, calibration=calibration, draws=draws, now_h=now_h
+            cell.ideal,
+            sweeps,
+            drift=drift,
+            limits=limits,
+            known=known,
+            calibration=calibration,
+            draws=draws,
+            now_h=now_h,
         )
         return replace(ideal, mechanics_left_out=True)
     drift = likely_drift(cell, sweeps) if drift is None else drift

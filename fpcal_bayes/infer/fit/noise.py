@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import spsolve_triangular
 
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.kernels import whiten_groups
@@ -113,6 +114,13 @@ class Whitening:
         """The whitening of rows whose errors are `factor` times as large."""
         batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
         return Whitening(self.scale / factor, batches)
+
+    def unwhiten(self, rows: Floats) -> Floats:
+        """Undo `apply` on the columns of a matrix (n_rows, n)."""
+        if self.mix is None:
+            return rows / self.scale[:, None]
+        result: Floats = spsolve_triangular(self.mix, rows, lower=True)
+        return result
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""

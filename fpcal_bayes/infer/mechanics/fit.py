@@ -11,8 +11,8 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
 
 #: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
@@ -200,7 +200,7 @@ def _compressed(
 
 
 def _draw(fit: MechanicsFit, count: int) -> MechanicsDraws:
-    """Draw so many per set of scales from the mixture over scales: a prior draw is corrected by what the rows say (Matheron's rule)."""
+    """Draw from the mixture over scales, so many each: a prior draw is corrected by what the rows say (Matheron)."""
     rng = np.random.default_rng([fit.seed, 1])
     rows, n_free = fit.rows, fit.rows.geometry.shape[1]
     n_weights = rows.weights.shape[1]

@@ -7,6 +7,7 @@ same two stands for its distribution (Satterthwaite 1946).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -66,6 +67,18 @@ def term_tests(fit: MechanicsFit) -> list[TermTest]:
     total = float(white @ white)
     tests.append(TermTest("noise beyond all terms", float(special.gammaincc(n / 2.0, total / 2.0))))
     return sorted(tests, key=lambda test: test.p_value)
+
+
+def terms_content(fit: MechanicsFit) -> dict[str, Any]:
+    """Scales and tests as JSON: what the rows say of the stated sizes, and which terms the residuals show."""
+    low, middle, high = fit.scales.quantiles()
+    return {
+        "scales": {
+            name: {"median": float(middle[i]), "low": float(low[i]), "high": float(high[i]), "share": 0.95}
+            for i, name in enumerate(fit.scales.names)
+        },
+        "tests": [{"term": test.name, "p_value": test.p_value} for test in term_tests(fit)],
+    }
 
 
 def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:

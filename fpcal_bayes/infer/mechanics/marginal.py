@@ -63,6 +63,12 @@ class MarginalWhitening(Whitening):
         whitened: Floats = result - self.directions @ (self.shrink[:, None] * (self.directions.T @ result))
         return whitened
 
+    def unwhiten(self, rows: Floats) -> Floats:
+        """Undo `apply` on the columns of a matrix (n_rows, n)."""
+        grow = 1.0 / (1.0 - self.shrink) - 1.0
+        wide = rows + self.directions @ (grow[:, None] * (self.directions.T @ rows))
+        return Whitening(self.scale, self.batches).unwhiten(wide)
+
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance."""
         # The whitened map is W = T M, M whitening Sigma and T symmetric: W'W = M' T^2 M.

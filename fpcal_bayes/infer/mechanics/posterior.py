@@ -11,6 +11,8 @@ density |det Q'J(v)| N(e; 0, I). The pair is weighed by
 p_linear(s) being known but for a constant: the weighted draws (or a Metropolis chain with these proposals) are exact.
 """
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +23,8 @@ from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.scales import independent_scales
 
 _ITERATIONS, _SOLVED = 14, 1e-7
+#: Coordinates beyond this are in no chart; a point is found again if it is solved within this of it.
+_FARTHEST, _SAME_POINT = 30.0, 1e-4
 #: Scales that are worked on together, and geometries drawn for each.
 _TOGETHER, _PER_SCALE = 25, 8
 
@@ -80,17 +84,28 @@ class ScaleCharts:
         Whose geometry is the reference point.
     log_scales
         Shape (n_charts, n_scales).
+    reference
+        Point that the maps are made around, shape (n_unknowns,); by default the fit's own minimum.
+    covariance
+        Of the fit's rows, by default made anew.
     """
 
-    def __init__(self, fit: MechanicsFit, log_scales: Floats) -> None:
+    def __init__(
+        self,
+        fit: MechanicsFit,
+        log_scales: Floats,
+        reference: Floats | None = None,
+        covariance: "RowCovariance | None" = None,
+    ) -> None:
         self.fit, self.log_scales = fit, log_scales
-        problem, reference = fit.problem, fit.solution.unknowns
+        reference = fit.solution.unknowns if reference is None else reference
+        problem, self.reference = fit.problem, reference
         residuals, jacobian = _rows(fit, reference[None])
         n, size = len(reference), (len(log_scales), len(reference))
         self.whiten = np.empty((len(log_scales), len(problem.target), len(problem.target)))
         self.on_data, self.on_prior = np.empty((*size, len(problem.target))), np.empty((*size, n))
         self.inverse, self.begin, self.log_volume = np.empty((*size, n)), np.empty(size), np.empty(len(log_scales))
-        covariance = _Covariance(fit)
+        covariance = RowCovariance(fit) if covariance is None else covariance
         self.log_determinant = np.empty(len(log_scales))
         for k, log in enumerate(log_scales):
             lower = covariance.factor(log)
@@ -105,10 +120,41 @@ class ScaleCharts:
             self.inverse[k] = linalg.solve_triangular(triangle, np.eye(n))
             self.begin[k] = self.on_data[k] @ residuals[0] + self.on_prior[k] @ reference
 
+    @classmethod
+    def joined(cls, charts: Sequence["ScaleCharts"]) -> "ScaleCharts":
+        """Several sets of charts around one reference as one."""
+        made = copy.copy(charts[0])
+        for name in ("log_scales", "whiten", "on_data", "on_prior", "inverse", "begin", "log_determinant"):
+            setattr(made, name, np.concatenate([getattr(part, name) for part in charts]))
+        return made
+
+    def at(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """At one point per chart (n_charts, n): coordinates, sign and log of the determinant, log density (n_charts,).
+
+        The density is that of the geometry given the scales, without the prior of the scales.
+        """
+        residuals, jacobian = _rows(self.fit, points)
+        h = (self.on_data @ residuals[:, :, None] + self.on_prior @ points[:, :, None])[:, :, 0]
+        sign, log_determinant = np.linalg.slogdet(self.on_data @ jacobian + self.on_prior)
+        white = (self.whiten @ residuals[:, :, None])[:, :, 0]
+        log_density = -0.5 * (white**2).sum(axis=1) - self.log_determinant - 0.5 * (points**2).sum(axis=1)
+        return h, sign, log_determinant, log_density
+
+    def log_proposal(self, points: Floats) -> Floats:
+        """Log density with which each chart proposes its point (n_charts, n); minus infinity outside the chart."""
+        h, sign, log_determinant, _ = self.at(points)
+        result = np.full(len(points), -np.inf)
+        inside = (sign > 0) & (np.abs(h) < _FARTHEST).all(axis=1)
+        if inside.any():
+            again, weights = self.solve(np.where(inside[:, None], h, 0.0)[:, None])
+            same = np.isfinite(weights[:, 0]) & (np.abs(again[:, 0] - points).max(axis=1) < _SAME_POINT)
+            found = inside & same
+            result[found] = log_determinant[found] - 0.5 * (h[found] ** 2).sum(axis=1)
+        return result
+
     def solve(self, normal: Floats) -> tuple[Floats, Floats]:
         """Geometries of standard normal coordinates (n_charts, n_each, n), and their log weights (n_charts, n_each)."""
-        fit, shape = self.fit, normal.shape
-        reference = fit.solution.unknowns
+        fit, shape, reference = self.fit, normal.shape, self.reference
         points = reference + np.einsum("kij,kbj->kbi", self.inverse, normal - self.begin[:, None])
         log_weights = np.full(shape[:2], -np.inf)
         active = np.argwhere(np.ones(shape[:2], dtype=bool))
@@ -157,7 +203,7 @@ def weighted_draws(fit: MechanicsFit, n_draws: int, *, seed: int = 0) -> Weighte
     return WeightedDraws(np.concatenate(scores), np.repeat(log_scales, _PER_SCALE, axis=0), np.concatenate(weights))
 
 
-class _Covariance:
+class RowCovariance:
     """C(s), that of the rows given the geometry."""
 
     def __init__(self, fit: MechanicsFit) -> None:

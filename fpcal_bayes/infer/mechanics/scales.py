@@ -208,6 +208,29 @@ def sample_scales(
     return ScalePosterior(density.names, pool.log[pool.resample(n_draws, rng)], mode, pool.effective)
 
 
+@dataclass(frozen=True)
+class ScaleProposal:
+    """A Student-t around the scales' mode, adapted to their posterior: draws with their density."""
+
+    centre: Floats
+    factor: Floats
+
+    @classmethod
+    def of(cls, density: ScaleDensity, mode: Floats, rng: np.random.Generator) -> "ScaleProposal":
+        """Adapted on a few hundred draws."""
+        return cls(*_Pool(density, mode, (_FIRST, _SECOND), rng).adapted)
+
+    def draw(self, count: int, rng: np.random.RandomState) -> tuple[Floats, Floats]:
+        """Draws (count, n_scales) and their log densities (count,)."""
+        normal = rng.standard_normal((count, len(self.centre))) @ self.factor.T
+        drawn = self.centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
+        return drawn, self.log_density(drawn)
+
+    def log_density(self, points: Floats) -> Floats:
+        """Log density of points (n_points, n_scales), unnormalised."""
+        return _log_t(points, self.centre, self.factor)
+
+
 def independent_scales(
     density: ScaleDensity, mode: Floats, count: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
@@ -244,6 +267,7 @@ class _Pool:
             soft = self.weights**0.5 / (self.weights**0.5).sum()
             centre = soft @ self.log
             covariance = (self.log - centre).T @ ((self.log - centre) * soft[:, None])
+        self.adapted = centre, np.linalg.cholesky(_SWELL**2 * covariance)
 
     @property
     def weights(self) -> Floats:

@@ -10,9 +10,10 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.fit.noise import whitening_of
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.spectrum import WEAK_SHARE, Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.mechanics.judge import terms_content
+from fpcal_bayes.infer.mechanics.rows import row_whitening
 from fpcal_bayes.infer.observability.gauges import Gauge, find_gauges
 from fpcal_bayes.infer.observability.information import Information, gain_of, information_of
 from fpcal_bayes.infer.observability.measures import (
@@ -85,6 +86,12 @@ class Observability:
     warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     @cached_property
+    def mechanics(self) -> dict[str, Any] | None:
+        """What the rows say of the stated sizes of error motions, and which terms the residuals show."""
+        machine = None if self.identification is None else self.identification.machine
+        return None if machine is None else terms_content(machine)
+
+    @cached_property
     def contraction(self) -> Floats:
         """Share of the prior variance that the data take away, from 0 to 1, shape (n,)."""
         return 1.0 - np.diag(self.covariance)
@@ -123,6 +130,7 @@ class Observability:
         }
         fit = self.identification.content()["fit"] if self.identification is not None else None
         return {
+            **({} if self.mechanics is None else {"mechanics": self.mechanics}),
             "parameters": {
                 p.name: {
                     "value": float(shown[i]),
@@ -274,11 +282,11 @@ def whitened_jacobian(model: CavityModel, sweeps: Sweeps, values: Floats) -> Flo
 def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> Iterator[Floats]:
     """The same at several points (n_points, n)."""
     rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
-    whitening = whitening_of(model, sweeps, points[0])
-    moves = model.cell.repeatability.any()
+    whitening = row_whitening(model, sweeps, points[0])
+    moves = model.cell.mechanics is not None or model.cell.repeatability.any()
     for number, point in enumerate(points):
         if moves and number:
-            whitening = whitening_of(model, sweeps, point)
+            whitening = row_whitening(model, sweeps, point)
         yield whitening.apply(model.predict_with_jacobian(point, rows)[1] * model.free.prior_sd)
 
 

@@ -12,11 +12,13 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.posterior.draws import Likelihood
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.cell.error_motions import TERMS
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Trust
 
 State = Literal["sampled", "no minimum", "not sampled"]
@@ -43,11 +45,28 @@ class ModelSpec:
     name: str  # as the user wrote it
     opd: Opd  # path model
     likelihood: Likelihood
+    mechanics: str = "stated"  # of the cell: ``stated``, ``none``, or ``no-`` with a term that is left out
 
     @property
     def words(self) -> str:
         """The model in a sentence."""
-        return _PATH_WORDS[self.opd] + _LIKELIHOOD_WORDS.get(self.likelihood, f" with {self.likelihood} noise")
+        noise = _LIKELIHOOD_WORDS.get(self.likelihood, f" with {self.likelihood} noise")
+        return _PATH_WORDS[self.opd] + noise + _mechanics_words(self.mechanics)
+
+    def cell(self, cell: Cell) -> Cell:
+        """The cell as the model takes it."""
+        cell = cell.with_opd(self.opd)
+        if cell.mechanics is None or self.mechanics == "stated":
+            return cell
+        if self.mechanics == "none":
+            return cell.ideal
+        return replace(cell, mechanics=cell.mechanics.without(self.mechanics.removeprefix("no-")))
+
+
+def _mechanics_words(mechanics: str) -> str:
+    if mechanics == "stated":
+        return ""
+    return " on a perfect mechanism" if mechanics == "none" else f" without {mechanics.removeprefix('no-')}"
 
 
 def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
@@ -56,25 +75,35 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
     Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
     the Gaussian likelihood.
     """
-    allowed = {"opd": get_args(Opd), "likelihood": get_args(Likelihood)}
+    allowed = {
+        "opd": get_args(Opd),
+        "likelihood": get_args(Likelihood),
+        "mechanics": ("stated", "none", *(f"no-{term}" for term in TERMS)),
+    }
     models: list[ModelSpec] = []
     for name in text.split(","):
-        settings: dict[str, Any] = {"opd": cell.opd, "likelihood": "gaussian"}
+        settings: dict[str, Any] = {"opd": cell.opd, "likelihood": "gaussian", "mechanics": "stated"}
         for setting in name.strip().split("+"):
             key, _, value = setting.partition("=")
             if key not in allowed:
-                raise InputError(f"--models {name!r:.60}: expected opd=... or likelihood=..., found {setting!r:.60}")
+                raise InputError(
+                    f"--models {name!r:.60}: expected opd=..., likelihood=... or mechanics=..., found {setting!r:.60}"
+                )
             if value not in allowed[key]:
                 raise InputError(
                     f"--models {name!r:.60}: expected {key} {' or '.join(allowed[key])}, found {value!r:.60}"
                 )
             settings[key] = value
+        if settings["mechanics"] != "stated" and cell.mechanics is None:
+            raise InputError(
+                f"--models {name!r:.60}: the cell states no mechanics, or --mechanics none leaves them out"
+            )
         models.append(ModelSpec(name.strip(), **settings))
     if len(models) < 2:
         raise InputError(f"--models {text!r:.60}: expected at least two models, with commas between them")
     for i, model in enumerate(models):
         for other in models[:i]:
-            if (model.opd, model.likelihood) == (other.opd, other.likelihood):
+            if replace(model, name="") == replace(other, name=""):
                 raise InputError(f"--models: {other.name!r:.60} and {model.name!r:.60} are the same model")
     return models
 
@@ -132,6 +161,7 @@ class ModelResult:
             "name": self.spec.name,
             "opd": self.spec.opd,
             "likelihood": self.spec.likelihood,
+            **({} if self.identification.machine is None else _evidence(self.identification.machine)),
             "state": self.state,
             "elpd": None if loo is None else loo.elpd,
             "se": None if loo is None else loo.se,
@@ -274,14 +304,15 @@ def compare(
     model that fits; `progress` is called with what is done next, in words. `InputError` if the sweeps carry no
     measurement, or a likelihood does not take them.
     """
-    fits: dict[Opd, Identification] = {}
+    fits: dict[tuple[str, str], Identification] = {}
     models = []
     for spec in specs:
         if progress is not None:
             progress(f"sampling {spec.words}")
-        if spec.opd not in fits:
-            fits[spec.opd] = identify(cell.with_opd(spec.opd), sweeps)
-        models.append(_sampled(ModelResult(spec, fits[spec.opd], None), draws, seed))
+        key = (spec.opd, spec.mechanics)
+        if key not in fits:
+            fits[key] = identify(spec.cell(cell), sweeps)
+        models.append(_sampled(ModelResult(spec, fits[key], None), draws, seed))
     return Comparison(tuple(models), _differences(models))
 
 
@@ -291,6 +322,8 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         return model
     likelihood, limit, refits = model.spec.likelihood, None, _MOST_REFITS
     problem = model.identification.problem
+    if likelihood != "gaussian" and model.identification.machine is not None:
+        raise InputError(f"{problem.sweeps.file}: {model.spec.name!r:.60}: with mechanics the rows are Gaussian")
     if likelihood != "gaussian" and problem.whitening.batches:
         raise InputError(
             f"{problem.sweeps.file}: {model.spec.name!r:.60} needs rows without a group, found rows that share "
@@ -298,10 +331,23 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         )
     if model.poor:
         draws, limit, refits = min(draws, _POOR_DRAWS), _POOR_STEPS, _POOR_REFITS
-    posterior = sample(model.identification, draws=draws, likelihood=likelihood, seed=seed, max_steps=limit)
+    # Rows are left out at the scales that the mechanics have with all of them.
+    posterior = sample(
+        model.identification, draws=draws, likelihood=likelihood, scales_held=True, seed=seed, max_steps=limit
+    )
     if not posterior.converged:
         return replace(model, failures=posterior.failures)
     return replace(model, loo=leave_one_out(posterior, likelihood, most_refits=refits, seed=seed))
+
+
+def _evidence(machine: MechanicsFit) -> dict[str, float]:
+    """Log evidence of the linearised rows, geometry and weights marginalised, scales by Laplace's approximation."""
+    mode = machine.scales.mode
+    _, volume = np.linalg.slogdet(
+        machine.density.curvature(mode) * np.outer(machine.density.prior_sd, machine.density.prior_sd)
+    )
+    constant = -0.5 * len(machine.rows.target) * float(np.log(2.0 * np.pi))
+    return {"log_evidence": machine.density.value(mode) + constant - 0.5 * float(volume)}
 
 
 def _differences(models: Sequence[ModelResult]) -> tuple[Difference, ...]:

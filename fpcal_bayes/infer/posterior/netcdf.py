@@ -10,7 +10,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.sparse.linalg import spsolve_triangular
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, file_sha256, replacing, require_readable
@@ -334,8 +333,6 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
     """Log likelihood of each row and a prediction of it with noise, at unknowns (n_points, n_unknowns)."""
     problem = posterior.identification.problem
     n_rows = len(problem.target)
-    mix = problem.whitening.mix
-    scale = problem.whitening.scale if mix is None else mix.diagonal()
     likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
     for i in range(0, len(unknowns), 256):
         part = slice(i, i + 256)
@@ -344,8 +341,5 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
         likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
         noise = posterior.target.draw_noise(unknowns[part], rng)
-        if mix is None:
-            predicted[part] = mean + noise / scale
-        else:
-            predicted[part] = mean + spsolve_triangular(mix, noise.T, lower=True).T
+        predicted[part] = mean + problem.whitening.unwhiten(noise.T).T
     return likelihood, predicted

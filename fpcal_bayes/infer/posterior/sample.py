@@ -1,11 +1,12 @@
 """Sample the posterior of an identification with emcee, until it has converged."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import emcee
 import numpy as np
 
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
@@ -14,6 +15,7 @@ from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
 from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
+from fpcal_bayes.infer.posterior.machine import MachineCharts, MachineLocalMove, MachineMove, MachineTarget
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
@@ -32,6 +34,9 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 #: A promise is taken with this much in hand.
 _IN_HAND = 1.05
 
+#: With mechanics every set of scales has a chart of rows by rows.
+MOST_ROWS = 1000
+
 Progress = Callable[[float, float], None]
 
 
@@ -41,6 +46,7 @@ def sample(
     draws: int = 10_000,
     likelihood: Likelihood = "gaussian",
     noise_scale: bool = False,
+    scales_held: bool = False,
     seed: int = 0,
     store: BlockStore | None = None,
     max_steps: int | None = None,
@@ -59,6 +65,8 @@ def sample(
         wavelengths.
     noise_scale
         Whether the noise of all rows has an unknown factor, a priori within four times the stated noise.
+    scales_held
+        Whether the scales of the mechanics are held at their typical values instead of being sampled.
     seed
         The same seed gives the same draws.
     store
@@ -73,13 +81,23 @@ def sample(
     Posterior
         With `failures` if the limit was reached before convergence.
     """
-    target, references = make_target(identification, likelihood, noise_scale)
     children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
-    if target.dof is None:
-        references = learn_charts(target, references, np.random.default_rng(children[-1]))
-    # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
-    atlas = Atlas(target, references)
-    runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
+    target: PosteriorTarget
+    runs: Sequence[_Ensemble]
+    if identification.machine is not None and not scales_held:
+        _require_dense(identification, likelihood, noise_scale)
+        target = MachineTarget(identification.machine)
+        charts = MachineCharts(identification.machine, children[-1])
+        n_charts = len(charts.references)
+        runs = [_MachineEnsemble(target, charts, child) for child in children[:N_ENSEMBLES]]
+    else:
+        target, references = make_target(identification, likelihood, noise_scale)
+        if target.dof is None:
+            references = learn_charts(target, references, np.random.default_rng(children[-1]))
+        # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
+        atlas = Atlas(target, references)
+        n_charts = len(atlas.charts)
+        runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
     limit = max(5000, 20 * least) if max_steps is None else max_steps
 
@@ -99,7 +117,7 @@ def sample(
                 progress(0.0, len(blocks) * BLOCK_STEPS / limit)
         done = -(-next_look // BLOCK_STEPS)
         # Blocks beyond this look, from a run that was asked for more, are not looked at: resuming changes nothing.
-        posterior = _gather(identification, atlas, target, blocks[:done], draws)
+        posterior = _gather(identification, n_charts, target, blocks[:done], draws)
         if progress is not None:
             progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
         if posterior.converged or done * BLOCK_STEPS >= limit:
@@ -118,8 +136,10 @@ def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian", n
     """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
     sweeps = problem.sweeps
     held = None if problem.considered is None else problem.considered.factor
+    sizes = problem.model.cell.mechanics
     return content_sha256(
-        {
+        ({} if sizes is None else {"mechanics": sizes.sha256})
+        | {
             "program": __version__,
             "cell": problem.model.cell.sha256,
             "free": list(problem.model.free.names),
@@ -181,7 +201,45 @@ class _Ensemble:
         return np.column_stack([self.target.log_density(residuals, points), self.atlas.log_proposal(points)])
 
 
-def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
+class _MachineEnsemble(_Ensemble):
+    """One ensemble of walkers of a machine: geometry and scales."""
+
+    def __init__(self, target: PosteriorTarget, charts: MachineCharts, seed: np.random.SeedSequence) -> None:
+        self.target, self.charts = target, charts
+        self._from_charts = MachineMove(charts)
+        moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (MachineLocalMove(charts), LOCAL_SHARE)]
+        self.sampler = emcee.EnsembleSampler(
+            N_WALKERS, target.n_unknowns, self._log_probability, moves=moves, vectorize=True
+        )
+        self.random = np.random.RandomState(np.random.MT19937(seed))
+        self.state = None
+
+    def _start(self) -> emcee.State:
+        found: list[Floats] = []
+        scales = self.charts.fit.scales.log
+        while sum(map(len, found)) < N_WALKERS:
+            drawn = scales[self.random.randint(len(scales), size=N_WALKERS)]
+            points, _, log_proposal = self.charts.propose(drawn, self.random, _OVER_DISPERSION)
+            found.append(points[np.isfinite(log_proposal)])
+        return emcee.State(np.concatenate(found)[:N_WALKERS], random_state=self.random.get_state())
+
+    def _log_probability(self, points: Floats) -> Floats:
+        return np.column_stack([self.charts.log_density(points), self.charts.log_proposal(points)])
+
+
+def _require_dense(identification: Identification, likelihood: Likelihood, noise_scale: bool) -> None:
+    """Refuse what cannot be sampled with mechanics."""
+    file, rows = identification.problem.sweeps.file, len(identification.problem.target)
+    if likelihood != "gaussian" or noise_scale:
+        raise InputError(
+            f"{file}: --likelihood {likelihood}{' --noise-scale' * noise_scale}: with mechanics the rows are Gaussian "
+            "and the noise has a scale of its own; expected --mechanics none with it"
+        )
+    if rows > MOST_ROWS:
+        raise InputError(f"{file}: {rows} rows, with mechanics at most {MOST_ROWS} are sampled; use --mechanics none")
+
+
+def _next_block(target: PosteriorTarget, runs: Sequence[_Ensemble]) -> Block:
     began, evaluations = time.perf_counter(), target.evaluations
     for run in runs:
         run.run(BLOCK_STEPS)
@@ -197,20 +255,23 @@ def _next_block(target: PosteriorTarget, runs: list[_Ensemble]) -> Block:
 
 
 def _gather(
-    identification: Identification, atlas: Atlas, target: PosteriorTarget, blocks: list[Block], draws: int
+    identification: Identification, n_charts: int, target: PosteriorTarget, blocks: list[Block], draws: int
 ) -> Posterior:
     kept = blocks[_WARM_UP_BLOCKS:]
     points = np.concatenate([block.points for block in kept], axis=1)
     proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
     # Held parameters are not judged; what stands behind them belongs to the likelihood and is.
     judged = np.r_[0 : identification.problem.n_free, identification.problem.n_unknowns : target.n_unknowns]
+    if isinstance(target, MachineTarget):
+        # Scales mix more slowly than the geometry, which hardly depends on each of them.
+        judged = np.arange(identification.problem.n_free)
     diagnostics = diagnose(points[..., judged])
     return Posterior(
         identification=identification,
         target=target,
         points=points,
         log_density=np.concatenate([block.log_density for block in kept], axis=1),
-        charts=len(atlas.charts),
+        charts=n_charts,
         outside=float(np.isneginf(proposals).mean()),
         diagnostics=diagnostics,
         failures=tuple(diagnostics.failures(draws)),

@@ -67,7 +67,8 @@ def mechanics_task_errors(fit: MechanicsFit, task: Task, *, seed: int = 0) -> Me
     session_min = float(fit.drive.end_min.max())
     repeatable += sum(_approached(fit.terms, path, draws.log_scales, rng).values())
     repeatable += _drifted(fit.terms, path, draws.weights[:, drifting], session_min, rng)
-    return MechanicsTaskErrors(repeatable, sum(_returned(fit.terms, path, draws.log_scales, rng).values()))
+    returned = np.sum([np.zeros_like(repeatable), *_returned(fit.terms, path, draws.log_scales, rng).values()], axis=0)
+    return MechanicsTaskErrors(repeatable, returned)
 
 
 def known_task_errors(
@@ -120,9 +121,7 @@ def known_task_errors(
     return made, change, parts | returned
 
 
-def _approached(
-    terms: Terms, path: PathDesign, log_scales: Floats, rng: np.random.Generator
-) -> dict[str, Floats]:
+def _approached(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.random.Generator) -> dict[str, Floats]:
     """Reversal before a joint's first move, from an unknown side, by joint."""
     if not path.unknown_side.any():
         return {}
@@ -134,9 +133,7 @@ def _approached(
     }
 
 
-def _drifted(
-    terms: Terms, path: PathDesign, weights: Floats, session_min: float, rng: np.random.Generator
-) -> Floats:
+def _drifted(terms: Terms, path: PathDesign, weights: Floats, session_min: float, rng: np.random.Generator) -> Floats:
     """Where the fibre had drifted to at some time of the session."""
     if not weights.shape[1]:
         return np.zeros((len(weights), len(path.drift)))

@@ -9,6 +9,7 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
 from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
@@ -16,7 +17,6 @@ from fpcal_bayes.infer.tasks.prediction import (
     predict_from_covariance,
     predict_from_draws,
 )
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell

@@ -5,6 +5,18 @@ from typing import Any
 
 from fpcal_bayes.core.files import content_sha256
 
+#: Kinds of error motions that can be left out, and the sizes that they have.
+TERMS = {
+    "straightness": ("straightness_nm", "flatness_nm", "crosstalk_nm"),
+    "tilts": ("pitch_urad", "yaw_urad", "roll_urad", "wobble_urad"),
+    "runout": ("radial_runout_nm", "axial_runout_nm"),
+    "linearity": ("linearity",),
+    "reversal": ("reversal",),
+    "return": ("return_sd",),
+    "encoder": ("encoder",),
+    "drift": (),
+}
+
 
 @dataclass(frozen=True)
 class JointMechanics:
@@ -93,6 +105,14 @@ class Mechanics:
     def any(self) -> bool:
         """Whether anything is stated."""
         return self.drift_nm_per_min > 0 or any(joint.any for joint in self.joints)
+
+    def without(self, term: str) -> "Mechanics":
+        """The same without one of `TERMS`: its sizes are zero."""
+        if term == "drift":
+            return replace(self, drift_nm_per_min=0.0)
+        zero = {name: None if name == "flatness_nm" else 0.0 for name in TERMS[term]}
+        joints = tuple(replace(joint, **zero) for joint in self.joints)  # type: ignore[arg-type]
+        return replace(self, joints=joints)
 
     @property
     def sha256(self) -> str:

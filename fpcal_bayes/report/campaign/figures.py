@@ -6,10 +6,11 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.analysis.motions import MotionCurve
 from fpcal_bayes.analysis.parameters import intervals
 from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
 
-_MOST_SESSIONS, _MOST_LABELS = 6, 80
+_MOST_SESSIONS, _MOST_LABELS, _MOST_MOTIONS = 6, 80, 12
 _HOURS_PER_DAY = 24.0
 
 
@@ -137,6 +138,27 @@ def residual_figure(parts: list[SessionResiduals], alarmed: set[str]) -> str:
             axes[-1].set_xticks(np.arange(len(labels)), labels, rotation=90, fontsize=6.5, parse_math=False)
         axes[-1].tick_params(labelbottom=True)
         axes[-1].set_xlabel("sweep, in the order of the file")
+    return svg[0]
+
+
+def motion_figure(curves: list[MotionCurve]) -> str:
+    """Error motions over the joint's value with bands, those that the calibration shows best."""
+    drawn = curves[:_MOST_MOTIONS]
+    if not drawn:
+        return ""
+    n_rows = -(-len(drawn) // 3)
+    with svg_figure(9.6, 0.4 + 2.1 * n_rows) as (figure, svg):
+        for number, curve in enumerate(drawn, 1):
+            axis = figure.add_subplot(n_rows, 3, number)
+            axis.fill_between(curve.along, curve.low, curve.high, color=BLUE, alpha=0.25, linewidth=0)
+            axis.plot(curve.along, curve.middle, color=BLUE)
+            for side in (-2.0, 2.0):
+                axis.plot(curve.along, side * curve.stated, color=GREY, linestyle="--", linewidth=0.8)
+            axis.set_title(drawable(curve.name), fontsize=8, parse_math=False)
+            axis.set_xlabel(f"[{curve.joint_unit}]", fontsize=7)
+            axis.set_ylabel(f"[{curve.unit}]", fontsize=7)
+            axis.tick_params(labelsize=7)
+            axis.grid(alpha=0.3)
     return svg[0]
 
 

@@ -7,9 +7,11 @@ from markupsafe import Markup
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, gather
 from fpcal_bayes.analysis.history import history, outlooks, residuals
+from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report import observe as observe_words
 from fpcal_bayes.report import observe_figures
 from fpcal_bayes.report.campaign import charts as data
@@ -80,6 +82,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         "contraction": observe_figures.contraction_figure(seen),
         "correlation": observe_figures.correlation_figure(seen),
         "residuals": figures.residual_figure(rows, alarmed),
+        "motions": figures.motion_figure(motion_curves(_calibration(facts))),
         "posterior": "" if facts.posterior is None else figures.posterior_figure(facts),
     }
     charts = {
@@ -113,11 +116,20 @@ def campaign_html(facts: CampaignFacts) -> str:
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,
+        mechanics=words.mechanics_table(_calibration(facts)),
+        mechanics_sentence=words.mechanics_sentence(_calibration(facts)),
         provenance=words.provenance(facts),
         # Drawn here, and their texts escaped by the SVG writer.
         figures={name: Markup(svg) for name, svg in drawn.items()},
         **_next_sweeps(facts),
     )
+
+
+def _calibration(facts: CampaignFacts) -> Estimate:
+    """What the first session told."""
+    found = facts.observability.identification
+    assert found is not None
+    return found.estimate
 
 
 def _warnings(facts: CampaignFacts) -> list[str]:

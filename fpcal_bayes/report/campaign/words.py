@@ -14,6 +14,7 @@ from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
@@ -261,6 +262,29 @@ def budget_sentence(facts: CampaignFacts) -> str:
         return sentence
     left = f"{now.worst_sd:.2f} nm"
     return f"{sentence} Now, after all sessions and the drift since, {left} are left at the worst point."
+
+
+def mechanics_table(estimate: Estimate) -> Table | None:
+    """What the calibration says of the stated sizes of the error motions, or None on a perfect mechanism."""
+    known = estimate.mechanics
+    if known is None:
+        return None
+    table = plain_table("", ["sizes", "times the stated", "95 %"])
+    low, middle, high = np.exp(np.quantile(known.log_scales, [0.025, 0.5, 0.975], axis=0))
+    for i, name in enumerate(known.scales):
+        table.add_row(name, f"{middle[i]:.2g}", f"{low[i]:.2g} .. {high[i]:.2g}")
+    return table
+
+
+def mechanics_sentence(estimate: Estimate) -> str:
+    """What the numbers assume of the mechanism."""
+    if estimate.mechanics is None:
+        return "The mechanism is taken as perfect: no error motion, no reversal, no return error."
+    sources = {joint.source or "no source stated" for joint in estimate.mechanics.sizes.joints}
+    return (
+        f"Sizes as the cell states them ({', '.join(sorted(sources))}). The calibration marginalises them; the "
+        "filter of the drift does not know them yet."
+    )
 
 
 def provenance(facts: CampaignFacts) -> list[tuple[str, str]]:

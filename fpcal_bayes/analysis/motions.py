@@ -1,0 +1,69 @@
+"""The error motions that a calibration found, as curves over the joint's value."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics import group_of
+from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
+from fpcal_bayes.model.mechanics.response import ROLL
+
+_POINTS = 61
+
+
+@dataclass(frozen=True)
+class MotionCurve:
+    """One error motion: a band that holds 95 %, in nm or urad."""
+
+    name: str
+    unit: str
+    joint_unit: str
+    along: Floats  # values of the joint in um or deg, shape (n_points,)
+    low: Floats
+    middle: Floats
+    high: Floats
+    stated: Floats  # one standard deviation that the sheet stands for, shape (n_points,)
+    shown: float  # share of the prior's variance that the data took away
+
+
+def motion_curves(estimate: Estimate) -> list[MotionCurve]:
+    """The error motions that an estimate knows, those that the data show most first; none on a perfect mechanism."""
+    knowledge, cell = estimate.mechanics, estimate.cell
+    if knowledge is None:
+        return []
+    names, mean, factor = knowledge.weights(knowledge.n_parameters)
+    weights = mean + knowledge.draws @ factor.T
+    scales = np.exp(knowledge.log_scales)
+    curves, first = [], 0
+    for motion in knowledge.terms(cell).motions:
+        there = motion.sd > 0
+        own = slice(first, first + int(there.sum()))
+        first = own.stop
+        assert all(name.startswith(motion.name) for name in names[own])
+        i, endless = motion.joint, group_of(cell, motion.joint) == "rotary"
+        low, high = (-np.pi, np.pi) if endless else (cell.low[i], cell.high[i])
+        q = np.linspace(low, high, _POINTS)
+        basis = (harmonics(q) if endless else polynomials(q, low, high)) * motion.sd
+        unit = 1e3 if motion.direction < ROLL else 1e6
+        values = unit * weights[:, own] @ basis[:, there].T
+        size = scales[:, knowledge.scales.index(motion.scale)]
+        stated = unit * np.sqrt((basis[:, there] ** 2).sum(axis=1))
+        prior = np.median(size) * stated
+        shown = 1.0 - float((values.var(axis=0) / np.maximum(prior**2, 1e-30)).mean())
+        lower, middle, upper = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
+        curves.append(
+            MotionCurve(
+                motion.name,
+                "nm" if motion.direction < ROLL else "urad",
+                cell.joints[i].unit,
+                q / cell.joint_scales[i],
+                lower,
+                middle,
+                upper,
+                stated,
+                shown,
+            )
+        )
+    return sorted(curves, key=lambda curve: -curve.shown)

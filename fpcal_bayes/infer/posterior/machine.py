@@ -1,0 +1,195 @@
+"""The posterior of a machine: geometry and scales of the mechanics, exactly, by emcee.
+
+A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First a few Metropolis steps of
+the scales alone on what the linearised rows say of them, p(s): from s to s'. Then a geometry v' by randomise-then-
+optimise under the covariance of s', and one Metropolis step with the exact density:
+
+    pi(v', s') p(s) q(v | s) / (pi(v, s) p(s') q(v' | s')).
+
+The first stage leaves p invariant and is reversible, so the ratio is that of a proposal with the density
+p(s') q(v'|s'), which each walker carries along (the blob). A local step in v reaches what no chart does.
+"""
+
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from emcee.moves import Move
+from emcee.state import State
+from scipy import linalg, special
+
+from fpcal_bayes.core.linalg import posterior_triangle
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.minimise import all_minima
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit
+from fpcal_bayes.infer.mechanics.posterior import RowCovariance, ScaleCharts
+from fpcal_bayes.infer.mechanics.scales import ScaleProposal
+from fpcal_bayes.infer.posterior.moves import SCALES
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
+
+#: Steps of the scales before each geometry, and charts that are kept.
+_STEPS, _KEPT = 2, 256
+
+
+class MachineTarget(PosteriorTarget):
+    """Geometry in scores, then logarithms of the scales.
+
+    Rows by themselves (`log_likelihoods`) are those given all others, at the typical scales.
+    """
+
+    def __init__(self, fit: MechanicsFit) -> None:
+        super().__init__(fit.problem)
+        self.fit = fit
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.problem.n_unknowns + len(self.fit.scales.names)
+
+    def noise_factors(self, points: Floats) -> Floats:
+        """Factors on the noise at points (..., n_unknowns)."""
+        return np.exp(points[..., -1])
+
+    def log_likelihoods(self, points: Floats) -> Floats:
+        """Log density of each row given the others, per um, at points (n_points, n_unknowns), (n_points, n_rows)."""
+        mix = self.problem.whitening.mix
+        assert mix is not None
+        residuals = self._whitened(points[:, : self.problem.n_unknowns])
+        precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
+        result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * (residuals @ mix) ** 2 / precision
+        return result
+
+
+class MachineCharts:
+    """Charts of the geometry around each minimum, one per set of scales, kept for the walkers that stand on them."""
+
+    def __init__(self, fit: MechanicsFit, seed: np.random.SeedSequence) -> None:
+        self.fit, self.n = fit, fit.problem.n_unknowns
+        self.proposal = ScaleProposal.of(fit.density, fit.scales.mode, np.random.default_rng(seed))
+        minima = all_minima(fit.problem, fit.solution)
+        self.references = [minimum.unknowns for minimum in minima]
+        mass = [-0.5 * minimum.sum_of_squares for minimum in minima]
+        shares = np.maximum(special.softmax(mass), 0.1)
+        self.shares: Floats = shares / shares.sum()
+        self.evaluations = 0
+        self._covariance = RowCovariance(fit)
+        self._kept: OrderedDict[bytes, list[ScaleCharts]] = OrderedDict()
+        triangle = posterior_triangle(fit.problem.data_jacobian(fit.solution.unknowns))
+        self.metric: Floats = linalg.solve_triangular(triangle, np.eye(self.n))
+
+    def linear(self, log_scales: Floats) -> Floats:
+        """What the linearised rows say of scales (n_points, n_scales), shape (n_points,)."""
+        return np.array([self.fit.density.value(log) for log in log_scales])
+
+    def prior(self, log_scales: Floats) -> Floats:
+        """Log prior of scales (n_points, n_scales), shape (n_points,)."""
+        density: Floats = -0.5 * ((log_scales / self.fit.density.prior_sd) ** 2).sum(axis=1)
+        return density
+
+    def charts(self, log_scales: Floats) -> list[ScaleCharts]:
+        """Charts around each reference, one per set of scales."""
+        found = []
+        for log in log_scales:
+            key = log.tobytes()
+            if key not in self._kept:
+                self._kept[key] = [
+                    ScaleCharts(self.fit, log[None], reference, self._covariance) for reference in self.references
+                ]
+                while len(self._kept) > _KEPT:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(key)
+            found.append(self._kept[key])
+        return [ScaleCharts.joined(parts) for parts in zip(*found, strict=True)]
+
+    def log_density(self, points: Floats) -> Floats:
+        """The log posterior of geometry and scales at points (n_points, n_unknowns), unnormalised."""
+        own, log_scales = points[:, : self.n], points[:, self.n :]
+        self.evaluations += len(points)
+        return self.charts(log_scales)[0].at(own)[3] + self.prior(log_scales)
+
+    def log_proposal(self, points: Floats) -> Floats:
+        """Log density with which points (n_points, n_unknowns) are proposed; minus infinity outside every chart."""
+        own, log_scales = points[:, : self.n], points[:, self.n :]
+        parts = np.array([charts.log_proposal(own) for charts in self.charts(log_scales)])
+        return self._mixed(parts) + self.linear(log_scales)
+
+    def propose(self, log_scales: Floats, random: Any, widen: float = 1.0) -> tuple[Floats, Floats, Floats]:
+        """Geometries for sets of scales: points (n_points, n_unknowns), their log density and log proposal density."""
+        count = len(log_scales)
+        normal = widen * random.standard_normal((count, self.n))
+        chosen = np.searchsorted(np.cumsum(self.shares)[:-1], random.random_sample(count), side="right")
+        charts = self.charts(log_scales)
+        own = np.empty((count, self.n))
+        found = np.zeros(count, dtype=bool)
+        for i, each in enumerate(charts):
+            if (chosen == i).any():
+                points, weights = each.solve(normal[:, None])
+                mine = chosen == i
+                own[mine], found[mine] = points[mine, 0], np.isfinite(weights[mine, 0])
+        own[~found] = self.references[0]
+        log_density = charts[0].at(own)[3] + self.prior(log_scales)
+        parts = np.full((len(charts), count), -np.inf)
+        for i, each in enumerate(charts):
+            # The own chart's solution is on the right side of every fold.
+            h, _, log_determinant, _ = each.at(own)
+            direct = log_determinant - 0.5 * (h**2).sum(axis=1)
+            parts[i] = np.where(chosen == i, direct, -np.inf)
+            if (chosen != i).any():
+                parts[i] = np.where(chosen == i, direct, each.log_proposal(own))
+        log_proposal = np.where(found, self._mixed(parts) + self.linear(log_scales), -np.inf)
+        self.evaluations += 4 * count
+        return np.hstack([own, log_scales]), np.where(found, log_density, -np.inf), log_proposal
+
+    def _mixed(self, parts: Floats) -> Floats:
+        with np.errstate(divide="ignore"):
+            mixed: Floats = special.logsumexp(parts + np.log(self.shares)[:, None], axis=0)
+        return mixed
+
+
+class MachineMove(Move):  # type: ignore[misc]
+    """Scales by a few steps on their linearised posterior, then a geometry, then the exact step."""
+
+    def __init__(self, charts: MachineCharts) -> None:
+        self.charts = charts
+
+    def forget(self) -> None:
+        """Nothing is made ahead."""
+
+    def propose(self, model: Any, state: State) -> tuple[State, Any]:
+        """Move every walker once."""
+        random, charts = model.random, self.charts
+        log_scales = state.coords[:, charts.n :].copy()
+        level = charts.linear(log_scales) - charts.proposal.log_density(log_scales)
+        for _ in range(_STEPS):
+            drawn, log_drawn = charts.proposal.draw(len(log_scales), random)
+            there = charts.linear(drawn) - log_drawn
+            moved = np.log(random.random_sample(len(drawn))) < there - level
+            log_scales[moved], level[moved] = drawn[moved], there[moved]
+        points, log_density, log_proposal = charts.propose(log_scales, random)
+        log_uniform = np.log(random.random_sample(len(points)))
+        with np.errstate(invalid="ignore"):
+            log_ratio = (log_density - log_proposal) - (state.log_prob - state.blobs)
+        accepted = np.isfinite(log_proposal) & (log_uniform < log_ratio)
+        return self.update(state, State(points, log_prob=log_density, blobs=log_proposal), accepted), accepted
+
+
+class MachineLocalMove(Move):  # type: ignore[misc]
+    """A random walk of the geometry at the walker's own scales."""
+
+    def __init__(self, charts: MachineCharts) -> None:
+        self.charts = charts
+
+    def propose(self, model: Any, state: State) -> tuple[State, Any]:
+        """Move every walker once."""
+        random, charts = model.random, self.charts
+        scale = SCALES[random.randint(len(SCALES))]
+        step = random.standard_normal((len(state.coords), charts.n)) @ charts.metric.T
+        points = state.coords.copy()
+        points[:, : charts.n] += scale * step
+        log_uniform = np.log(random.random_sample(len(points)))
+        density = charts.log_density(points)
+        accepted = log_uniform < density - state.log_prob
+        blobs = np.full(len(points), -np.inf)
+        if accepted.any():
+            blobs[accepted] = charts.log_proposal(points[accepted])
+        return self.update(state, State(points, log_prob=density, blobs=blobs), accepted), accepted

@@ -10,11 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from pinocchio_cell import PinocchioCell
 
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.inverse import InverseModel
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import paper_truth
+from fpcal_bayes.model import CavityModel, Cell, InverseModel
 
 Timer = Callable[..., Any]
 N_POSES = 1000

@@ -6,17 +6,11 @@ import lmfit
 import numpy as np
 import pytest
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.minimise import minimise
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import Problem, identify, minimise, observe
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps, paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.simulator import simulate_um
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +20,7 @@ def cell() -> Cell:
 
 @pytest.fixture(scope="module")
 def sweeps(cell: Cell) -> Sweeps:
-    return simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0)
+    return simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +62,6 @@ def test_observe_27600_rows(benchmark: Any, cell: Cell) -> None:
     share = np.arange(1, points + 1)[None, :, None] / points
     ends = (plan.q_start[:, None] + share * (plan.q_end - plan.q_start)[:, None]).reshape(-1, 6)
     names = np.repeat(plan.label, points)
-    traces = Sweeps.make(np.repeat(plan.q_start, points, axis=0), ends, label=names, group=names)
-    measured = simulate(cell, paper_truth(cell), traces, sigma=0.005, seed=0)
+    traces = Sweeps.of_um_rad(np.repeat(plan.q_start, points, axis=0), ends, label=names, group=names)
+    measured = simulate_um(cell, paper_truth(cell), traces, sigma=0.005, seed=0)
     assert benchmark.pedantic(observe, (cell, measured), rounds=3).spectrum.rank == 17

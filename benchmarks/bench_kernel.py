@@ -19,10 +19,8 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from path_length import path_length
 
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.model import chain
-from fpcal_bayes.model.cavity import CavityModel, Rows
-from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.model import CavityModel, Cell, Rows, chain
 
 SWEEPS = Path(__file__).parent.parent / "tests" / "data" / "case_a.csv"
 

@@ -5,13 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.infer.design.candidates import candidate_sweeps
-from fpcal_bayes.infer.design.exchange import choose_sweeps
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings
-from fpcal_bayes.infer.design.problem import prior_ground
-from fpcal_bayes.infer.design.rows import sweep_rows
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.infer import Planner, PlanSettings, candidate_sweeps, choose_sweeps, prior_ground, sweep_rows
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import paper_protocol
 
 CELL = load_cell()
 #: Processor seconds that a plan of ten may take; it runs on one core.

@@ -28,12 +28,9 @@ from jax_model import changes_in_jax
 from rich.console import Console
 from scipy import linalg
 
-from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.posterior.target import PosteriorTarget
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.report.table import plain_table
+from fpcal_bayes.infer import Identification, PosteriorTarget, identify, sample
+from fpcal_bayes.io import load_cell, read_sweeps
+from fpcal_bayes.report import plain_table
 
 SWEEPS = Path(__file__).parent.parent / "tests" / "data" / "case_a.csv"
 #: Effective draws a second, and how many times those of NUTS.

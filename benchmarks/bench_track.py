@@ -11,14 +11,19 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from track_fixtures import CELL, DRIFT, campaign
 
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.filter import predict, update
-from fpcal_bayes.tracking.measurement import SweepMeasurement
-from fpcal_bayes.tracking.session import take_in
-from fpcal_bayes.tracking.smoother import follow_sessions, smooth
-from fpcal_bayes.tracking.tracker import Track, track
+from fpcal_bayes.measure import Sweeps
+from fpcal_bayes.model import CavityModel
+from fpcal_bayes.tracking import (
+    Limits,
+    SweepMeasurement,
+    Track,
+    follow_sessions,
+    predict,
+    smooth,
+    take_in,
+    track,
+    update,
+)
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.model.parameters import EXTRINSICS
+from fpcal_bayes.infer import Identification
+from fpcal_bayes.model import EXTRINSICS
 
 jax.config.update("jax_enable_x64", True)
 

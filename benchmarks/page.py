@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fpcal_bayes.core.files import read_text, write_text
+from fpcal_bayes.core import read_text, write_text
 
 #: Titles of the groups, by the file they are timed in; the peers stand in the same file.
 GROUPS = {

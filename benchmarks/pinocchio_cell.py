@@ -3,8 +3,7 @@
 import numpy as np
 import pinocchio
 
-from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model import Cell, chain
 
 
 class PinocchioCell:

@@ -23,14 +23,12 @@ import numpy as np
 from jax_model import changes_in_jax
 from rich.console import Console
 
-from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.study.base import drawn_truth
-from fpcal_bayes.study.sbc import PROTOCOLS, sbc_plan
+from fpcal_bayes.infer import Identification, identify, sample
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps
+from fpcal_bayes.report import plain_table
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.study import PROTOCOLS, drawn_truth, sbc_plan
 
 #: Allowed differences: of means and quantiles in standard deviations, of standard deviations as a share.
 MEAN, SD, QUANTILE = 0.06, 0.05, 0.12
@@ -158,7 +156,7 @@ def main() -> int:
         began = time.perf_counter()
         random = np.random.default_rng([7, number])
         protocol, sigma = PROTOCOLS[number % len(PROTOCOLS)], NOISES[number % len(NOISES)]
-        sweeps = simulate(cell, drawn_truth(cell, random), sbc_plan(protocol, cell), sigma=sigma, seed=number)
+        sweeps = simulate_um(cell, drawn_truth(cell, random), sbc_plan(protocol, cell), sigma=sigma, seed=number)
         found = identify(cell, sweeps)
         posterior = sample(found, draws=options.draws, seed=number)
         ours = posterior.points.reshape(-1, found.problem.n_unknowns)

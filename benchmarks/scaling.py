@@ -27,9 +27,9 @@ import scaling_peers as peers
 from measuring import Point, exponents, too_steep
 from scaling_inputs import measured
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.infer import identify
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.model import Cell
 
 SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
 

@@ -4,13 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell.cell import Cell, make_parameters
-from fpcal_bayes.model.cell.joints import Joint
-from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth
+from fpcal_bayes.model import EXTRINSICS, LINK_SLOTS, UNITS, Cell, Joint, make_parameters
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 
@@ -29,12 +25,12 @@ def random_sweeps(cell: Cell, n: int, seed: int = 0) -> Sweeps:
     joint = random.integers(len(cell.joints), size=n)
     end = start.copy()
     end[np.arange(n), joint] = random.uniform(-reach[joint], reach[joint])
-    return Sweeps.make(start, end)
+    return Sweeps.of_um_rad(start, end)
 
 
 def measured(cell: Cell, n: int) -> Sweeps:
     """Random sweeps measured at the paper's truth."""
-    return simulate(cell, paper_truth(cell), random_sweeps(cell, n), sigma=SIGMA, seed=1)
+    return simulate_um(cell, paper_truth(cell), random_sweeps(cell, n), sigma=SIGMA, seed=1)
 
 
 def sessions(cell: Cell, count: int, rows: int) -> Sweeps:
@@ -43,7 +39,7 @@ def sessions(cell: Cell, count: int, rows: int) -> Sweeps:
     for number in range(1, count):
         plan = random_sweeps(cell, rows, seed=number)
         parts.append(replace(plan, session=np.full(rows, f"s{number:05d}"), time_h=np.full(rows, float(number))))
-    return simulate(cell, paper_truth(cell), join(parts), sigma=SIGMA, seed=2)
+    return simulate_um(cell, paper_truth(cell), join(parts), sigma=SIGMA, seed=2)
 
 
 def wide_cell(n_free: int) -> Cell:

@@ -8,25 +8,24 @@ import numpy as np
 from measuring import Point, timed
 from scaling_inputs import SIGMA, drawn_near, measured, random_poses, random_sweeps, sessions, wide_cell
 
-from fpcal_bayes.fringes.ingest import ingest
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings
-from fpcal_bayes.infer.design.problem import prior_ground
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.minimise import minimise
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.infer.posterior.draws import make_target
-from fpcal_bayes.infer.posterior.proposal import Atlas
-from fpcal_bayes.io.sweeps import write_csv
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.report.campaign.page import write_campaign_report
-from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.tracking.tracker import track
+from fpcal_bayes.fringes import ingest
+from fpcal_bayes.infer import (
+    Planner,
+    PlanSettings,
+    Problem,
+    ProposalMixture,
+    identify,
+    make_target,
+    minimise,
+    observe,
+    prior_ground,
+)
+from fpcal_bayes.io import write_csv
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell, InverseModel
+from fpcal_bayes.report import write_campaign_report
+from fpcal_bayes.simulator import record_sweeps, simulate_um
+from fpcal_bayes.tracking import track
 
 #: Proposals of a step of the sampler.
 PROPOSALS = 32
@@ -43,7 +42,7 @@ def by_rows(cell: Cell, sizes: list[int]) -> Iterator[Point]:
         model, values, start = problem.model, cell.free.nominal, np.zeros(problem.n_unknowns)
         rows = model.rows(sweeps.q_start, sweeps.q_end)
         found = identify(cell, sweeps)
-        atlas = Atlas(*make_target(found, "gaussian"))
+        atlas = ProposalMixture(*make_target(found, "gaussian"))
         normal, choice = random.standard_normal((PROPOSALS, problem.n_unknowns)), random.random(PROPOSALS)
         yield timed("changes of length", n, lambda m=model, v=values, r=rows: m.predict(v, r))
         yield timed("Jacobian", n, lambda m=model, v=values, r=rows: m.predict_with_jacobian(v, r))
@@ -114,7 +113,7 @@ def by_parameters(sizes: list[int]) -> Iterator[Point]:
     for n in sizes:
         cell = wide_cell(n)
         at = drawn_near(cell)
-        sweeps = simulate(cell, at, random_sweeps(cell, 1000), sigma=SIGMA, seed=4)
+        sweeps = simulate_um(cell, at, random_sweeps(cell, 1000), sigma=SIGMA, seed=4)
         problem = Problem.of(CavityModel.of(cell), sweeps)
         model, truth, start = problem.model, at.values[0], np.zeros(problem.n_unknowns)
         rows = model.rows(sweeps.q_start, sweeps.q_end)

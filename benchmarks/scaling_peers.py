@@ -8,16 +8,10 @@ from measuring import Point, timed
 from numpy.testing import assert_allclose
 from scaling_inputs import measured, random_poses
 
-from fpcal_bayes.infer.fit.minimise import minimise
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model import chain
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.filter import predict, update
-from fpcal_bayes.tracking.measurement import LinearMeasurement
+from fpcal_bayes.infer import Problem, minimise
+from fpcal_bayes.measure import paper_truth
+from fpcal_bayes.model import CavityModel, Cell, InverseModel, chain
+from fpcal_bayes.tracking import DriftModel, LinearMeasurement, State, predict, update
 
 #: Rows that one step of the linear filter takes in.
 ROWS_OF_STEP = 6

@@ -3,26 +3,34 @@
 The names of the whole workflow stand here; each is loaded when it is first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from fpcal_bayes.core.lazy import lazy
 from fpcal_bayes.core.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from fpcal_bayes.analysis.doctor import doctor as doctor
     from fpcal_bayes.core.errors import InputError as InputError
     from fpcal_bayes.decision.decision import Costs as Costs
     from fpcal_bayes.decision.forecast import Goal as Goal
     from fpcal_bayes.decision.policy import decide_track as decide_track
+    from fpcal_bayes.fringes.ingest import ingest as ingest
+    from fpcal_bayes.fringes.path_check import check as check
+    from fpcal_bayes.infer.design.plan import plan as plan
     from fpcal_bayes.infer.fit.identify import identify as identify
     from fpcal_bayes.infer.observability.observe import observe as observe
+    from fpcal_bayes.infer.posterior.netcdf import read_posterior as read_posterior
     from fpcal_bayes.infer.posterior.sample import sample as sample
     from fpcal_bayes.infer.tasks.prediction import predict_from_covariance as predict_from_covariance
     from fpcal_bayes.io.campaign import read_campaign as read_campaign
     from fpcal_bayes.io.campaign import write_campaign as write_campaign
     from fpcal_bayes.io.cell import load_cell as load_cell
     from fpcal_bayes.io.estimate import read_estimate as read_estimate
+    from fpcal_bayes.io.recordings import read_recordings as read_recordings
+    from fpcal_bayes.io.sweeps import append_sweeps as append_sweeps
     from fpcal_bayes.io.sweeps import read_sweeps as read_sweeps
     from fpcal_bayes.io.sweeps import write_sweeps as write_sweeps
+    from fpcal_bayes.io.traces import read_path_trace as read_path_trace
     from fpcal_bayes.io.truth import read_truth as read_truth
     from fpcal_bayes.measure.campaign import Campaign as Campaign
     from fpcal_bayes.measure.protocol import paper_protocol as paper_protocol
@@ -30,6 +38,7 @@ if TYPE_CHECKING:
     from fpcal_bayes.measure.truth import paper_truth as paper_truth
     from fpcal_bayes.model.cell.cell import Cell as Cell
     from fpcal_bayes.model.estimate import Estimate as Estimate
+    from fpcal_bayes.model.trust import Trust as Trust
     from fpcal_bayes.motion.controller import Controller as Controller
     from fpcal_bayes.motion.tasks import TASKS as TASKS
     from fpcal_bayes.motion.tasks import find_task as find_task
@@ -37,48 +46,44 @@ if TYPE_CHECKING:
     from fpcal_bayes.simulator.sweeps import simulate as simulate
     from fpcal_bayes.tracking.tracker import track as track
 
-#: Module and name in it of each name of the package.
+#: Module of each name of the package.
 _PLACES = {
-    "TASKS": "motion.tasks",
+    "append_sweeps": "io.sweeps",
     "Campaign": "measure.campaign",
     "Cell": "model.cell.cell",
+    "check": "fringes.path_check",
     "Controller": "motion.controller",
     "Costs": "decision.decision",
-    "Estimate": "model.estimate",
-    "Goal": "decision.forecast",
-    "InputError": "core.errors",
-    "Sweeps": "measure.sweeps",
     "decide_track": "decision.policy",
+    "doctor": "analysis.doctor",
+    "Estimate": "model.estimate",
     "find_task": "motion.tasks",
-    "track": "tracking.tracker",
+    "Goal": "decision.forecast",
     "identify": "infer.fit.identify",
+    "ingest": "fringes.ingest",
+    "InputError": "core.errors",
     "load_cell": "io.cell",
     "observe": "infer.observability.observe",
     "paper_protocol": "measure.protocol",
     "paper_truth": "measure.truth",
+    "plan": "infer.design.plan",
     "predict_from_covariance": "infer.tasks.prediction",
     "read_campaign": "io.campaign",
     "read_estimate": "io.estimate",
+    "read_path_trace": "io.traces",
+    "read_posterior": "infer.posterior.netcdf",
+    "read_recordings": "io.recordings",
     "read_sweeps": "io.sweeps",
     "read_truth": "io.truth",
     "sample": "infer.posterior.sample",
     "simulate": "simulator.sweeps",
+    "Sweeps": "measure.sweeps",
+    "TASKS": "motion.tasks",
+    "track": "tracking.tracker",
+    "Trust": "model.trust",
     "write_campaign": "io.campaign",
     "write_campaign_report": "report.campaign.page",
     "write_sweeps": "io.sweeps",
 }
 
-__all__ = list(_PLACES)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a name of the workflow from its module."""
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -21,12 +21,11 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult, compare, parse_models
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import Comparison, ModelResult, compare, parse_models
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Truth, paper_protocol
+from fpcal_bayes.report import plain_table
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 PATHS = ("axis", "perpendicular")
@@ -39,7 +38,7 @@ def compare_once(made_on: str, number: int, *, seed: int, draws: int) -> Compari
     random = np.random.default_rng(np.random.SeedSequence([seed, PATHS.index(made_on), number]))
     values = cell.free.nominal + cell.free.prior_sd * random.standard_normal(len(cell.free))
     noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    sweeps = simulate(
+    sweeps = simulate_um(
         cell, Truth(cell.free, np.zeros(1), values[None]), paper_protocol(cell), sigma=SIGMA, seed=noise_seed
     )
     return compare(cell, sweeps, parse_models(MODELS, cell), draws=draws, seed=sampler_seed)

@@ -7,7 +7,7 @@ import numpy as np
 from figure_common import Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.motion import task_path
 
 
 def main() -> None:

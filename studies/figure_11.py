@@ -9,8 +9,7 @@ import numpy as np
 from figure_common import Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.motion.controller import Controller
-from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.motion import Controller, task_path
 
 BEYOND = 12.0
 

@@ -10,11 +10,11 @@ import numpy as np
 from figure_common import Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.core.resources import paper_tables
-from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.core import paper_tables
+from fpcal_bayes.infer import peak_to_peak, task_errors
+from fpcal_bayes.measure import paper_truth
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.tracking import DriftModel
 
 HOURS = np.arange(0.0, 15.0, 2.0)
 WALKS, POINTS = 1000, 181

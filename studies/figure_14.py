@@ -7,11 +7,10 @@ import numpy as np
 from figure_common import SIGMA, Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import identify
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import simulate_um
 
 DAYS = (0.0, 1.0, 2.0, 7.0, 8.0)
 
@@ -24,7 +23,7 @@ def main() -> None:
     axes = figure.subplots(len(DAYS) + 1, 1, sharex=True)
     full, changes, axis_number = None, {}, 0
     for day in DAYS:
-        sweeps = simulate(rig.cell, truth, paper_protocol(rig.cell, time_h=24.0 * day), sigma=SIGMA, seed=int(day))
+        sweeps = simulate_um(rig.cell, truth, paper_protocol(rig.cell, time_h=24.0 * day), sigma=SIGMA, seed=int(day))
         ways = {"full": identify(rig.cell, sweeps).estimate}
         if day == 7.0:
             assert full is not None

@@ -9,8 +9,8 @@ import numpy as np
 from figure_common import Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.core.resources import paper_tables
-from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.core import paper_tables
+from fpcal_bayes.motion import task_path
 
 TASKS = ("line-z", "line-x")
 

@@ -7,12 +7,10 @@ import numpy as np
 from figure_common import SIGMA, Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import identify, observe
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import simulate_um
 
 
 def main() -> None:
@@ -20,7 +18,7 @@ def main() -> None:
     rig = Rig.of(options.opd)
     plan = paper_protocol(rig.cell)
     turns = (plan.q_start != plan.q_end)[:, 3:].any(axis=1)
-    sweeps = simulate(rig.cell, paper_truth(rig.cell), plan, sigma=SIGMA, seed=0)
+    sweeps = simulate_um(rig.cell, paper_truth(rig.cell), plan, sigma=SIGMA, seed=0)
     seen, found = observe(rig.cell, sweeps), identify(rig.cell, sweeps)
     task = task_path(rig.cell, found.estimate.vector(), "circle", n_points=361)
     before = task_path(rig.cell, rig.cell.parameters.nominal, "circle", n_points=361)

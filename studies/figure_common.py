@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.motion.tasks import Task
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import identify
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell, Estimate
+from fpcal_bayes.motion import Task
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 #: Visibility of the fringes: bare fibre and mirror, coupling as in the paper's Fig 1.
@@ -38,7 +35,7 @@ class Rig:
 
     def calibrated(self, free: str = "all", hold: str = "consider", seed: int = 0) -> Estimate:
         """The estimate from the paper's 69 sweeps at 5 nm noise; what is not free is held at nominal."""
-        sweeps = simulate(self.cell, paper_truth(self.cell), paper_protocol(self.cell), sigma=SIGMA, seed=seed)
+        sweeps = simulate_um(self.cell, paper_truth(self.cell), paper_protocol(self.cell), sigma=SIGMA, seed=seed)
         return identify(self.cell, sweeps, free=free, hold=hold).estimate
 
     def lengths(self, q: np.ndarray) -> np.ndarray:

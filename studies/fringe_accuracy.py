@@ -12,17 +12,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpcal_bayes.fringes.count import Reading
-from fpcal_bayes.fringes.ingest import Ingested, ingest
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.recordings import TraceIndex
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.optics import RecorderSettings
-from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import noise_free
+from fpcal_bayes.fringes import Ingested, Reading, ingest
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import TraceIndex, Truth, paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.simulator import RecorderSettings, noise_free, record_sweeps
 
 #: What is worse than an eighth of a wavelength is a wrong count.
 WRONG_COUNT = 0.195

@@ -13,16 +13,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from fpcal_bayes.core.resources import paper_tables
-from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.study.paper_week import measure_week
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.smoother import smooth
-from fpcal_bayes.tracking.tracker import Track, track
+from fpcal_bayes.core import paper_tables
+from fpcal_bayes.infer import peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import paper_truth
+from fpcal_bayes.model import CavityModel
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.study import measure_week
+from fpcal_bayes.tracking import DriftModel, Track, smooth, track
 
 TOLERANCE = 0.05
 SIGMA = 0.005

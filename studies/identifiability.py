@@ -14,17 +14,11 @@ import numpy as np
 from rich.console import Console
 from scipy import linalg
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.spectrum import spectrum_of
-from fpcal_bayes.infer.observability.measures import bounds_of
-from fpcal_bayes.infer.observability.observe import whitened_jacobian
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.table import plain_table
+from fpcal_bayes.infer import bounds_of, identify, spectrum_of, whitened_jacobian
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps, join, paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.report import plain_table
 
 SIGMA = 0.005
 TRACE_POINTS = 40
@@ -40,7 +34,7 @@ def traces(cell: Cell, points: int) -> Sweeps:
     travel = (plan.q_end - plan.q_start)[:, None]
     ends = (plan.q_start[:, None] + share[None, :, None] * travel).reshape(-1, plan.q_start.shape[1])
     names = np.repeat(plan.label, points)
-    return Sweeps.make(np.repeat(plan.q_start, points, axis=0), ends, session="full-T0", label=names, group=names)
+    return Sweeps.of_um_rad(np.repeat(plan.q_start, points, axis=0), ends, session="full-T0", label=names, group=names)
 
 
 def absolute_row(cell: Cell) -> Sweeps:

@@ -19,23 +19,27 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.core.files import write_json
-from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, in_short_order
-from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
-from fpcal_bayes.infer.design.rows import read_often
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.sweeps import write_sweeps
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import draw_plan
-from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.study.planning import compare, largest_errors
-from fpcal_bayes.tracking.drift import aged
+from fpcal_bayes.core import write_json
+from fpcal_bayes.infer import (
+    DEFAULT_TASKS,
+    Ground,
+    Planner,
+    PlanSettings,
+    SweepLimits,
+    candidate_sweeps,
+    estimate_ground,
+    identify,
+    in_short_order,
+    prior_ground,
+    read_often,
+)
+from fpcal_bayes.io import load_cell, write_sweeps
+from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth
+from fpcal_bayes.model import Cell
+from fpcal_bayes.report import draw_plan, save_figure
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.study import compare, largest_errors
+from fpcal_bayes.tracking import propagated
 
 SIGMA = 0.005
 #: Standard deviations or errors by task in um, one a truth.
@@ -220,7 +224,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
         truth = Truth(cell.free, np.zeros(1), values[None])
-        measured = simulate(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
+        measured = simulate_um(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
         now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
         second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
         # Judged at the truth, under the cell's own prior.
@@ -236,10 +240,12 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
 def extrinsic(options: argparse.Namespace) -> None:
     """Best few sweeps some hours after a calibration at the paper's truth."""
     cell = load_cell()
-    calibration = simulate(
+    calibration = simulate_um(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )
-    ground = estimate_ground(aged(identify(cell, calibration).estimate, options.hours), tasks=tuple(options.tasks))
+    ground = estimate_ground(
+        propagated(identify(cell, calibration).estimate, options.hours), tasks=tuple(options.tasks)
+    )
     paper = ground.expected_sd(paper_protocol(cell), readings=1)
     middle = ground.expected_sd(paper_protocol(cell), readings=2)
     for name, sd in (("before", ground.expected_sd(None)), ("paper's 69", paper), ("with midpoints", middle)):

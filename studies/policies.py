@@ -15,18 +15,27 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.core.files import write_json
-from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.diagnosis import is_diagnosis
-from fpcal_bayes.decision.forecast import Forecast, Goal
-from fpcal_bayes.decision.policy import Policy
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.study.drifting_week import STEP, DriftingWeek, Rule, Run, Setting, follow, simulate_week
-from fpcal_bayes.study.policies import MakeRule, check_circle, fixed, never, ours, translations
-from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.core import write_json
+from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy, is_diagnosis
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.study import (
+    STEP,
+    DriftingWeek,
+    MakeRule,
+    Rule,
+    Run,
+    Setting,
+    check_circle,
+    fixed,
+    follow,
+    never,
+    ours,
+    simulate_week,
+    translations,
+)
+from fpcal_bayes.tracking import DriftModel, SessionOutcome
 
 CELL = load_cell()
 
@@ -49,7 +58,7 @@ def fixed_at_task(setting: Setting, hours: float) -> Rule:
         vector = setting.model.vector(setting.drift.values(outcome.state.mean))
         pose = task_path(CELL, vector, "circle", n_points=5).start
         ends = (np.where(moved, end, pose) for end in (two.q_start, two.q_end))
-        return hours, Sweeps.make(*ends, label=two.label)
+        return hours, Sweeps.of_um_rad(*ends, label=two.label)
 
     return rule
 
@@ -67,7 +76,7 @@ def planned(setting: Setting, goal: Goal, costs: Costs) -> Rule:
             taken = plan.with_measurement(np.zeros(len(plan)), np.full(len(plan), setting.sigma))
             if is_diagnosis(policy.drift, setting.model, before, outcome, taken, policy.limits):
                 diagnosed = outcome.time_h
-        forecast = Forecast.of(policy.drift, setting.model, goal, outcome.state.mean)
+        forecast = Forecaster.of(policy.drift, setting.model, goal, outcome.state.mean)
         due = "the robot moved" if outcome.verdict == "intrinsics-moved" else None
         wait = 0.0 if due else policy.hold_hours(forecast, outcome.state, diagnosed)
         # `follow` begins sessions on a step.
@@ -83,7 +92,7 @@ def planned(setting: Setting, goal: Goal, costs: Costs) -> Rule:
 
 def rules(options: argparse.Namespace, setting: Setting) -> dict[str, MakeRule]:
     """All policies by name."""
-    goal, two = Goal(options.tolerance * 1e-3, tuple(options.tasks)), translations(len(CELL.joints), 3, 1)
+    goal, two = Goal(options.tolerance, tuple(options.tasks)), translations(len(CELL.joints), 3, 1)
     found: dict[str, MakeRule] = {
         "never": lambda: never(setting),
         "69 sweeps every 8 h": lambda: fixed(8.0, setting.paper),
@@ -92,7 +101,7 @@ def rules(options: argparse.Namespace, setting: Setting) -> dict[str, MakeRule]:
         found[f"q3 and q1 at joint zero every {hours:g} h"] = lambda hours=hours: fixed(hours, two)
     for hours in (0.7, 1.0, 1.3, 1.6, 2.0, 4.0):
         found[f"q3 and q1 at the task every {hours:g} h"] = lambda hours=hours: fixed_at_task(setting, hours)
-    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance, two)
+    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance_um, two)
     chosen = Costs(most_sweeps=options.most)
     for hours in options.chosen:
         found[f"{options.most} chosen every {hours:g} h"] = lambda hours=hours: ours(setting, goal, chosen, hours)

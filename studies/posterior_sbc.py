@@ -21,9 +21,9 @@ import numpy as np
 from rich.console import Console
 from scipy import stats
 
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.study.sbc import FAMILY_WISE, PROTOCOLS, RANKED, PosteriorRanks, quantities, sbc_plan
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.report import plain_table
+from fpcal_bayes.study import FAMILY_WISE, PROTOCOLS, RANKED, PosteriorRanks, quantities, sbc_plan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,15 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.console import Console
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.posterior.netcdf import slip_probabilities, summarise
-from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import protocol_by_name
-from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.table import plain_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import identify, sample, slip_probabilities, summarise
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Truth, protocol_by_name
+from fpcal_bayes.model import Cell
+from fpcal_bayes.report import plain_table
+from fpcal_bayes.simulator import simulate_um
 
 SIGMA = 0.005
 
@@ -40,7 +37,7 @@ def recover(cell: Cell, number: int, *, protocol: str, share: float, draws: int)
     rng = np.random.default_rng(number)
     values = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
     truth = Truth(cell.free, np.zeros(1), values[None])
-    clean = simulate(cell, truth, protocol_by_name(protocol, cell), sigma=SIGMA, seed=number)
+    clean = simulate_um(cell, truth, protocol_by_name(protocol, cell), sigma=SIGMA, seed=number)
     counts = np.zeros(len(clean), dtype=int)
     n_slipped = max(1, round(share * len(clean)))
     counts[rng.choice(len(clean), n_slipped, replace=False)] = rng.choice([-2, -1, 1, 2], n_slipped)

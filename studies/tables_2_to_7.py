@@ -9,11 +9,10 @@ import numpy as np
 from figure_common import SIGMA, Rig, arguments, save
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.study.paper_week import SESSIONS
+from fpcal_bayes.infer import identify
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.study import SESSIONS
 
 
 def main() -> None:
@@ -23,7 +22,7 @@ def main() -> None:
     full, rows, pulls = None, [], []
     for number, session in enumerate(SESSIONS):
         plan = paper_protocol(rig.cell, session=session.name, time_h=24.0 * session.day)
-        sweeps = simulate(rig.cell, truth, plan, sigma=SIGMA, seed=number)
+        sweeps = simulate_um(rig.cell, truth, plan, sigma=SIGMA, seed=number)
         found = identify(rig.cell, sweeps, free=session.free, start=None if session.free == "all" else full)
         if session.free == "all":
             full = found.estimate

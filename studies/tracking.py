@@ -13,22 +13,14 @@ from functools import cache
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.forecast import Forecast, Goal
-from fpcal_bayes.decision.policy import Policy
-from fpcal_bayes.infer.tasks.error import task_rows
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import PROTOCOLS
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
-from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.smoother import smooth
-from fpcal_bayes.tracking.tracker import Track, calibrate, track
+from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy
+from fpcal_bayes.infer import task_rows
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import PROTOCOLS, Sweeps, Truth, join, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.tracking import DriftModel, State, Track, calibrate, predict, smooth, track
 
 HOURS = 192.0
 #: What a reference that judges all tasks together may err by, in um.
@@ -67,16 +59,16 @@ def session_plan(count: int, kind: str, random: np.random.Generator) -> Sweeps:
         start[rows, joint], end[rows, joint] = -high[joint], high[joint]
     else:
         end[rows, joint] = random.uniform(-high[joint], high[joint])
-    return Sweeps.make(start, end, label=[f"q{j + 1}" for j in joint])
+    return Sweeps.of_um_rad(start, end, label=[f"q{j + 1}" for j in joint])
 
 
 def diagnosis_plan(cell: Cell, values: np.ndarray, count: int, hours: float, seed: int) -> Sweeps:
     """The sweeps by which the policy would look at the robot some hours after a calibration at `values` (n,)."""
-    drift, model, plan, goal = DriftModel.of(cell), CavityModel.of(cell), protocol("paper"), Goal(0.05)
-    measured = simulate(cell, Truth(cell.free, np.zeros(1), values[None]), plan, sigma=0.005, seed=seed)
+    drift, model, plan, goal = DriftModel.of(cell), CavityModel.of(cell), protocol("paper"), Goal(50.0)
+    measured = simulate_um(cell, Truth(cell.free, np.zeros(1), values[None]), plan, sigma=0.005, seed=seed)
     known = calibrate(cell, drift, measured)[0].state
     policy = Policy.of(drift, model, goal, Costs(diagnosis_sweeps=count), plan)
-    return policy.choose_diagnosis(Forecast.of(drift, model, goal, known.mean), predict(drift, known, hours))
+    return policy.choose_diagnosis(Forecaster.of(drift, model, goal, known.mean), predict(drift, known, hours))
 
 
 def change_of(cell: Cell, kind: str, random: np.random.Generator) -> np.ndarray:
@@ -122,7 +114,7 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> Simulat
         plan = session_plan(count, options.sweeps, random) if look is None else look.take(np.arange(count))
         parts.append(replace(plan, session=np.full(count, f"{number:04d}"), time_h=np.full(count, hour)))
     truth = Truth(cell.free, times, values)
-    sweeps = simulate(cell, truth, join(parts), sigma=0.005, seed=int(random.integers(2**31)))
+    sweeps = simulate_um(cell, truth, join(parts), sigma=0.005, seed=int(random.integers(2**31)))
     return SimulatedWeek(truth, sweeps, changed)
 
 

@@ -17,20 +17,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian
-from fpcal_bayes.infer.traces.fit import fit_traces
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.interferometer import fringe
-from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.optics import RecorderSettings
-from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.infer import fit_traces, identify, linear_task_sd, task_jacobian
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell, Estimate, fringe
+from fpcal_bayes.motion import task_path
+from fpcal_bayes.simulator import RecorderSettings, record_sweeps, simulate_um
 
 VIBRATION, POINTS = 0.005, 40
 TASKS = ("circle", "tilt-x", "tilt-z", "spin")
@@ -86,7 +78,7 @@ def main() -> None:
     vibrating = RecorderSettings(rate_hz=POINTS / 10.0, length_noise=VIBRATION)
 
     def from_sweeps(protocol, sigma: float, seed: int) -> Estimate:  # type: ignore[no-untyped-def]
-        return identify(cell, simulate(cell, truth, protocol, sigma=sigma, seed=seed)).estimate
+        return identify(cell, simulate_um(cell, truth, protocol, sigma=sigma, seed=seed)).estimate
 
     def from_traces(rig: Cell, settings: RecorderSettings, noise: float, seed: int) -> Estimate:
         start = from_sweeps(plan, VIBRATION, seed)

@@ -13,13 +13,13 @@ from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 def fill(folder: Path) -> None:
     """Write all files: good ones, and from each a few with one fault."""
     cell = load_cell(mechanics="none")
-    sweeps = simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0)
+    sweeps = simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=0)
     write_csv(folder / "sweeps.csv", sweeps, cell)
     write_csv(folder / "plan.csv", paper_protocol(cell), cell)
     write_campaign(folder / "campaign.h5", Campaign.of(sweeps, cell), cell)

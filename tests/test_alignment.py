@@ -13,7 +13,7 @@ from fpcal_bayes.fringes.alignment import DIRECTION, align
 from fpcal_bayes.fringes.amplitude import Amplitudes, fringe_amplitudes, tilting
 from fpcal_bayes.fringes.ingest import Ingested, ingest
 from fpcal_bayes.io.estimate import read_estimate
-from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -194,7 +194,7 @@ def test_a_gain_that_drifts_widens_the_noise(cell: Cell, tilts: Sweeps) -> None:
 
 
 def test_the_command_writes_a_prior(tmp_path: Path, cell: Cell, index: TraceIndex, capsys) -> None:
-    write_index(tmp_path / "index.h5", index, cell)
+    write_recordings(tmp_path / "index.h5", index, cell)
     out, datum, result = (tmp_path / name for name in ("sweeps.csv", "datum.json", "result.json"))
     settings = ["--opd", "perpendicular"]
     read = ["ingest", str(tmp_path / "index.h5"), "-o", str(out), *settings]
@@ -211,7 +211,7 @@ def test_the_command_writes_a_prior(tmp_path: Path, cell: Cell, index: TraceInde
 
 def test_a_refusal_writes_nothing(tmp_path: Path, cell: Cell, tilts: Sweeps, capsys) -> None:
     settings = RecorderSettings(fading=False)
-    write_index(tmp_path / "i.h5", record_sweeps(cell, paper_truth(cell), tilts, settings, scans=False), cell)
+    write_recordings(tmp_path / "i.h5", record_sweeps(cell, paper_truth(cell), tilts, settings, scans=False), cell)
     before = sorted(tmp_path.iterdir())
     command = ["ingest", str(tmp_path / "i.h5"), "-o", str(tmp_path / "o.csv"), "--opd", "perpendicular"]
     assert main([*command, "--alignment", str(tmp_path / "a.json")]) == 2

@@ -20,7 +20,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task, task_path
-from fpcal_bayes.simulator.sweeps import noise_free, simulate
+from fpcal_bayes.simulator.sweeps import noise_free, simulate_um
 
 EXACT = Conditions(wavelength_ppm=0.0, temperature_k=0.0, pressure_hpa=0.0)
 
@@ -33,7 +33,7 @@ def stepless(femto: Cell) -> Cell:
 
 def calibrated(cell: Cell, midpoints: bool = False) -> tuple[Estimate, Sweeps]:
     plan = paper_protocol(cell, midpoints=midpoints)
-    sweeps = simulate(cell, paper_truth(cell), plan, sigma=0.005, seed=0)
+    sweeps = simulate_um(cell, paper_truth(cell), plan, sigma=0.005, seed=0)
     return identify(cell, sweeps).estimate, sweeps
 
 
@@ -67,7 +67,7 @@ def test_fringe_noise_is_what_noise_does(femto: Cell) -> None:
     truth = paper_truth(femto)
     errors = []
     for seed in range(40):
-        repeated = simulate(femto, truth, sweeps, sigma=0.005, seed=100 + seed)
+        repeated = simulate_um(femto, truth, sweeps, sigma=0.005, seed=100 + seed)
         found = identify(femto, repeated).estimate.values
         errors.append(task_errors(model, found, values, task)[0])
     worst = int(np.argmin(np.abs(task.along - budget.along)))

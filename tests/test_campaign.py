@@ -18,7 +18,7 @@ from fpcal_bayes.io.sweeps import is_campaign_file, read_csv, read_sweeps, write
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
@@ -38,7 +38,7 @@ ESTIMATE = {
 
 
 def campaign() -> Campaign:
-    sweeps = simulate(CELL, paper_truth(CELL), paper_protocol(CELL, midpoints=True), sigma=0.005, seed=3)
+    sweeps = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL, midpoints=True), sigma=0.005, seed=3)
     return Campaign.of(
         sweeps,
         CELL,

@@ -26,7 +26,7 @@ from fpcal_bayes.report.campaign import figures
 from fpcal_bayes.report.campaign.charts import log_table, outlook_chart, track_chart
 from fpcal_bayes.report.campaign.page import campaign_html
 from fpcal_bayes.report.campaign.words import standing, verdict
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 ODD = '<script>alert("&")</script> $x_{$ [red] \u4e2d'
@@ -42,7 +42,7 @@ def file(tmp_path_factory):
         for part, name, time_h in zip(few, ("day1", "day2"), (24.0, 48.0), strict=True)
     ]
     truth = paper_truth(CELL)
-    sweeps = simulate(CELL, truth, join([full, *later]), sigma=0.005, seed=2)
+    sweeps = simulate_um(CELL, truth, join([full, *later]), sigma=0.005, seed=2)
     path = tmp_path_factory.mktemp("report") / "campaign.h5"
     write_campaign(path, Campaign.of(sweeps, CELL, command="made", seed=2, truth=truth.record()), CELL)
     return path
@@ -79,7 +79,7 @@ def test_task_errors_are_those_of_the_tracked_estimate(facts):
 
 def test_standing_follows_the_tolerance(file, facts):
     assert standing(facts.tasks[0], facts) == ("within tolerance", "good")
-    tight = gather(file, CELL, goal=Goal(1e-4))
+    tight = gather(file, CELL, goal=Goal(0.1))
     assert standing(tight.tasks[0], tight) == ("out of tolerance", "bad")
     assert tight.decision is None
     assert verdict(tight).word == "No verdict"
@@ -185,7 +185,7 @@ def test_a_cell_without_drift_has_no_verdict(file, tmp_path):
 def test_a_fit_that_is_wrong_is_of_no_use(tmp_path):
     # Sweeps of the perpendicular path, taken for ones of the axis path.
     other = CELL.with_opd("perpendicular")
-    sweeps = simulate(other, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=2)
+    sweeps = simulate_um(other, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=2)
     write_csv(tmp_path / "a.csv", sweeps, CELL)
     found = gather(tmp_path / "a.csv", CELL)
     assert verdict(found).word == "Do not use"

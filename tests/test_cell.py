@@ -84,10 +84,10 @@ def test_select_without_prior(femto: Cell, name: str) -> None:
 def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float, sign: int) -> None:
     axis = ControllerAxis("m", "1", sign, zero, unit, CONTROLLER_UNITS[kind][unit])
     values = np.array([q, 0.0])
-    reading = axis.to_controller(values)
+    reading = axis.reading_of(values)
     # The zero takes up digits of the reading.
     atol = 1e-15 * abs(zero) * axis.per_unit + 1e-12
-    assert_allclose(axis.to_model(reading), values, rtol=1e-13, atol=10 * atol)
+    assert_allclose(axis.joint_value(reading), values, rtol=1e-13, atol=10 * atol)
     assert reading[1] == zero
 
 
@@ -109,13 +109,13 @@ def test_controller_map_round_trips(kind: str, unit: str, q: float, zero: float,
 )
 def test_controller_units(kind: str, unit: str, one: float) -> None:
     axis = ControllerAxis("m", "1", -1, 10.0, unit, CONTROLLER_UNITS[kind][unit])
-    assert axis.to_controller(np.array([2 * one])) == pytest.approx(8.0, rel=1e-12)
+    assert axis.reading_of(np.array([2 * one])) == pytest.approx(8.0, rel=1e-12)
 
 
 def test_stage_reads_zero_to_three_hundred(femto: Cell) -> None:
     stage = femto.joints[0].controller
     assert stage is not None
-    assert_allclose(stage.to_controller(np.array([-150.0, 0.0, 150.0])), [0.0, 150.0, 300.0])
+    assert_allclose(stage.reading_of(np.array([-150.0, 0.0, 150.0])), [0.0, 150.0, 300.0])
 
 
 def test_hash_ignores_layout_and_comments(femto: Cell, tmp_path: Path) -> None:

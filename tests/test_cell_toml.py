@@ -23,6 +23,7 @@ wavelength_nm = 1550
 [[joint]]
 kind = "revolute"
 [extrinsic]
+beta_et = { nominal_deg = -90 }
 y_wf = { nominal_um = 900, prior_sd_um = 10 }
 """
 
@@ -55,7 +56,7 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
     text = MINIMAL.replace(
         'kind = "revolute"\n',
         'kind = "revolute"\nlimits_deg = [-90, 180]\nrepeatability_deg = 0.5\n'
-        "alpha = { nominal_deg = 90, prior_sd_deg = 2 }\ngain = { nominal_ppm = 5, prior_sd_ppm = 300 }\n"
+        "alpha = { nominal_deg = 9, prior_sd_deg = 2 }\ngain = { nominal_ppm = 5, prior_sd_ppm = 300 }\n"
         "runout_cos = { nominal_um = 0.1, prior_sd_um = 0.2, optional = false }\n"
         'controller = { name = "m", channel = "2", sign = -1, zero = 3, unit = "mdeg" }\n',
     )
@@ -65,14 +66,14 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
     assert cell.high[0] == pytest.approx(np.pi)
     assert cell.repeatability[0] == pytest.approx(np.radians(0.5))
     alpha, gain = cell.parameters["alpha_1"], cell.parameters["gain_1"]
-    assert (alpha.nominal, alpha.prior_sd) == pytest.approx((np.pi / 2, np.radians(2)))
+    assert (alpha.nominal, alpha.prior_sd) == pytest.approx((np.radians(9), np.radians(2)))
     assert (gain.nominal, gain.prior_sd, gain.optional) == (pytest.approx(5e-6), pytest.approx(3e-4), True)
     assert not cell.parameters["runout_cos_1"].optional
     assert cell.free.names == ("alpha_1", "runout_cos_1", "y_wf")
     controller = cell.joints[0].controller
     assert controller is not None
     assert (controller.name, controller.channel, controller.sign, controller.zero) == ("m", "2", -1, 3.0)
-    assert controller.to_controller(np.radians([1.0])) == pytest.approx([-997.0])
+    assert controller.reading_of(np.radians([1.0])) == pytest.approx([-997.0])
 
 
 # What is replaced in the built-in cell, by what, and how the refusal goes on behind the file's name.
@@ -131,7 +132,7 @@ BAD = [
     ("wavelength_nm = 1560.0", "wavelength_nm = nan", "key optics.wavelength_nm: expected a finite number, found nan"),
     ("wavelength_nm = 1560.0", "wavelength_nm = inf", "key optics.wavelength_nm: expected a finite number, found inf"),
     ("wavelength_nm = 1560.0", "wavelength_nm = 1e999", "key optics.wavelength_nm: expected a finite number"),
-    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 1"),
+    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 0.1"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 400}", "key optics.wavelength_nm: expected a finite number"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 5000}", "not a TOML file"),
     (
@@ -180,7 +181,10 @@ def test_refusal_names_the_key(tmp_path: Path, old: str, new: str, expected: str
     [
         ("[optics]\nwavelength_nm = 1550\n", "key optics: expected a table"),
         ('[[joint]]\nkind = "revolute"\n', "key joint: expected one [[joint]] table for each joint"),
-        ("[extrinsic]\ny_wf = { nominal_um = 900, prior_sd_um = 10 }\n", "key extrinsic: expected a table"),
+        (
+            "[extrinsic]\nbeta_et = { nominal_deg = -90 }\ny_wf = { nominal_um = 900, prior_sd_um = 10 }\n",
+            "key extrinsic: expected a table",
+        ),
         (", prior_sd_um = 10", "key joint: no parameter has a prior_sd: there is nothing to identify"),
     ],
 )

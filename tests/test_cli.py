@@ -197,7 +197,7 @@ class TestIdentify:
         assert list(content)[:2] == ["schema", "command"]
         assert set(content) == {
             "schema", "command", "parameters", "covariance", "cell", "data", "time_h", "valid_until_h", "fit",
-            "residuals", "doubtful_signs", "warnings", "draws",
+            "residuals", "doubtful_signs", "warnings", "draws", "trust", "content_sha256",
         }  # fmt: skip
         assert content["schema"] == "fpcal/1"
         assert content["command"] == "identify"
@@ -254,6 +254,8 @@ class TestIdentify:
         contents = [self.run(CASE_A) for _ in range(2)]
         seconds = [content["fit"].pop("seconds") for content in contents]
         assert all(s > 0 for s in seconds)
+        # The hash of the content covers the time too.
+        assert all(len(content.pop("content_sha256")) == 64 for content in contents)
         assert json.dumps(contents[0]) == json.dumps(contents[1])
 
     def test_input_is_not_modified(self):
@@ -444,13 +446,10 @@ def test_bad_cells(capsys, old, new, message):
 
 
 def test_cell_with_other_joints(capsys):
-    text = data_file("femto-st.toml").read_text()
-    last = text.rindex("[[joint]]")
-    five = text[:last] + text[text.index("[extrinsic]") :]
-    Path("cell.toml").write_text(five.replace("femto-st", "five", 1))
-    line = refused(capsys, "identify", CASE_A, "--cell", "cell.toml")
-    assert "does not fit: cell 'five' has 5 joints" in line or "has 5 joints" in line
-    assert "the paper's protocol is for a chain" in refused(capsys, "simulate", "-o", "a.csv", "--cell", "cell.toml")
+    three = Path(__file__).parent / "data" / "xy-theta.toml"
+    line = refused(capsys, "identify", CASE_A, "--cell", three)
+    assert "does not fit: cell 'xy-theta' has 3 joints" in line or "has 3 joints" in line
+    assert "the paper's protocol is for a chain" in refused(capsys, "simulate", "-o", "a.csv", "--cell", three)
 
 
 class TestCampaigns:

@@ -9,7 +9,7 @@ import pytest
 from test_cli_control import refusal, run
 
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.io.recordings import read_index
+from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.model.cell.cell import Cell
@@ -61,7 +61,7 @@ class TestSimulateTraces:
             digests.append(hashlib.sha256(b"".join(content)).hexdigest())
         assert digests[0] == digests[1]
         assert "3 sweeps recorded on cell 'femto-st', 6003 samples -> a." in capsys.readouterr().out
-        index = read_index(f"a.{suffix}", femto)
+        index = read_recordings(f"a.{suffix}", femto)
         assert [len(trace) for trace in index.traces] == [2001] * 3
         assert all(scan is not None for scan in index.scans_before + index.scans_after)
         # The truth beside it is one that the command takes again.
@@ -71,14 +71,14 @@ class TestSimulateTraces:
     def test_scans_where_the_paper_has_them(self, femto: Cell) -> None:
         short_plan(femto)
         run("simulate", "-o", "a.csv", "--traces", "--protocol", "plan.csv", "--signs", "paper", "--quiet")
-        index = read_index("a.csv", femto)
+        index = read_recordings("a.csv", femto)
         assert [scan is not None for scan in index.scans_after] == [False, False, True]
 
     def test_disturbances_and_sampling(self, femto: Cell) -> None:
         short_plan(femto)
         options = ("--samples-per-fringe", 4, "--disturbances", "hard", "--quiet")
         run("simulate", "-o", "a.csv", "--traces", "--protocol", "plan.csv", *options)
-        assert all(len(trace) < 300 for trace in read_index("a.csv", femto).traces)
+        assert all(len(trace) < 300 for trace in read_recordings("a.csv", femto).traces)
 
     @pytest.mark.parametrize(
         ("options", "message"),

@@ -12,7 +12,7 @@ from trace_fixtures import record_all
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.files import write_json
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
-from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.io.sweeps import read_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.recordings import TraceIndex
@@ -41,7 +41,7 @@ def spoilt(index: TraceIndex) -> TraceIndex:
 def test_ingest_writes_sweeps_and_json(
     tmp_path: Path, femto: Cell, index: TraceIndex, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_index(tmp_path / "index.csv", index, femto)
+    write_recordings(tmp_path / "index.csv", index, femto)
     out = tmp_path / "sweeps.csv"
     assert main(["ingest", str(tmp_path / "index.csv"), "-o", str(out), "--json", str(tmp_path / "o.json")]) == 0
     sweeps = read_csv(out, femto)
@@ -70,7 +70,7 @@ def test_ingest_writes_sweeps_and_json(
 def test_doubtful_sweeps_are_left_out_of_a_csv_listed_and_drawn(
     tmp_path: Path, femto: Cell, spoilt: TraceIndex, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_index(tmp_path / "index.h5", spoilt, femto)
+    write_recordings(tmp_path / "index.h5", spoilt, femto)
     out, report = tmp_path / "sweeps.csv", tmp_path / "o.json"
     assert main(["ingest", str(tmp_path / "index.h5"), "-o", str(out), "--json", str(report)]) == 0
     assert len(read_csv(out, femto)) == 3
@@ -88,7 +88,7 @@ def test_doubtful_sweeps_are_left_out_of_a_csv_listed_and_drawn(
 def test_a_campaign_keeps_doubtful_sweeps_and_traces_and_other_commands_take_it(
     tmp_path: Path, femto: Cell, spoilt: TraceIndex
 ) -> None:
-    write_index(tmp_path / "index.csv", spoilt, femto)
+    write_recordings(tmp_path / "index.csv", spoilt, femto)
     out = tmp_path / "campaign.h5"
     assert main(["ingest", str(tmp_path / "index.csv"), "-o", str(out), "--no-plots", "--points", "2"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign.h5", "index.csv", "index_traces"]
@@ -115,7 +115,7 @@ def test_a_campaign_keeps_doubtful_sweeps_and_traces_and_other_commands_take_it(
 
 
 def broken(folder: Path, femto: Cell, index: TraceIndex, edit) -> str:  # type: ignore[no-untyped-def]
-    write_index(folder / "index.csv", index, femto)
+    write_recordings(folder / "index.csv", index, femto)
     edit(folder)
     return str(folder / "index.csv")
 
@@ -170,7 +170,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 def test_outputs_are_looked_at_before_any_work(
     tmp_path: Path, femto: Cell, index: TraceIndex, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_index(tmp_path / "index.h5", index, femto)
+    write_recordings(tmp_path / "index.h5", index, femto)
     source = str(tmp_path / "index.h5")
     before = (tmp_path / "index.h5").read_bytes()
     for output, message in (

@@ -108,8 +108,11 @@ def test_criteria(criterion: str, femto: Cell) -> None:
     assert len(read_sweeps("p.csv", femto, plan=True)) == 2
 
 
-def test_chain_without_inverse_model(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "joints" in refusal(capsys, "--cell", DATA / "xy-theta.toml", "--n", 2, *QUICK, "-o", "p.csv")
+def test_a_mirror_that_no_task_can_turn(capsys: pytest.CaptureFixture[str]) -> None:
+    """The mirror's x axis stands the other way round, beyond the limits of q5."""
+    assert "aligned pose cannot be reached" in refusal(
+        capsys, "--cell", DATA / "xy-theta.toml", "--n", 2, *QUICK, "-o", "p.csv"
+    )
 
 
 def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.tracker import calibrate, track
 
 MODEL = CavityModel.of(CELL)
@@ -26,15 +26,15 @@ START = calibrate(CELL, DRIFT, SWEEPS.of_session("day0"))[0]
 def measure(plan, time_h):
     n = len(plan)
     timed = replace(plan, session=np.full(n, f"h{time_h:.2f}"), time_h=np.full(n, time_h))
-    return simulate(CELL, TRUTH, timed, sigma=SIGMA, seed=round(100 * time_h))
+    return simulate_um(CELL, TRUTH, timed, sigma=SIGMA, seed=round(100 * time_h))
 
 
 def run(costs):
-    return run_policy(Policy.of(DRIFT, MODEL, Goal(0.05), costs, PROTOCOL), START, measure, 6.0)
+    return run_policy(Policy.of(DRIFT, MODEL, Goal(50.0), costs, PROTOCOL), START, measure, 6.0)
 
 
 def test_sessions_come_when_they_were_planned():
-    loop = run(Costs(most_sweeps=2, sigma=SIGMA))
+    loop = run(Costs(most_sweeps=2, sigma_nm=1e3 * SIGMA))
     times = np.array([outcome.time_h for outcome in loop.outcomes])
     assert len(loop.decisions) == len(loop.sweeps) == len(times) - 1
     assert (np.diff(times) > 0.0).all()
@@ -52,7 +52,7 @@ def test_sessions_come_when_they_were_planned():
 
 
 def test_the_filter_is_that_of_a_track_of_the_same_sessions():
-    loop = run(Costs(most_sweeps=2, sigma=SIGMA))
+    loop = run(Costs(most_sweeps=2, sigma_nm=1e3 * SIGMA))
     found = track(CELL, join([SWEEPS.of_session("day0"), *loop.sweeps], file="campaign"))
     for one, other in zip(loop.outcomes, found.outcomes, strict=True):
         np.testing.assert_array_equal(one.state.mean, other.state.mean)
@@ -64,13 +64,13 @@ def held(loop):
 
 
 def test_the_robot_is_looked_at_when_due():
-    loop = run(Costs(most_sweeps=2, sigma=SIGMA, diagnosis_h=4.0))
+    loop = run(Costs(most_sweeps=2, sigma_nm=1e3 * SIGMA, diagnosis_h=4.0))
     looks = [d.now_h for d in loop.decisions if "could show a change of the robot" in d.reason]
     assert looks == [pytest.approx(4.0, abs=0.06)]
 
 
 def test_at_least_as_many_sweeps_as_asked_for():
-    loop = run(Costs(least_sweeps=2, most_sweeps=2, sigma=SIGMA))
+    loop = run(Costs(least_sweeps=2, most_sweeps=2, sigma_nm=1e3 * SIGMA))
     assert {len(sweeps) for sweeps in loop.sweeps} == {2}
     with pytest.raises(InputError, match="at least 3 sweeps, expected no more than 2"):
         Costs(least_sweeps=3, most_sweeps=2)

@@ -22,7 +22,7 @@ from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.report.posterior import compare_table
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
 BOTH = "opd=axis,opd=perpendicular"
@@ -40,7 +40,7 @@ def grouped(femto):
     """Sweeps with midpoints, whose rows share a reading, and their identification."""
     plan = paper_protocol(femto, midpoints=True).take(np.arange(138) < 60)
     truth = Truth(femto.free, np.zeros(1), femto.free.nominal[None] + 0.3 * femto.free.prior_sd)
-    return identify(femto, simulate(femto, truth, plan, sigma=0.005, seed=3))
+    return identify(femto, simulate_um(femto, truth, plan, sigma=0.005, seed=3))
 
 
 def linear_elpd(identification) -> np.ndarray:
@@ -238,7 +238,7 @@ class TestData:
         cell = femto.with_opd("perpendicular")
         values = cell.free.nominal + 0.5 * cell.free.prior_sd
         truth = Truth(cell.free, np.zeros(1), values[None])
-        sweeps = simulate(cell, truth, paper_protocol(cell), sigma=0.005, seed=1)
+        sweeps = simulate_um(cell, truth, paper_protocol(cell), sigma=0.005, seed=1)
         found = compare(cell, sweeps, parse_models(BOTH, cell), draws=100)
         axis, perpendicular = found.models
         assert axis.poor

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fpcal_bayes.model.kernels.compile import compiled, drop_stale, needs_compilation
+from fpcal_bayes.model.kernels.compile import compiled, drop_outdated, needs_compilation
 from fpcal_bayes.model.kernels.lengths import is_angle
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
 
@@ -52,12 +52,12 @@ def test_stored_code_older_than_any_kernel_source_is_dropped(tmp_path: Path) -> 
     assert needs_compilation(kernel)
     stored.touch()
     os.utime(tmp_path / "kernel.py", (1000, 1000))
-    drop_stale(kernel)
+    drop_outdated(kernel)
     assert not needs_compilation(kernel)
     # A kernel that this one calls has changed.
     other.touch()
     os.utime(stored, (1100, 1100))
-    drop_stale(kernel)
+    drop_outdated(kernel)
     assert needs_compilation(kernel)
 
 

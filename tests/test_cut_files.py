@@ -17,7 +17,7 @@ from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 PATH = "x_um,y_um,z_um,rx_deg,ry_deg,rz_deg\n0,0,0,0,0,0\n20,0,10,0,0,12.5\n"
@@ -55,7 +55,7 @@ def test_sweeps_cut_in_a_group_s_name_are_refused(tmp_path):
 
 def test_what_cannot_be_cut_short_needs_no_line_end(tmp_path):
     path = tmp_path / "sweeps.csv"
-    write_csv(path, simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=0), CELL)
+    write_csv(path, simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=0), CELL)
     text = path.read_text()
     assert text.splitlines()[0].endswith(",signed")
     path.write_text(text[:-1])

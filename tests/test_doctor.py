@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fpcal_bayes.analysis.doctor import examine
+from fpcal_bayes.analysis.doctor import doctor
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 #: What is said of the paper's sweeps, good as they are.
@@ -22,23 +22,23 @@ ALWAYS = {"rank", "gauges", "limits"}
 
 @pytest.fixture(scope="module")
 def good():
-    return simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=4)
+    return simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=4)
 
 
 def kinds(sweeps, cell=CELL) -> set[str]:
-    return {finding.kind for finding in examine(sweeps, cell)} - ALWAYS
+    return {finding.kind for finding in doctor(sweeps, cell)} - ALWAYS
 
 
 def only(sweeps, kind: str, cell=CELL):
     """The one finding of a kind, all others being the usual ones."""
-    (finding,) = [f for f in examine(sweeps, cell) if f.kind not in ALWAYS]
+    (finding,) = [f for f in doctor(sweeps, cell) if f.kind not in ALWAYS]
     assert finding.kind == kind
     assert finding.remedy
     return finding
 
 
 def test_good_sweeps_raise_no_problem(good):
-    found = examine(good, CELL)
+    found = doctor(good, CELL)
     assert {finding.kind for finding in found} == ALWAYS
     assert not [finding for finding in found if finding.severity == "problem"]
     assert any("midpoint" in finding.remedy for finding in found if finding.kind == "rank")
@@ -66,20 +66,20 @@ def test_sigma_too_small_and_too_large(good):
 
 def test_repeats_tell_the_noise(good):
     again = replace(good, dl=good.dl + 0.02 * np.random.default_rng(0).standard_normal(len(good)))
-    found = examine(join([good, again]), CELL)
+    found = doctor(join([good, again]), CELL)
     said = [f.what for f in found if f.kind == "sigma" and "again" in f.what]
     assert len(said) == 1
 
 
 def test_the_other_path_model(good):
     truth = paper_truth(CELL)
-    other = simulate(CELL.with_opd("perpendicular"), truth, paper_protocol(CELL), sigma=0.005, seed=1)
-    finding = next(f for f in examine(other, CELL) if f.kind == "path model")
+    other = simulate_um(CELL.with_opd("perpendicular"), truth, paper_protocol(CELL), sigma=0.005, seed=1)
+    finding = next(f for f in doctor(other, CELL) if f.kind == "path model")
     assert "opd=perpendicular" in finding.remedy
 
 
 def test_duplicates(good):
-    finding = next(f for f in examine(join([good, good.take(np.arange(3))]), CELL) if f.kind == "duplicates")
+    finding = next(f for f in doctor(join([good, good.take(np.arange(3))]), CELL) if f.kind == "duplicates")
     assert finding.severity == "problem"
     assert str(good.label[0]) in finding.what
 
@@ -97,7 +97,7 @@ def test_times_and_order(good):
 def test_signs_and_paths(good):
     signed = np.ones(69, dtype=bool)
     signed[::7] = False
-    finding = next(f for f in examine(replace(good, signed=signed), CELL) if f.kind == "unsigned")
+    finding = next(f for f in doctor(replace(good, signed=signed), CELL) if f.kind == "unsigned")
     assert finding.what.startswith("10 of 69")
     kind = good.kind.copy()
     kind[:2] = "path"
@@ -106,7 +106,7 @@ def test_signs_and_paths(good):
 
 def test_joints_that_never_move_and_units(good):
     still = good.take(~(good.q_start != good.q_end)[:, 3])
-    assert next(f for f in examine(still, CELL) if f.kind == "still").what == "no sweep moves q4"
+    assert next(f for f in doctor(still, CELL) if f.kind == "still").what == "no sweep moves q4"
     assert "sigma" in kinds(replace(good, sigma=np.full(69, 5e-6)))
     assert "sigma" in kinds(replace(good, sigma=np.full(69, 0.3)))
 
@@ -116,8 +116,8 @@ def test_what_changed_between_sessions(good):
     knocked = replace(truth, values=truth.values.copy())
     knocked.values[:, truth.parameters.position("beta_et")] += np.radians(0.3)
     plan = paper_protocol(CELL, session="later", time_h=8.0)
-    later = simulate(CELL, knocked, plan, sigma=0.005, seed=3)
-    found = [f for f in examine(join([good, later]), CELL) if f.kind == "extrinsics-moved"]
+    later = simulate_um(CELL, knocked, plan, sigma=0.005, seed=3)
+    found = [f for f in doctor(join([good, later]), CELL) if f.kind == "extrinsics-moved"]
     assert [finding.where for finding in found] == ["later"]
 
 

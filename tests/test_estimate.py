@@ -16,7 +16,7 @@ from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.estimate import SCHEMA, Estimate
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 
@@ -28,7 +28,7 @@ def folder(tmp_path_factory) -> Path:
 
 def make(**options: Any) -> dict[str, Any]:
     plan = paper_protocol(CELL, time_h=24.0)
-    result = identify(CELL, simulate(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1), **options)
+    result = identify(CELL, simulate_um(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1), **options)
     return {"schema": SCHEMA, "command": "identify", **result.content()}
 
 
@@ -50,7 +50,7 @@ def read(folder: Path, content: Any, text: bool = False) -> Estimate:
 
 def test_round_trip(folder, content):
     plan = paper_protocol(CELL, time_h=24.0)
-    made = identify(CELL, simulate(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1)).estimate
+    made = identify(CELL, simulate_um(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1)).estimate
     write_json(folder / "estimate.json", content)
     again = read_estimate(folder / "estimate.json", CELL)
     assert again.parameters.names == made.parameters.names

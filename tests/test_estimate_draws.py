@@ -18,7 +18,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 FREE = CELL.free
@@ -52,7 +52,7 @@ def test_both_minima_have_their_share() -> None:
     random = np.random.default_rng(5)
     values = [FREE.nominal + FREE.prior_sd * random.standard_normal(21) for _ in range(29)][-1]
     truth = Truth(FREE, np.zeros(1), values[None])
-    found = identify(CELL, simulate(CELL, truth, paper_protocol(CELL), sigma=0.005, seed=28))
+    found = identify(CELL, simulate_um(CELL, truth, paper_protocol(CELL), sigma=0.005, seed=28))
     first, second = (found.problem.values(m.unknowns) for m in (found.solution, found.other_minima[0]))
 
     def share(draws: np.ndarray) -> float:

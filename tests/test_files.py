@@ -157,10 +157,11 @@ def test_byte_order_mark_is_not_content(tmp_path: Path) -> None:
 def test_json(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     files.write_json(path, {"a": [1.5, None]})
-    assert json.loads(path.read_text()) == {"a": [1.5, None]}
+    written = {"a": [1.5, None], "content_sha256": files.content_sha256({"a": [1.5, None]})}
+    assert json.loads(path.read_text()) == written
     with pytest.raises(ValueError, match="JSON"):
         files.write_json(path, {"a": float("nan")})
-    assert json.loads(path.read_text()) == {"a": [1.5, None]}
+    assert json.loads(path.read_text()) == written
 
 
 def test_hashes(tmp_path: Path) -> None:

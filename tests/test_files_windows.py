@@ -109,7 +109,7 @@ pytestmark = [
 def test_every_command_has_its_help_and_can_be_loaded(tmp_path):
     done = on_windows(HELP, tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("usage: fpcal ") == 16
+    assert done.stdout.count("usage: fpcal ") == 19
 
 
 def test_the_way_from_sweeps_to_a_decision(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 from trace_fixtures import irradiance
 
-from fpcal_bayes.fringes.profile import Course, legendre
+from fpcal_bayes.fringes.profile import DisplacementProfile, legendre
 from fpcal_bayes.fringes.reader import Recorded, read_traces
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.report.fringes import draw_sweep
@@ -17,16 +17,16 @@ def samples() -> Samples:
 
 def test_a_sweep_that_was_read_has_three_panels() -> None:
     laid = samples()
-    prior = Course(np.zeros(6), np.diag([25.0, 25.0, 0, 0, 0, 0]))
+    prior = DisplacementProfile(np.zeros(6), np.diag([25.0, 25.0, 0, 0, 0, 0]))
     reading = read_traces([Recorded("spin", laid, 0.0, 90.0, prior, 1.56)], noise=0.01)[0]
     figure = draw_sweep(reading, laid, 0.0, 90.0, "q6 [deg]", "a reason")
-    trace, course, left = figure.axes
+    trace, profile, left = figure.axes
     assert "spin: a reason" in figure.get_suptitle()
     tops = next(line for line in trace.lines if str(line.get_label()).endswith("fringes"))
     assert abs(len(tops.get_xdata()) - reading.fringes) < 2
     turn = next(line for line in trace.lines if len(line.get_xdata()) == 2)
     np.testing.assert_allclose(turn.get_xdata()[0], reading.reversals[0], atol=1e-9)
-    np.testing.assert_allclose(abs(course.lines[0].get_ydata()[-1]), abs(reading.dl), atol=1e-9)
+    np.testing.assert_allclose(abs(profile.lines[0].get_ydata()[-1]), abs(reading.dl), atol=1e-9)
     residual = np.asarray(left.lines[0].get_ydata())
     assert 0.008 < residual.std() < 0.012
 
@@ -34,7 +34,7 @@ def test_a_sweep_that_was_read_has_three_panels() -> None:
 def test_a_refused_trace_is_drawn_alone() -> None:
     laid = samples()
     flat = Samples(laid.s, laid.time, np.ones(800), laid.count)
-    prior = Course(np.zeros(6), np.diag([25.0, 25.0, 0, 0, 0, 0]))
+    prior = DisplacementProfile(np.zeros(6), np.diag([25.0, 25.0, 0, 0, 0, 0]))
     reading = read_traces([Recorded("spin", flat, 0.0, 90.0, prior, 1.56)])[0]
     figure = draw_sweep(reading, flat, 0.0, 90.0, "q6 [deg]", reading.refused)
     assert len(figure.axes) == 1

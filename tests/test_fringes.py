@@ -8,12 +8,12 @@ import pytest
 from trace_fixtures import irradiance, record
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.fringes.count import Reading, Witness, decide
+from fpcal_bayes.fringes.count import Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, fit_course
-from fpcal_bayes.fringes.profile import Course, end_weights, estimated_courses, legendre, prior_courses
-from fpcal_bayes.fringes.reader import Recorded, estimate_witness, read_traces
+from fpcal_bayes.fringes.profile import DisplacementProfile, end_weights, estimated_profiles, legendre, prior_profiles
+from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
 from fpcal_bayes.fringes.samples import Samples, fault, lay_out
-from fpcal_bayes.fringes.search import find_courses
+from fpcal_bayes.fringes.search import find_profiles
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import Trace
@@ -37,30 +37,32 @@ def truth(femto: Cell) -> Truth:
 
 
 @pytest.fixture(scope="module")
-def courses(femto: Cell, plan: Sweeps) -> list[Course]:
-    return prior_courses(femto, plan)
+def profiles(femto: Cell, plan: Sweeps) -> list[DisplacementProfile]:
+    return prior_profiles(femto, plan)
 
 
-def laid(sweeps: Sweeps, row: int, trace: Trace, course: Course, witnesses: tuple[Witness, ...] = ()) -> Recorded:
+def laid(
+    sweeps: Sweeps, row: int, trace: Trace, profile: DisplacementProfile, sign_sources: tuple[SignSource, ...] = ()
+) -> Recorded:
     joint = int(np.argmax(sweeps.q_start[row] != sweeps.q_end[row]))
     start, end = sweeps.q_start[row, joint], sweeps.q_end[row, joint]
     samples = lay_out(trace, start, end, unit="um", scale=1.0, place="trace")
-    return Recorded(str(sweeps.label[row]), samples, start, end, course, LIGHT, witnesses=witnesses)
+    return Recorded(str(sweeps.label[row]), samples, start, end, profile, LIGHT, sign_sources=sign_sources)
 
 
-def plain(course: np.ndarray, n: int, seed: int = 0, noise: float = 0.01) -> Samples:
-    """Samples of a course given by its coefficients, from the simulator of `trace_fixtures`."""
+def plain(profile: np.ndarray, n: int, seed: int = 0, noise: float = 0.01) -> Samples:
+    """Samples of a profile given by its coefficients, from the simulator of `trace_fixtures`."""
     random, s = np.random.default_rng(seed), np.linspace(-1.0, 1.0, n)
-    phase = PHASE * (legendre(s)[:, 1:] @ course) + random.uniform(0.0, 6.28)
+    phase = PHASE * (legendre(s)[:, 1:] @ profile) + random.uniform(0.0, 6.28)
     return Samples(s, s, irradiance(random, phase, (s + 1) / 2, noise=noise), np.ones(n))
 
 
-def free(slope_sd: float = 10.0, bend_sd: float = 1.0) -> Course:
+def free(slope_sd: float = 10.0, bend_sd: float = 1.0) -> DisplacementProfile:
     """A prior that knows next to nothing of slope and bend."""
-    return Course(np.zeros(6), np.diag([slope_sd**2, bend_sd**2, 0.0, 0.0, 0.0, 0.0]))
+    return DisplacementProfile(np.zeros(6), np.diag([slope_sd**2, bend_sd**2, 0.0, 0.0, 0.0, 0.0]))
 
 
-def test_readings_err_as_they_say(femto: Cell, plan: Sweeps, truth: Truth, courses: list[Course]) -> None:
+def test_readings_err_as_they_say(femto: Cell, plan: Sweeps, truth: Truth, profiles: list[DisplacementProfile]) -> None:
     """Two campaigns of the whole protocol, other truths than the prior's middle, 4 to 40 samples a fringe."""
     model = CavityModel.of(femto, truth.parameters)
     sds = np.array([p.prior_sd for p in truth.parameters])
@@ -71,7 +73,7 @@ def test_readings_err_as_they_say(femto: Cell, plan: Sweeps, truth: Truth, cours
         dl = model.predict(values, model.rows(plan.q_start, plan.q_end))
         density = np.exp(random.uniform(np.log(4.0), np.log(40.0), len(plan)))
         traces = [record(femto, model, values, plan.take(np.array([i])), random, density[i]) for i in range(len(plan))]
-        readings = read_traces([laid(plan, i, t, courses[i]) for i, t in enumerate(traces)], noise=0.01)
+        readings = read_traces([laid(plan, i, t, profiles[i]) for i, t in enumerate(traces)], noise=0.01)
         for reading, true in zip(readings, dl, strict=True):
             error = reading.dl - true if reading.signed else abs(reading.dl) - abs(true)
             if not reading.fringes >= 3.0:
@@ -102,24 +104,26 @@ def test_the_course_and_not_the_count_tells_a_reversal() -> None:
     assert reading.turns == pytest.approx((turn,), abs=5e-3)
 
 
-def one(samples: Samples, course: Course, witnesses: tuple[Witness, ...] = (), **options: float) -> Reading:
-    each = Recorded("sweep", samples, -1.0, 1.0, course, LIGHT, witnesses=witnesses)
+def one(
+    samples: Samples, profile: DisplacementProfile, sign_sources: tuple[SignSource, ...] = (), **options: float
+) -> Reading:
+    each = Recorded("sweep", samples, -1.0, 1.0, profile, LIGHT, sign_sources=sign_sources)
     return read_traces([each], noise=0.01, **options)[0]
 
 
 def test_the_true_course_is_among_those_found() -> None:
     random = np.random.default_rng(5)
     for n in (40, 400, 4000):
-        course = np.array([random.uniform(1.0, n / 30), random.normal(), 0.0, 0.0, 0.0, 0.0])
-        found = find_courses(plain(course, n, seed=n), free(), PHASE)
-        assert min(min(np.abs(f - course).max(), np.abs(f + course).max()) for f in found) < 0.12
+        profile = np.array([random.uniform(1.0, n / 30), random.normal(), 0.0, 0.0, 0.0, 0.0])
+        found = find_profiles(plain(profile, n, seed=n), free(), PHASE)
+        assert min(min(np.abs(f - profile).max(), np.abs(f + profile).max()) for f in found) < 0.12
 
 
 def test_the_covariance_is_that_of_the_linearised_signal() -> None:
     """Against numerical derivatives of the fitted signal, for a calm trace with noise alone."""
-    course = np.array([4.0, 0.7, 0.0, 0.0, 0.0, 0.0])
-    samples = plain(course, 300)
-    fit = fit_course(samples, free(), course, PHASE, nuisance=CALM, noise=0.01)
+    profile = np.array([4.0, 0.7, 0.0, 0.0, 0.0, 0.0])
+    samples = plain(profile, 300)
+    fit = fit_course(samples, free(), profile, PHASE, nuisance=CALM, noise=0.01)
     step = 1e-5
 
     def signal(unknowns: np.ndarray) -> np.ndarray:
@@ -129,7 +133,7 @@ def test_the_covariance_is_that_of_the_linearised_signal() -> None:
         moved[1], moved[0] = 1.3 * unknowns[-2], 1.3 * 10.0 * unknowns[-1]
         signs = np.sign(np.linalg.eigh(4.0 * prior.covariance)[1][[1, 0], [-2, -1]])
         moved[[1, 0]] *= signs
-        return replace(fit, unknowns=unknowns, course=moved).signal(samples.s, samples.time, PHASE)
+        return replace(fit, unknowns=unknowns, profile=moved).signal(samples.s, samples.time, PHASE)
 
     np.testing.assert_allclose(signal(fit.unknowns), fit.signal(samples.s, samples.time, PHASE), atol=1e-9)
     jacobian = np.column_stack(
@@ -146,12 +150,12 @@ def test_the_covariance_is_that_of_the_linearised_signal() -> None:
 
 def test_intermediate_points_carry_their_covariance() -> None:
     """Errors of middle and end over many noises, against the stated covariance; a group never claims more."""
-    course = np.array([3.0, 0.8, 0.0, 0.0, 0.0, 0.0])
+    profile = np.array([3.0, 0.8, 0.0, 0.0, 0.0, 0.0])
     s = np.array([0.0, 1.0])
-    true = (legendre(s) - legendre(np.array([-1.0])))[:, 1:] @ course
+    true = (legendre(s) - legendre(np.array([-1.0])))[:, 1:] @ profile
     errors, stated = [], []
     for seed in range(40):
-        reading = one(plain(course, 80, seed), free())
+        reading = one(plain(profile, 80, seed), free())
         changes, covariance = reading.changes(s)
         errors.append(np.sign(changes[1]) * changes - true)
         stated.append(covariance)
@@ -164,30 +168,30 @@ def test_intermediate_points_carry_their_covariance() -> None:
 
 
 def test_a_witness_tells_the_sign_and_the_priors_do_where_they_are_sure() -> None:
-    course = np.array([-3.0, 0.4, 0.0, 0.0, 0.0, 0.0])
-    samples = plain(course, 300)
+    profile = np.array([-3.0, 0.4, 0.0, 0.0, 0.0, 0.0])
+    samples = plain(profile, 300)
     assert not one(samples, free()).signed
-    told = one(samples, free(), (Witness(-5.9, 0.1, "scans"),))
+    told = one(samples, free(), (SignSource(-5.9, 0.1, "scans"),))
     assert told.signed
     assert told.sign_source == "scans"
     assert told.dl == pytest.approx(-6.0, abs=5 * told.sigma)
-    assert np.sign(told.course[0]) == -1
-    sure = Course(np.array([-2.9, 0, 0, 0, 0, 0]), np.diag([0.04, 1.0, 0, 0, 0, 0]))
+    assert np.sign(told.profile[0]) == -1
+    sure = DisplacementProfile(np.array([-2.9, 0, 0, 0, 0, 0]), np.diag([0.04, 1.0, 0, 0, 0, 0]))
     assert one(samples, sure).sign_source == "prior"
-    assert not one(samples, free(), (Witness(1.0, 20.0, "estimate"),)).signed
-    # A witness that contradicts the trace by far tells nothing.
-    assert not one(samples, free(), (Witness(-60.0, 0.1, "scans"),)).signed
+    assert not one(samples, free(), (SignSource(1.0, 20.0, "estimate"),)).signed
+    # A sign_source that contradicts the trace by far tells nothing.
+    assert not one(samples, free(), (SignSource(-60.0, 0.1, "scans"),)).signed
 
 
 def test_two_counts_that_fit_alike_are_doubtful_until_a_witness_decides() -> None:
-    course = np.array([3.0, 0.4, 0.0, 0.0, 0.0, 0.0])
-    fit = fit_course(plain(course, 300), free(), course, PHASE, nuisance=CALM, noise=0.01)
-    other = replace(fit, course=course + np.array([0.39, 0, 0, 0, 0, 0]), evidence=fit.evidence - 3.0)
+    profile = np.array([3.0, 0.4, 0.0, 0.0, 0.0, 0.0])
+    fit = fit_course(plain(profile, 300), free(), profile, PHASE, nuisance=CALM, noise=0.01)
+    other = replace(fit, profile=profile + np.array([0.39, 0, 0, 0, 0, 0]), evidence=fit.evidence - 3.0)
     verdict = decide([fit, other], [])
     assert verdict.doubtful
     assert verdict.other_counts == pytest.approx(np.exp(-3) / (1 + np.exp(-3)), rel=1e-6)
     assert verdict.alternatives == pytest.approx((6.78,), abs=1e-6)
-    settled = decide([fit, other], [Witness(6.7, 0.05, "estimate")])
+    settled = decide([fit, other], [SignSource(6.7, 0.05, "estimate")])
     assert settled.fit is other
     assert not settled.doubtful
     assert settled.signed
@@ -222,13 +226,13 @@ def test_the_full_scale_a_gap_and_few_samples_are_refused() -> None:
 
 
 def test_sparse_traces_are_refused_and_not_guessed() -> None:
-    course = np.array([7.8, 0.0, 0.0, 0.0, 0.0, 0.0])
-    prior = Course(course, np.diag([4.0, 0.04, 0, 0, 0, 0]))
-    assert one(plain(course, 85), prior).good
-    assert "sparse" in one(plain(course, 50), prior).refused
+    profile = np.array([7.8, 0.0, 0.0, 0.0, 0.0, 0.0])
+    prior = DisplacementProfile(profile, np.diag([4.0, 0.04, 0, 0, 0, 0]))
+    assert one(plain(profile, 85), prior).good
+    assert "sparse" in one(plain(profile, 50), prior).refused
     # 1.4 samples a fringe look like many; the prior knows better.
-    sure = Course(course, np.diag([0.01, 0.0, 0, 0, 0, 0]))
-    assert "by the cell's priors" in one(plain(course, 28), sure).refused
+    sure = DisplacementProfile(profile, np.diag([0.01, 0.0, 0, 0, 0, 0]))
+    assert "by the cell's priors" in one(plain(profile, 28), sure).refused
 
 
 def test_a_slip_and_a_short_sweep_are_doubtful() -> None:
@@ -275,10 +279,12 @@ def test_courses_by_an_estimate_are_those_of_the_model(femto: Cell, plan: Sweeps
     estimate = Estimate(femto, truth.parameters, values, covariance, status)
     model = CavityModel.of(femto, truth.parameters)
     dl, jacobian = model.predict_with_jacobian(values, model.rows(plan.q_start, plan.q_end))
-    courses = estimated_courses(estimate, plan)
-    np.testing.assert_allclose([course.dl for course in courses], dl, atol=1e-5)
-    np.testing.assert_allclose([course.dl_sd for course in courses], 1e-4 * np.linalg.norm(jacobian, axis=1), rtol=1e-3)
-    assert estimate_witness(courses[0]).sd > 2.0 * courses[0].dl_sd
+    profiles = estimated_profiles(estimate, plan)
+    np.testing.assert_allclose([profile.dl for profile in profiles], dl, atol=1e-5)
+    np.testing.assert_allclose(
+        [profile.dl_sd for profile in profiles], 1e-4 * np.linalg.norm(jacobian, axis=1), rtol=1e-3
+    )
+    assert estimate_sign_source(profiles[0]).sd > 2.0 * profiles[0].dl_sd
 
 
 def test_six_polynomials_hold_every_sweep_of_the_protocol(femto: Cell, plan: Sweeps, truth: Truth) -> None:

@@ -16,7 +16,7 @@ from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 EXAMPLES = settings(max_examples=400, deadline=None)
@@ -33,7 +33,7 @@ def valid(folder) -> dict[str, bytes]:
     """A small valid file of each format, as bytes."""
     plan = paper_protocol(CELL, midpoints=True)
     plan = plan.take(plan.rows < 8)
-    sweeps = simulate(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1)
+    sweeps = simulate_um(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1)
     write_csv(folder / "valid.csv", sweeps, CELL)
     campaign = Campaign.of(sweeps, CELL, seed=1, truth=paper_truth(CELL).record(), estimates={"full-T0": ESTIMATE})
     write_campaign(folder / "valid.h5", campaign, CELL)

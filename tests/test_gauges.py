@@ -135,7 +135,7 @@ def test_another_chain_worked_out_by_hand(opd):
     for _ in range(20):
         values = draw(cell, random)
         poses = random_poses(model, random, 120)
-        sweeps = Sweeps.make(poses[:60], poses[60:], dl=0.0, sigma=0.005)
+        sweeps = Sweeps.of_um_rad(poses[:60], poses[60:], dl=0.0, sigma=0.005)
         spectrum = spectrum_of(whitened_jacobian(model, sweeps, values))
         always, slide = by_hand(cell, values)
         assert spectrum.rank == len(cell.free) - len(always) - 1
@@ -170,7 +170,7 @@ def test_the_other_chain_seen_with_an_absolute_length():
     cell = load_cell(XY_THETA, mechanics="none")
     model, random = CavityModel.of(cell), np.random.default_rng(6)
     poses, values = random_poses(model, random, 120), draw(cell, random)
-    sweeps = Sweeps.make(poses[:60], poses[60:], dl=0.0, sigma=0.005)
+    sweeps = Sweeps.of_um_rad(poses[:60], poses[60:], dl=0.0, sigma=0.005)
     sweeps = replace(sweeps, kind=np.where(np.arange(60) == 7, "absolute", sweeps.kind))
     gauges = gauges_of(cell, sweeps, values)
     assert [g.layer for g in gauges] == ["model"] * 4

@@ -21,7 +21,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import POOR_FIT_BELOW
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 PERPENDICULAR = CELL.with_opd("perpendicular")
@@ -33,7 +33,7 @@ EXPECTED = json.loads((DATA / "case_a.json").read_text())
 
 def of_day(day: float, midpoints: bool = False, cell: Cell = CELL) -> Sweeps:
     plan = paper_protocol(cell, midpoints=midpoints, time_h=24.0 * day)
-    return simulate(cell, TRUTH, plan, sigma=0.005, seed=int(day))
+    return simulate_um(cell, TRUTH, plan, sigma=0.005, seed=int(day))
 
 
 class TestReferenceCase:
@@ -284,7 +284,7 @@ class TestHeld:
         return identify(CELL, of_day(2)).estimate
 
     def test_fresh_intrinsics(self, earlier):
-        now = simulate(CELL, TRUTH, paper_protocol(CELL, time_h=48.0), sigma=0.005, seed=77)
+        now = simulate_um(CELL, TRUTH, paper_protocol(CELL, time_h=48.0), sigma=0.005, seed=77)
         results = {
             hold: identify(CELL, now, free="extrinsic", start=earlier, hold=hold) for hold in ("consider", "exact")
         }
@@ -413,7 +413,7 @@ class TestOtherRows:
         plan = paper_protocol(cell, midpoints=midpoints)
         absolute = replace(plan.take(np.array([7])), kind=np.array(["absolute"]), group=np.array([""]))
         for extra in (0, 1):
-            sweeps = simulate(cell, TRUTH, join([plan, absolute][: 1 + extra]), sigma=0.005, seed=1)
+            sweeps = simulate_um(cell, TRUTH, join([plan, absolute][: 1 + extra]), sigma=0.005, seed=1)
             result = identify(cell, sweeps)
             assert result.spectrum.rank == rank + extra
             assert result.spectrum.gap > 1e6
@@ -422,7 +422,7 @@ class TestOtherRows:
     def test_an_absolute_length_sees_the_distance_of_the_fibre(self):
         plan = paper_protocol(CELL)
         absolute = replace(plan.take(np.array([7])), kind=np.array(["absolute"]))
-        sweeps = simulate(CELL, TRUTH, join([plan, absolute]), sigma=0.005, seed=1)
+        sweeps = simulate_um(CELL, TRUTH, join([plan, absolute]), sigma=0.005, seed=1)
         without, with_one = (identify(CELL, s).estimate.shown()["y_wf"] for s in (sweeps.take(np.arange(69)), sweeps))
         assert without["sd"] > 199
         # What is left is d_4 and z_et, which shift the mirror by 20 um each.
@@ -448,7 +448,7 @@ class TestOtherRows:
         shaky = replace(CELL, joints=tuple(joints))
         sums, naive = [], []
         for seed in range(12):
-            sweeps = simulate(shaky, TRUTH, paper_protocol(shaky), sigma=0.005, seed=seed)
+            sweeps = simulate_um(shaky, TRUTH, paper_protocol(shaky), sigma=0.005, seed=seed)
             result = identify(shaky, sweeps)
             assert result.converged
             sums.append(result.solution.sum_of_squares)
@@ -457,7 +457,7 @@ class TestOtherRows:
         assert stats.chi2(12 * 69).sf(sum(naive)) < 1e-12
 
     def test_the_path_model_matters(self):
-        sweeps = simulate(PERPENDICULAR, TRUTH, paper_protocol(PERPENDICULAR), sigma=0.005, seed=1)
+        sweeps = simulate_um(PERPENDICULAR, TRUTH, paper_protocol(PERPENDICULAR), sigma=0.005, seed=1)
         assert identify(PERPENDICULAR, sweeps).fit.p_value > POOR_FIT_BELOW
         wrong = identify(CELL, sweeps)
         assert wrong.solution.sum_of_squares == pytest.approx(2_700, rel=0.15)

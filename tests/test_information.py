@@ -56,7 +56,7 @@ def test_bits_of_a_sweep_are_what_is_lost_without_it():
 def test_a_repeated_sweep_is_redundant_and_a_lone_one_is_not():
     plan = paper_protocol(CELL).take(np.array([0] * 9 + [48]))
     labels = np.array([f"again{i}" for i in range(9)] + ["alone"])
-    sweeps = Sweeps.make(plan.q_start, plan.q_end, label=labels, sigma=0.005, dl=0.0)
+    sweeps = Sweeps.of_um_rad(plan.q_start, plan.q_end, label=labels, sigma=0.005, dl=0.0)
     found = information_of(whitened_jacobian(MODEL, sweeps, VALUES), sweeps)
     assert found.redundant == labels[:9].tolist()
     # Nine equal sweeps with s^2 each far above one: leaving one out loses half log2(9 / 8).

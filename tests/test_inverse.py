@@ -5,12 +5,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import DATA
 from numpy.testing import assert_allclose
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell, make_parameters
@@ -259,8 +257,8 @@ def test_what_is_no_pose_is_refused(femto: Cell, pose: np.ndarray) -> None:
         inverse.solve(femto.parameters.nominal, np.eye(3))
 
 
-def test_cells_without_six_degrees_of_freedom_are_refused() -> None:
-    with pytest.raises(InputError, match="has 5 joints: a pose has six degrees of freedom"):
-        InverseModel(load_cell(DATA / "xy-theta.toml", mechanics="none"))
+def test_cells_with_more_than_six_degrees_of_freedom_are_refused() -> None:
+    with pytest.raises(InputError, match="has 7 joints: a pose has six degrees of freedom"):
+        InverseModel(some_cell("PPPPRRR"))
     with pytest.raises(InputError, match="has 4 prismatic joints"):
         InverseModel(some_cell("PPPPRR"))

@@ -151,7 +151,7 @@ def test_noise_and_order_of_a_plan_change_no_rank():
 
 def _alike() -> Sweeps:
     plan = paper_protocol(CELL)
-    return Sweeps.make(plan.q_start[[0] * 30], plan.q_end[[0] * 30], label=[f"again {i}" for i in range(30)])
+    return Sweeps.of_um_rad(plan.q_start[[0] * 30], plan.q_end[[0] * 30], label=[f"again {i}" for i in range(30)])
 
 
 @pytest.mark.parametrize("few", ["five", "one", "alike"])
@@ -222,7 +222,7 @@ observe(cell, plan)
 share = np.arange(1, points + 1)[None, :, None] / points
 ends = (plan.q_start[:, None] + share * (plan.q_end - plan.q_start)[:, None]).reshape(-1, 6)
 names = np.repeat(plan.label, points)
-sweeps = Sweeps.make(np.repeat(plan.q_start, points, axis=0), ends, label=names, group=names)
+sweeps = Sweeps.of_um_rad(np.repeat(plan.q_start, points, axis=0), ends, label=names, group=names)
 if {measured}:
     model, random = CavityModel.of(cell), np.random.default_rng(0)
     exact = model.predict(paper_truth(cell).at(0.0), model.rows(sweeps.q_start, sweeps.q_end))

@@ -20,7 +20,7 @@ from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.report.check import check_content, check_sentences, check_warnings
 from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import record_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 #: Fewer samples than the default: the tests are about the method.
 SHORT = RecorderSettings(rate_hz=50.0)
@@ -29,7 +29,7 @@ SHORT = RecorderSettings(rate_hz=50.0)
 @pytest.fixture(scope="module")
 def estimate(femto: Cell) -> Estimate:
     truth = paper_truth(femto)
-    return identify(femto, simulate(femto, truth, paper_protocol(femto), sigma=0.005, seed=0)).estimate
+    return identify(femto, simulate_um(femto, truth, paper_protocol(femto), sigma=0.005, seed=0)).estimate
 
 
 def recorded(

@@ -21,7 +21,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 SMALL = PlanSettings(n_candidates=150, variations=8, iterations=5, share=4)
 
@@ -91,7 +91,7 @@ def test_expected_sd_is_what_simulated_calibrations_have(cell: Cell) -> None:
     squares = []
     for seed in range(30):
         values = random.multivariate_normal(known.values, known.covariance)
-        measured = simulate(cell, Truth(cell.free, np.zeros(1), values[None]), sweeps, sigma=0.005, seed=seed)
+        measured = simulate_um(cell, Truth(cell.free, np.zeros(1), values[None]), sweeps, sigma=0.005, seed=seed)
         estimate = identify(cell, measured, start=known, prior=known).estimate
         task = task_path(cell, estimate.vector(), "circle", n_points=9)
         squares.append(task_errors(model, values[None], estimate.values, task)[0] ** 2)

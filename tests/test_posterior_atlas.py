@@ -4,21 +4,21 @@ from numpy.testing import assert_allclose
 from scipy import special
 from toy_targets import LinearTarget, TwistedTarget
 
-from fpcal_bayes.infer.posterior.proposal import Atlas, Solved
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture, Solved
 
 BIMODAL = {"bend": 1.0, "apart": 3.0, "tilt": 0.3}
 
 
-def proposals(atlas: Atlas, n: int, seed: int = 0):
+def proposals(atlas: ProposalMixture, n: int, seed: int = 0):
     random = np.random.default_rng(seed)
     return atlas.propose(random.standard_normal((n, atlas.target.n_unknowns)), random.random(n))
 
 
 @pytest.fixture(scope="module")
-def atlas() -> Atlas:
+def atlas() -> ProposalMixture:
     target = TwistedTarget(4, **BIMODAL)
     assert len(target.references) == 2
-    return Atlas(target, target.references)
+    return ProposalMixture(target, target.references)
 
 
 class TestMixture:
@@ -63,7 +63,7 @@ class TestMixture:
 class TestSingle:
     def test_one_chart(self):
         target = LinearTarget(5)
-        atlas = Atlas(target, target.references)
+        atlas = ProposalMixture(target, target.references)
         assert_allclose(atlas.shares, [1.0])
         solved = proposals(atlas, 64)
         assert solved.inside.all()
@@ -71,7 +71,7 @@ class TestSingle:
 
     def test_equal_charts_are_one(self):
         target = LinearTarget(5)
-        one, two = Atlas(target, target.references), Atlas(target, np.zeros((2, 5)))
+        one, two = ProposalMixture(target, target.references), ProposalMixture(target, np.zeros((2, 5)))
         assert_allclose(two.shares, [0.5, 0.5])
         points = target.draw(50, np.random.default_rng(0))
         assert_allclose(two.log_proposal(points), one.log_proposal(points), rtol=0, atol=1e-9)

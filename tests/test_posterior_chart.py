@@ -4,18 +4,18 @@ from numpy.testing import assert_allclose
 from toy_targets import CubicTarget, LinearTarget, ToyTarget, TwistedTarget
 
 from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.posterior.proposal import Chart
+from fpcal_bayes.infer.posterior.proposal import Proposal
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 @pytest.fixture(scope="module", params=["paper", "midpoints"])
-def chart(request, femto) -> Chart:
+def chart(request, femto) -> Proposal:
     plan = paper_protocol(femto, midpoints=request.param == "midpoints")
-    found = identify(femto, simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=3))
-    return Chart(PosteriorTarget(found.problem), found.solution.unknowns)
+    found = identify(femto, simulate_um(femto, paper_truth(femto), plan, sigma=0.005, seed=3))
+    return Proposal(PosteriorTarget(found.problem), found.solution.unknowns)
 
 
 class TestCell:
@@ -74,7 +74,7 @@ class TestLinear:
 
     def test_proposes_the_target_itself(self):
         target = LinearTarget(6)
-        chart = Chart(target, np.full(6, 0.3))
+        chart = Proposal(target, np.full(6, 0.3))
         solved = chart.solve(np.random.default_rng(0).standard_normal((50, 6)))
         assert solved.inside.all()
         difference = solved.log_density - solved.log_proposal
@@ -83,15 +83,15 @@ class TestLinear:
     def test_volume(self):
         target = LinearTarget(6)
         variances = target.moments[1]
-        assert Chart(target, np.zeros(6)).log_volume == pytest.approx(-0.5 * np.log(variances).sum())
+        assert Proposal(target, np.zeros(6)).log_volume == pytest.approx(-0.5 * np.log(variances).sum())
 
 
 class TestFold:
     """The cubic: rows 2 (v^3 - v) and v, whose slopes at the reference point 1 are 4 and 1, so that h is known."""
 
     @pytest.fixture
-    def chart(self) -> Chart:
-        return Chart(CubicTarget(), np.array([1.0]))
+    def chart(self) -> Proposal:
+        return Proposal(CubicTarget(), np.array([1.0]))
 
     @staticmethod
     def h(v: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ class TestFold:
             def data_batch(self, points):
                 return 1e3 * (points - 1.0) ** 2 - points, (2e3 * (points - 1.0) - 1.0)[:, :, None]
 
-        solved = Chart(Flat(), np.array([1.0])).solve(np.linspace(-5.0, 5.0, 11)[:, None])
+        solved = Proposal(Flat(), np.array([1.0])).solve(np.linspace(-5.0, 5.0, 11)[:, None])
         assert not np.isnan(solved.points).any()
         assert np.isneginf(solved.log_proposal[~solved.inside]).all()
 
@@ -152,6 +152,6 @@ class TestFold:
                 return np.where(points[:, :1] > 0.5, np.nan, residuals), jacobian
 
         target = Broken(3)
-        solved = Chart(target, target.references[0]).solve(np.random.default_rng(0).standard_normal((200, 3)))
+        solved = Proposal(target, target.references[0]).solve(np.random.default_rng(0).standard_normal((200, 3)))
         assert 0 < solved.inside.sum() < 200
         assert np.isfinite(solved.log_density[solved.inside]).all()

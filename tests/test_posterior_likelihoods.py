@@ -14,7 +14,7 @@ from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 NAMES = ("beta_wf", "x_wf")
@@ -24,7 +24,7 @@ OUTLIERS = {3: 4.0, 17: -2.5, 40: 9.0, 60: 30.0}
 @pytest.fixture(scope="module")
 def case():
     """Two free parameters and a few outliers."""
-    clean = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.3, seed=1)
+    clean = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.3, seed=1)
     known = identify(CELL, clean).estimate
     dl = clean.dl.copy()
     for row, size in OUTLIERS.items():
@@ -110,7 +110,7 @@ class TestStudent:
         np.testing.assert_allclose(tangent.standardised(tangent.rows(s + 0.3)), s + 0.3)
 
     def test_outliers_hardly_pull(self):
-        clean = simulate(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=1)
+        clean = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=1)
         best = identify(CELL, clean)
         dl = clean.dl.copy()
         for row, size in OUTLIERS.items():

@@ -5,7 +5,7 @@ from toy_targets import LinearTarget, TwistedTarget, run_moves
 
 from fpcal_bayes.infer.posterior import moves as move_local
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 
 N_WALKERS = 256
 TARGETS = [LinearTarget(5), LinearTarget(20), TwistedTarget(5), TwistedTarget(20)]
@@ -37,14 +37,14 @@ def short_of_everything(target: LinearTarget | TwistedTarget) -> np.ndarray:
 class TestRandomiseThenOptimise:
     @pytest.mark.parametrize("target", TARGETS, ids=NAMES)
     def test_alone(self, target):
-        atlas = Atlas(target, target.references)
+        atlas = ProposalMixture(target, target.references)
         move = RandomiseThenOptimiseMove(atlas, ahead=10)
         check_moments(run_moves(target, atlas, [move], short_of_everything(target), 270, 3)[10:], target)
 
     def test_proposals_made_ahead_are_forgotten(self):
         """Between two runs nothing is left over, so that a run that is taken up again draws the same."""
         target = LinearTarget(5)
-        atlas = Atlas(target, target.references)
+        atlas = ProposalMixture(target, target.references)
         start = start_of(target)
         move = RandomiseThenOptimiseMove(atlas, ahead=7)
         first = run_moves(target, atlas, [move], start, 10, 3)
@@ -55,7 +55,7 @@ class TestRandomiseThenOptimise:
     def test_walkers_outside_every_chart_stay(self):
         """From there no proposal leads back, so none may lead away."""
         target = TwistedTarget(3, bend=1.0, apart=3.0)
-        atlas = Atlas(target, target.references[:1])
+        atlas = ProposalMixture(target, target.references[:1])
         outside = target.draw(2000, np.random.default_rng(0))
         outside = outside[np.isneginf(atlas.log_proposal(outside))][:64]
         assert len(outside) == 64
@@ -99,7 +99,7 @@ class TestLocal:
 class TestMixture:
     @pytest.mark.parametrize("target", TARGETS, ids=NAMES)
     def test_both(self, target):
-        atlas = Atlas(target, target.references)
+        atlas = ProposalMixture(target, target.references)
         moves = [(RandomiseThenOptimiseMove(atlas, ahead=10), 0.9), (LocalMove(target, atlas), 0.1)]
         check_moments(run_moves(target, atlas, moves, short_of_everything(target), 320, 8)[20:], target)
 
@@ -110,7 +110,7 @@ class TestMixture:
         """Modes of known weights with a fold between them, also where only one of them has a chart."""
         target = TwistedTarget(d, bend=1.0, apart=2.2, tilt=0.25)
         assert len(target.references) == 2
-        atlas = Atlas(target, target.references[:n_charts])
+        atlas = ProposalMixture(target, target.references[:n_charts])
         moves = [(RandomiseThenOptimiseMove(atlas, ahead=10), 0.7), (LocalMove(target, atlas), 0.3)]
         # Without a chart of its own a mode is left and reached rarely: the start is right, and has to stay so.
         start = short_of_everything(target) if n_charts == 2 else start_of(target, 2000)

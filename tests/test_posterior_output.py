@@ -13,7 +13,7 @@ from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 GROUPS = {"posterior", "prior", "sample_stats", "log_likelihood", "posterior_predictive", "observed_data"}
 
@@ -27,7 +27,7 @@ def posterior(femto) -> Posterior:
 def in_groups(femto) -> Posterior:
     """A few draws with midpoints, whose rows share readings."""
     plan = paper_protocol(femto, midpoints=True)
-    found = identify(femto, simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=5))
+    found = identify(femto, simulate_um(femto, paper_truth(femto), plan, sigma=0.005, seed=5))
     return sample(found, draws=100, seed=2, max_steps=60)
 
 

@@ -18,7 +18,7 @@ from fpcal_bayes.infer.posterior.target_slip import LOGIT_MEAN, LOGIT_SD, SlipTa
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_slipped_sweeps_are_flagged_and_do_no_harm(femto: Cell, slipped) -> None
 def grouped(femto: Cell):
     """Sweeps with midpoints; one slips in its first half, which both of its rows show, one in its second."""
     plan = paper_protocol(femto, midpoints=True)
-    clean = simulate(femto, paper_truth(femto), plan, sigma=0.005, seed=0)
+    clean = simulate_um(femto, paper_truth(femto), plan, sigma=0.005, seed=0)
     counts = np.zeros(len(clean), dtype=int)
     counts[[10, 11, 33]] = (1, 1, -2)
     result = identify(femto, replace(clean, dl=clean.dl + 0.5 * femto.wavelength * counts))

@@ -13,7 +13,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.priors import LogNormal, TruncatedNormal, Uniform
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 DEG = np.pi / 180
 
@@ -42,7 +42,7 @@ def mixed() -> Cell:
 @pytest.fixture(scope="module")
 def day_0() -> tuple:
     cell = load_cell(mechanics="none")
-    sweeps = simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=3)
+    sweeps = simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=3)
     return cell, sweeps, identify(cell, sweeps)
 
 
@@ -115,7 +115,7 @@ class TestIdentification:
 
     def test_prior_alone_decides_where_the_data_are_silent(self, mixed):
         """y_wf is a gauge of the axis path, but for the small tilt of the axis: prior's median and spread stay."""
-        sweeps = simulate(mixed, paper_truth(mixed), paper_protocol(mixed), sigma=0.005, seed=3)
+        sweeps = simulate_um(mixed, paper_truth(mixed), paper_protocol(mixed), sigma=0.005, seed=3)
         found = identify(mixed, sweeps)
         i = mixed.free.position("y_wf")
         assert found.estimate.values[i] == pytest.approx(920.0, rel=0.005)
@@ -130,7 +130,7 @@ def test_draws_have_the_moments_of_a_grid(mixed, names):
     """Two free parameters, noise so large that the priors count: against integration over the prior's own density."""
     chosen = mixed.select(names)
     sigma = 3.0
-    sweeps = simulate(mixed, paper_truth(mixed), paper_protocol(mixed), sigma=sigma, seed=5)
+    sweeps = simulate_um(mixed, paper_truth(mixed), paper_protocol(mixed), sigma=sigma, seed=5)
     found = identify(mixed, sweeps, free=names, hold="exact")
     posterior = sample(found, draws=4000, seed=1)
     assert posterior.converged

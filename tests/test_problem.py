@@ -14,7 +14,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 SHAKY = replace(
@@ -29,7 +29,7 @@ def measured(cell: Cell, midpoints: bool, rows: slice | None = None) -> Sweeps:
     plan = paper_protocol(cell, midpoints=midpoints)
     plan = plan if rows is None else plan.take(np.arange(len(plan))[rows])
     absolute = replace(paper_protocol(cell).take(np.array([7])), kind=np.array(["absolute"]))
-    return simulate(cell, paper_truth(cell), join([plan, absolute]), sigma=0.005, seed=3)
+    return simulate_um(cell, paper_truth(cell), join([plan, absolute]), sigma=0.005, seed=3)
 
 
 def somewhere(problem: Problem, seed: int = 0, size: float = 0.5) -> np.ndarray:
@@ -146,7 +146,7 @@ def test_covariance_is_the_inverse_of_information_and_prior(cell, midpoints):
 @pytest.mark.parametrize("opd", ["axis", "perpendicular"])
 def test_a_direction_that_no_row_sees_keeps_its_prior_variance(opd):
     cell = CELL.with_opd(opd)
-    sweeps = simulate(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=3)
+    sweeps = simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=3)
     problem = Problem.of(CavityModel.of(cell), sweeps)
     truth = paper_truth(cell).at(0.0)
     sd, free = cell.free.prior_sd, cell.free

@@ -14,7 +14,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views
-from fpcal_bayes.simulator.optics import HARD, OpticalRig, RecorderSettings
+from fpcal_bayes.simulator.optics import HARD, RecorderSettings, SimulatedOptics
 from fpcal_bayes.simulator.recorder import record_path, record_sweeps, reference_joint
 from fpcal_bayes.simulator.sweeps import noise_free
 
@@ -51,7 +51,7 @@ def test_default_recordings_are_good_data(femto: Cell, truth: Truth) -> None:
     scale = femto.interferometer.full_scale
     assert all(0.02 * scale < t.irradiance.min() and t.irradiance.max() < 0.95 * scale for t in index.traces)
     samples = [len(t) for t in index.traces]
-    needed = OpticalRig(femto, truth, RecorderSettings(samples_per_fringe=35.0)).counts(
+    needed = SimulatedOptics(femto, truth, RecorderSettings(samples_per_fringe=35.0)).counts(
         plan.q_start, plan.q_end, plan.time_h
     )
     assert (samples >= needed).all()
@@ -92,7 +92,7 @@ def test_equal_seeds_give_equal_recordings_row_by_row(femto: Cell, truth: Truth)
 def test_samples_per_fringe_are_kept_at_the_fastest_place(femto: Cell, truth: Truth, wanted: float) -> None:
     plan = paper_protocol(femto).take(np.array([3, 46, 47]))
     index = record_sweeps(femto, truth, plan, RecorderSettings(samples_per_fringe=wanted), scans=False)
-    rig, model = OpticalRig(femto, truth, CLEAN), CavityModel.of(femto)
+    rig, model = SimulatedOptics(femto, truth, CLEAN), CavityModel.of(femto)
     for i, trace in enumerate(index.traces):
         q = np.repeat(plan.q_start[i : i + 1], len(trace), axis=0)
         joint = int(np.argmax(plan.q_start[i] != plan.q_end[i]))
@@ -138,7 +138,7 @@ def test_wavelength_drift_looks_like_a_change_of_length(femto: Cell, truth: Trut
         for s in (replace(settings, wavelength_drift=0.0), settings)
     )
     # The phase at the end: that of a cavity shorter by L x 100 pm / lambda.
-    rig = OpticalRig(femto, truth, CLEAN)
+    rig = SimulatedOptics(femto, truth, CLEAN)
     length, distance, tilt = rig.views(plan.q_end, plan.time_h, np.zeros(1, dtype=np.int64))
     mean, height = fringe(femto.interferometer, distance, tilt)
     shorter = length / (1.0 + 100e-6 / 1.56)
@@ -155,7 +155,7 @@ def test_scans_show_the_length(femto: Cell, truth: Truth) -> None:
     assert index.scans_before[1] is None is index.scans_after[1]
     scan = index.scans_before[0]
     assert scan is not None
-    rig = OpticalRig(femto, truth, CLEAN)
+    rig = SimulatedOptics(femto, truth, CLEAN)
     length = rig.views(plan.q_start[:1], plan.time_h[:1], np.zeros(1, dtype=np.int64))[0][0]
     trace = Trace(scan.wavelength, scan.wavelength, scan.irradiance)
     assert counted(trace) == pytest.approx(2 * length * (1 / 1.52 - 1 / 1.6), abs=0.5)

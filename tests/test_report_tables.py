@@ -14,7 +14,7 @@ from fpcal_bayes.measure.protocol import mark_signs
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.pages import ENVIRONMENT
-from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
+from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
 from fpcal_bayes.report.week import reflection_lines, truth_table
 
 CELL = load_cell(mechanics="none")
@@ -124,7 +124,7 @@ def test_columns():
 
 def test_one_content_in_a_terminal_and_on_a_page():
     table = plain_table("a [title]", ["name", "size [nm]", "error [nm]", "status"], words=[0])
-    table.add_row("<one>", figure_of(1234.5), "2", Cell("good", style="good"))
+    table.add_row("<one>", figure_of(1234.5), "2", TableCell("good", style="good"))
     table.add_rule()
     table.add_row("sum [nm]", "", "", "")
     lines = [line.split() for line in str(table).splitlines() if line.strip()]

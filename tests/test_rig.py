@@ -18,7 +18,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import noise_free, simulate
+from fpcal_bayes.simulator.sweeps import noise_free, simulate_um
 
 CELL = load_cell(mechanics="none")
 TRUTH = paper_truth(CELL)
@@ -77,18 +77,18 @@ def test_kinds_of_rows():
 
 def test_noise_has_the_sigma_asked_for():
     plan = repeated(paper_protocol(CELL), 60)
-    measured = simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=1)
+    measured = simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=1)
     noise = measured.dl - noise_free(CELL, TRUTH, plan)
     assert_sd(noise, SIGMA)
     assert abs(noise.mean()) < 4.0 * SIGMA / np.sqrt(len(noise))
     assert (measured.sigma == SIGMA).all()
     sigma = np.linspace(0.001, 0.01, len(plan))
-    assert_sd((simulate(CELL, TRUTH, plan, sigma=sigma, seed=2).dl - noise_free(CELL, TRUTH, plan)) / sigma, 1.0)
+    assert_sd((simulate_um(CELL, TRUTH, plan, sigma=sigma, seed=2).dl - noise_free(CELL, TRUTH, plan)) / sigma, 1.0)
 
 
 def test_rows_of_a_group_share_the_reading_at_their_start():
     plan = repeated(paper_protocol(CELL, midpoints=True), 30)
-    noise = simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=3).dl - noise_free(CELL, TRUTH, plan)
+    noise = simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=3).dl - noise_free(CELL, TRUTH, plan)
     middle, end = noise.reshape(-1, 2).T
     for sample in (middle, end):
         assert_sd(sample, SIGMA)
@@ -103,7 +103,7 @@ def test_groups_of_two_sessions_are_two_groups():
     noise = []
     for seed in range(400):
         plan = join([one, replace(one, session=np.array(["other", "other"]))])
-        noise.append(simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=seed).dl - noise_free(CELL, TRUTH, plan))
+        noise.append(simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=seed).dl - noise_free(CELL, TRUTH, plan))
     correlation = np.corrcoef(np.array(noise).T)
     assert abs(correlation[0, 1] - 0.5) < 4.0 * 0.75 / 20.0
     assert abs(correlation[0, 2]) < 4.0 / 20.0
@@ -111,13 +111,13 @@ def test_groups_of_two_sessions_are_two_groups():
 
 def test_an_absolute_length_is_one_reading():
     plan = repeated(replace(paper_protocol(CELL).take(np.array([0])), kind=np.array(["absolute"])), 4000)
-    assert_sd(simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=4).dl, SIGMA)
+    assert_sd(simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=4).dl, SIGMA)
 
 
 def test_repeatability_moves_both_ends():
     cell = with_repeatability(um=0.02, deg=0.0005)
     plan = repeated(paper_protocol(cell).take(np.array([0, 50])), 2000)
-    noise = simulate(cell, TRUTH, plan, sigma=1e-9, seed=5).dl - noise_free(cell, TRUTH, plan)
+    noise = simulate_um(cell, TRUTH, plan, sigma=1e-9, seed=5).dl - noise_free(cell, TRUTH, plan)
     model = CavityModel.of(cell, TRUTH.parameters)
     for row in (0, 1):
         ends = np.stack([plan.q_start[row], plan.q_end[row]])
@@ -129,7 +129,7 @@ def test_repeatability_moves_both_ends():
 def test_a_group_shares_the_pose_reached_at_its_start():
     cell = with_repeatability(um=0.02, deg=0.0005)
     plan = repeated(paper_protocol(cell, midpoints=True).take(np.array([0, 1])), 3000)
-    noise = simulate(cell, TRUTH, plan, sigma=1e-9, seed=6).dl - noise_free(cell, TRUTH, plan)
+    noise = simulate_um(cell, TRUTH, plan, sigma=1e-9, seed=6).dl - noise_free(cell, TRUTH, plan)
     middle, end = noise.reshape(-1, 2).T
     model = CavityModel.of(cell, TRUTH.parameters)
     poses = np.stack([plan.q_start[0], plan.q_end[0], plan.q_end[1]])
@@ -137,22 +137,22 @@ def test_a_group_shares_the_pose_reached_at_its_start():
     expected = start_variance / np.sqrt(np.prod([start_variance + v for v in end_variances]))
     assert abs(np.corrcoef(middle, end)[0, 1] - expected) < 4.0 * (1.0 - expected**2) / np.sqrt(len(end))
     # What comes back is the pose commanded.
-    np.testing.assert_array_equal(simulate(cell, TRUTH, plan, sigma=1.0, seed=6).q_end, plan.q_end)
+    np.testing.assert_array_equal(simulate_um(cell, TRUTH, plan, sigma=1.0, seed=6).q_end, plan.q_end)
 
 
 def test_unsigned_rows_give_sizes():
     plan = mark_signs(paper_protocol(CELL), "paper")
-    signed = simulate(CELL, TRUTH, paper_protocol(CELL), sigma=SIGMA, seed=7)
-    unsigned = simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=7)
+    signed = simulate_um(CELL, TRUTH, paper_protocol(CELL), sigma=SIGMA, seed=7)
+    unsigned = simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=7)
     np.testing.assert_array_equal(unsigned.dl, np.where(plan.signed, signed.dl, abs(signed.dl)))
     np.testing.assert_array_equal(unsigned.signed, plan.signed)
 
 
 def test_a_seed_gives_the_same_bytes_and_the_documented_draws():
     plan = paper_protocol(CELL)
-    first, again = (simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=8) for _ in range(2))
+    first, again = (simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=8) for _ in range(2))
     assert first.dl.tobytes() == again.dl.tobytes()
-    assert (first.dl != simulate(CELL, TRUTH, plan, sigma=SIGMA, seed=9).dl).any()
+    assert (first.dl != simulate_um(CELL, TRUTH, plan, sigma=SIGMA, seed=9).dl).any()
     generator = np.random.default_rng(8)
     generator.standard_normal((2, *plan.q_start.shape))
     start, end = generator.standard_normal((2, len(plan)))
@@ -163,12 +163,12 @@ def test_a_seed_gives_the_same_bytes_and_the_documented_draws():
 @pytest.mark.parametrize("sigma", [0.0, -1.0, np.nan, np.inf])
 def test_refuses_a_sigma_that_is_none(sigma):
     with pytest.raises(InputError, match="expected a noise sigma above zero"):
-        simulate(CELL, TRUTH, paper_protocol(CELL), sigma=sigma, seed=1)
+        simulate_um(CELL, TRUTH, paper_protocol(CELL), sigma=sigma, seed=1)
 
 
 def test_refuses_a_negative_seed_and_unequal_sigmas_in_a_group():
     with pytest.raises(InputError, match="seed -1"):
-        simulate(CELL, TRUTH, paper_protocol(CELL), sigma=SIGMA, seed=-1)
+        simulate_um(CELL, TRUTH, paper_protocol(CELL), sigma=SIGMA, seed=-1)
     plan = paper_protocol(CELL, midpoints=True)
     with pytest.raises(InputError, match="group"):
-        simulate(CELL, TRUTH, plan, sigma=np.linspace(0.001, 0.01, len(plan)), seed=1)
+        simulate_um(CELL, TRUTH, plan, sigma=np.linspace(0.001, 0.01, len(plan)), seed=1)

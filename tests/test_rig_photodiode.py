@@ -10,7 +10,7 @@ from rig_fixtures import constant, live, write_ticket
 from test_rig_files import with_columns
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.io.recordings import read_index
+from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.interface import CommandLog, DeviceError
 from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
@@ -51,7 +51,7 @@ def test_a_session_of_traces(recording, femto, tmp_path):
     ticket = with_columns(write_ticket(tmp_path / "t.csv", femto, [0, 45]), readings=0)
     _, summary = recording.measure(ticket, tmp_path / "s.h5")
     assert (summary.rows, summary.done) == (2, 2)
-    index = read_index(tmp_path / "s.h5", femto)
+    index = read_recordings(tmp_path / "s.h5", femto)
     assert [len(trace) for trace in index.traces] == [201, 201]
     for i, joint in enumerate((3, 2)):
         assert index.traces[i].joint[0] == pytest.approx(index.sweeps.q_start[i, joint], abs=1e-2)

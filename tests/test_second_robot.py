@@ -99,7 +99,7 @@ def test_the_second_session_is_followed(folder):
 
 
 def test_what_its_report_says(folder):
-    facts = gather(folder / "sweeps.csv", CELL, goal=Goal(0.08))
+    facts = gather(folder / "sweeps.csv", CELL, goal=Goal(80.0))
     assert [outlook.name for outlook in facts.tasks if outlook.prediction is None] == []
     assert verdict(facts).word in ("Hold", "Re-identify")
     assert "tolerance 80 nm" in verdict(facts).sentences[-1]

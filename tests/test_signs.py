@@ -12,7 +12,7 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 FREE = CELL.free
@@ -79,7 +79,7 @@ def test_no_sign_at_all():
 def test_midpoints_and_absolute_lengths():
     plan = paper_protocol(CELL, midpoints=True)
     absolute = replace(PLAN.take(np.array([7])), kind=np.array(["absolute"]))
-    sweeps = simulate(CELL, paper_truth(CELL), join([plan, absolute]), sigma=0.005, seed=4)
+    sweeps = simulate_um(CELL, paper_truth(CELL), join([plan, absolute]), sigma=0.005, seed=4)
     unsigned = mark_signs(sweeps, "paper")
     assert unsigned.signed[-1]
     result = identify(CELL, unsigned)
@@ -107,7 +107,7 @@ class TestDoubt:
             scale *= 0.5 if abs(change) > 0.001 else 1.0
             shorter = replace(tiny, q_end=tiny.q_start + scale * (tiny.q_end - tiny.q_start))
             change = float(MODEL.predict(truth.at(0.0), MODEL.rows(shorter.q_start, shorter.q_end))[0])
-        return simulate(CELL, truth, join([PLAN, shorter]), sigma=0.005, seed=6)
+        return simulate_um(CELL, truth, join([PLAN, shorter]), sigma=0.005, seed=6)
 
     def test_a_row_near_zero_is_doubtful(self, sweeps):
         result = identify(CELL, mark_signs(sweeps, "paper"))
@@ -142,8 +142,8 @@ def test_the_size_is_kept():
 
 def test_held_parameters_are_considered_while_signs_are_decided():
     truth = paper_truth(CELL)
-    start = identify(CELL, simulate(CELL, truth, PLAN, sigma=0.005, seed=1)).estimate
-    sweeps = simulate(CELL, truth, PLAN, sigma=0.005, seed=2)
+    start = identify(CELL, simulate_um(CELL, truth, PLAN, sigma=0.005, seed=1)).estimate
+    sweeps = simulate_um(CELL, truth, PLAN, sigma=0.005, seed=2)
     result = identify(CELL, mark_signs(sweeps, "paper"), free="extrinsic", start=start)
     assert wrong_signs(result, sweeps) <= {label for label, _ in result.doubtful_signs}
     assert is_same_fit(result, identify(CELL, sweeps, free="extrinsic", start=start))

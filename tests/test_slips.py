@@ -11,7 +11,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 def slipped_sweeps(cell: Cell, seed: int, n_slips: int) -> tuple[Sweeps, Sweeps, np.ndarray]:
@@ -19,7 +19,7 @@ def slipped_sweeps(cell: Cell, seed: int, n_slips: int) -> tuple[Sweeps, Sweeps,
     rng = np.random.default_rng(seed)
     values = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
     truth = Truth(cell.free, np.zeros(1), values[None])
-    clean = simulate(cell, truth, paper_protocol(cell), sigma=0.005, seed=seed)
+    clean = simulate_um(cell, truth, paper_protocol(cell), sigma=0.005, seed=seed)
     counts = np.zeros(len(clean), dtype=int)
     counts[rng.choice(len(clean), n_slips, replace=False)] = rng.choice([-2, -1, 1, 2], n_slips)
     return clean, replace(clean, dl=clean.dl + 0.5 * cell.wavelength * counts), counts

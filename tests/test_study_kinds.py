@@ -23,7 +23,7 @@ def studies(cell):
     return [
         Coverage(cell=cell, plan=paper),
         Planning(cell=cell, plan=paper),
-        Policies(cell=cell, goal=Goal(0.05), policies=("never", "q3 and q1 every 1 h"), hours=2.0),
+        Policies(cell=cell, goal=Goal(50.0), policies=("never", "q3 and q1 every 1 h"), hours=2.0),
     ]
 
 
@@ -106,11 +106,11 @@ def test_ranks_of_a_right_sampler(femto):
 
 class TestPolicies:
     def test_the_default_policies_are_known(self, femto):
-        assert set(DEFAULT_POLICIES) <= set(rules(Setting(femto), Goal(0.05)))
+        assert set(DEFAULT_POLICIES) <= set(rules(Setting(femto), Goal(50.0)))
 
     def test_measuring_more_often_takes_more_sweeps(self, femto):
         found = Policies(
-            cell=femto, goal=Goal(0.05), policies=("never", "q3 and q1 every 1 h"), hours=3.0
+            cell=femto, goal=Goal(50.0), policies=("never", "q3 and q1 every 1 h"), hours=3.0
         ).replicate(0)  # fmt: skip
         assert found["sweeps"].tolist() == [0.0, 4.0]
         assert found["sessions"].tolist() == [0.0, 2.0]

@@ -257,7 +257,7 @@ def test_writes_what_it_read(tmp_path):
 
 def test_a_plan_is_written_without_measurement(tmp_path):
     path = tmp_path / "plan.csv"
-    write_csv(path, Sweeps.make(np.zeros((1, 6)), np.full((1, 6), 0.01), label="one"), CELL)
+    write_csv(path, Sweeps.of_um_rad(np.zeros((1, 6)), np.full((1, 6), 0.01), label="one"), CELL)
     assert path.read_text().splitlines()[0] == ",".join(["session", "time_h", "label", *QS])
     assert read_csv(path, CELL, plan=True).label.tolist() == ["one"]
 
@@ -307,7 +307,7 @@ def sweep_sets(draw):
     measured = draw(st.booleans())
     signed = np.array(column(st.booleans()))
     dl = np.array(column(st.floats(-1e3, 1e3)))
-    return Sweeps.make(
+    return Sweeps.of_um_rad(
         poses(),
         poses(),
         session=column(TEXT.filter(bool)),

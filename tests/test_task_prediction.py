@@ -21,7 +21,7 @@ from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import TASKS, task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 
 def write_posterior(path: Path, cell: Cell, values: np.ndarray, **attributes: object) -> None:
@@ -78,7 +78,7 @@ def test_true_peak_to_peak_lies_in_its_band(femto: Cell) -> None:
     for _ in range(40):
         values = femto.free.nominal + femto.free.prior_sd * random.standard_normal(len(femto.free))
         truth = Truth(femto.free, np.zeros(1), values[None])
-        sweeps = simulate(femto, truth, plan, sigma=0.005, seed=int(random.integers(2**31)))
+        sweeps = simulate_um(femto, truth, plan, sigma=0.005, seed=int(random.integers(2**31)))
         found = identify(femto, sweeps)
         held, draws = found.estimate.values, independent_draws(found)
         for name in TASKS[:-1]:

@@ -17,7 +17,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import record_sweeps
-from fpcal_bayes.simulator.sweeps import noise_free, simulate
+from fpcal_bayes.simulator.sweeps import noise_free, simulate_um
 
 #: A tenth of the default rate: still more than three samples a fringe.
 SHORT = RecorderSettings(rate_hz=20.0)
@@ -25,7 +25,7 @@ SHORT = RecorderSettings(rate_hz=20.0)
 
 @pytest.fixture(scope="module")
 def ends(femto: Cell) -> Estimate:
-    return identify(femto, simulate(femto, paper_truth(femto), paper_protocol(femto), sigma=0.005, seed=0)).estimate
+    return identify(femto, simulate_um(femto, paper_truth(femto), paper_protocol(femto), sigma=0.005, seed=0)).estimate
 
 
 def sd_of(estimate: Estimate, name: str) -> float:

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from trace_fixtures import record_all, scan
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.io.recordings import read_index, write_index
+from fpcal_bayes.io.recordings import read_recordings, write_recordings
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.traces import Trace
@@ -58,19 +58,19 @@ def same(one: TraceIndex, other: TraceIndex) -> None:
 
 @pytest.mark.parametrize("name", ["index.csv", "index.h5"])
 def test_an_index_reads_back(tmp_path: Path, femto: Cell, index: TraceIndex, name: str) -> None:
-    write_index(tmp_path / name, index, femto)
-    same(read_index(tmp_path / name, femto), index)
+    write_recordings(tmp_path / name, index, femto)
+    same(read_recordings(tmp_path / name, femto), index)
 
 
 def test_equal_indices_give_equal_bytes(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
     for name in ("a.h5", "b.h5"):
-        write_index(tmp_path / name, index, femto)
+        write_recordings(tmp_path / name, index, femto)
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
 
 
 def test_an_unknown_suffix_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
     with pytest.raises(InputError, match=r"expected a file name that ends in \.csv"):
-        write_index(tmp_path / "index.txt", index, femto)
+        write_recordings(tmp_path / "index.txt", index, femto)
 
 
 def cells(values: list[Any]) -> np.ndarray:
@@ -100,7 +100,7 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex) -
     content["scan_after_wavelength_nm"] = cells([[] if s is None else s.wavelength * 1e3 for s in index.scans_after])
     content["scan_after_irradiance_v"] = cells([[] if s is None else s.irradiance for s in index.scans_after])
     savemat(tmp_path / "index.mat", content)
-    back = read_index(tmp_path / "index.mat", femto)
+    back = read_recordings(tmp_path / "index.mat", femto)
     for one, other in zip(back.traces, index.traces, strict=True):
         np.testing.assert_allclose(one.joint, other.joint, rtol=1e-15)
         np.testing.assert_array_equal(one.irradiance, other.irradiance)
@@ -114,7 +114,7 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex) -
 def test_a_matlab_file_with_a_reserved_column_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
     savemat(tmp_path / "index.mat", variables(femto, index) | {"readings": np.ones((3, 1))})
     with pytest.raises(InputError, match="variables: the column readings is reserved and not read by this version"):
-        read_index(tmp_path / "index.mat", femto)
+        read_recordings(tmp_path / "index.mat", femto)
 
 
 @pytest.mark.parametrize("missing", ["t_s", "irradiance_v", "q4_end_deg"])
@@ -125,22 +125,22 @@ def test_a_matlab_file_without_a_variable_is_refused(
     del content[missing]
     savemat(tmp_path / "index.mat", content)
     with pytest.raises(InputError, match=f"the variable {missing} is missing"):
-        read_index(tmp_path / "index.mat", femto)
+        read_recordings(tmp_path / "index.mat", femto)
 
 
 def test_matlab_files_that_cannot_be_read_are_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
     (tmp_path / "no.mat").write_bytes(b"not a MATLAB file" * 40)
     with pytest.raises(InputError, match="not a MATLAB file"):
-        read_index(tmp_path / "no.mat", femto)
+        read_recordings(tmp_path / "no.mat", femto)
     with h5py.File(tmp_path / "new.mat", "w"):
         pass
     with pytest.raises(InputError, match=r"version 7\.3"):
-        read_index(tmp_path / "new.mat", femto)
+        read_recordings(tmp_path / "new.mat", femto)
     content = variables(femto, index)
     content["joint"] = np.zeros((3, 5))
     savemat(tmp_path / "flat.mat", content)
     with pytest.raises(InputError, match="variable joint: expected a cell array of 3 vectors"):
-        read_index(tmp_path / "flat.mat", femto)
+        read_recordings(tmp_path / "flat.mat", femto)
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -168,11 +168,11 @@ def edit(path: Path, old: str, new: str) -> None:
 def test_a_faulty_index_is_refused(
     tmp_path: Path, femto: Cell, index: TraceIndex, old: str, new: str, message: str
 ) -> None:
-    write_index(tmp_path / "index.csv", index, femto)
+    write_recordings(tmp_path / "index.csv", index, femto)
     (tmp_path.parent / "secret.csv").write_text("t_s,joint,irradiance_v\n0,0,0\n1,1,1\n")
     edit(tmp_path / "index.csv", old, new)
     with pytest.raises(InputError) as caught:
-        read_index(tmp_path / "index.csv", femto)
+        read_recordings(tmp_path / "index.csv", femto)
     assert message.lower() in str(caught.value).lower() or (new == ",tracks" and "trace" in str(caught.value))
     assert "\n" not in str(caught.value)
 
@@ -180,12 +180,12 @@ def test_a_faulty_index_is_refused(
 def test_a_link_out_of_the_folder_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
     folder = tmp_path / "inner"
     folder.mkdir()
-    write_index(folder / "index.csv", index, femto)
+    write_recordings(folder / "index.csv", index, femto)
     outside = tmp_path / "outside.csv"
     (folder / "index_traces" / "1.csv").rename(outside)
     (folder / "index_traces" / "1.csv").symlink_to(outside)
     with pytest.raises(InputError, match="expected a path inside the folder of the index"):
-        read_index(folder / "index.csv", femto)
+        read_recordings(folder / "index.csv", femto)
 
 
 def test_an_absolute_length_needs_a_scan(femto: Cell, index: TraceIndex, tmp_path: Path) -> None:
@@ -193,17 +193,17 @@ def test_an_absolute_length_needs_a_scan(femto: Cell, index: TraceIndex, tmp_pat
     empty = Trace(np.zeros(0), np.zeros(0), np.zeros(0))
     lengths = replace(index, sweeps=sweeps, traces=[empty, index.traces[1], empty])
     with pytest.raises(InputError, match="row 2, column scan_after: 'node0-rx': an absolute length needs a scan"):
-        write_index(tmp_path / "index.csv", lengths, femto)
+        write_recordings(tmp_path / "index.csv", lengths, femto)
     good = replace(lengths, scans_after=[index.scans_after[2], None, index.scans_after[2]])
     for name in ("index.csv", "index.h5"):
-        write_index(tmp_path / name, good, femto)
-        same(read_index(tmp_path / name, femto), good)
+        write_recordings(tmp_path / name, good, femto)
+        same(read_recordings(tmp_path / name, femto), good)
 
 
 def test_damaged_hdf5_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
-    write_index(tmp_path / "index.h5", index, femto)
+    write_recordings(tmp_path / "index.h5", index, femto)
     with h5py.File(tmp_path / "index.h5", "r+") as file:
         file["traces/trace_end"][1] = 5
         file["traces/trace_end"][0] = 6
     with pytest.raises(InputError, match="trace_end: expected ends that rise"):
-        read_index(tmp_path / "index.h5", femto)
+        read_recordings(tmp_path / "index.h5", femto)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from track_fixtures import CELL, DRIFT, campaign, knock, step_of_beta_4
 
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
 from fpcal_bayes.tracking.drift import State
 from fpcal_bayes.tracking.filter import Innovation, update
@@ -65,7 +65,7 @@ def test_two_translations_cannot_see_the_robot():
     few = np.flatnonzero(sweeps.session != "day0")
     q_start, q_end = sweeps.q_start.copy(), sweeps.q_end.copy()
     q_start[few], q_end[few] = np.tile(-along, (5, 1)), np.tile(along, (5, 1))
-    measured = simulate(CELL, truth, replace(sweeps, q_start=q_start, q_end=q_end), sigma=0.005, seed=0)
+    measured = simulate_um(CELL, truth, replace(sweeps, q_start=q_start, q_end=q_end), sigma=0.005, seed=0)
     found = track(CELL, measured)
     said = [outcome.verdict for outcome in found.outcomes]
     assert "extrinsics-moved" in said

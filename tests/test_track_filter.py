@@ -257,10 +257,10 @@ def test_a_jump_widens_what_it_names():
 
 def test_rows_that_share_a_reading_are_whitened_together():
     from fpcal_bayes.measure.protocol import add_midpoints
-    from fpcal_bayes.simulator.sweeps import simulate
+    from fpcal_bayes.simulator.sweeps import simulate_um
 
     truth, sweeps = campaign(4, sessions=1, count=3)
-    both = simulate(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)
+    both = simulate_um(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)
     measurement = SweepMeasurement.of(DRIFT, CavityModel.of(CELL), both, DRIFT.initial(truth.at(8.0), np.eye(21))[0])
     covariance = np.kron(np.eye(3), SIGMA**2 * np.array([[1.0, 0.5], [0.5, 1.0]]))
     expected = -0.5 * np.linalg.slogdet(covariance)[1]

@@ -6,7 +6,7 @@ import numpy as np
 from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
 from fpcal_bayes.measure.truth import Truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.drift import likely_drift, likely_terms
 from fpcal_bayes.tracking.tracker import track
 
@@ -31,7 +31,7 @@ def test_a_cycle_of_the_room_is_found_and_a_still_room_costs_little():
     moved = np.where([p.name == "beta_wf" for p in CELL.free], np.radians(0.02), 0.0)
     gain = {}
     for name, values in (("cycle", TRUTH.values + kelvin[:, None] * moved), ("still", TRUTH.values)):
-        sweeps = simulate(CELL, Truth(CELL.free, TRUTH.times_h, values), SWEEPS, sigma=SIGMA, seed=5)
+        sweeps = simulate_um(CELL, Truth(CELL.free, TRUTH.times_h, values), SWEEPS, sigma=SIGMA, seed=5)
         row = np.searchsorted(TRUTH.times_h, sweeps.time_h)
         logged = replace(sweeps, temperature_c=20.0 + kelvin[row])
         found = track(CELL, logged)

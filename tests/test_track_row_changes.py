@@ -9,7 +9,7 @@ from track_fixtures import CELL, DRIFT, SIGMA, campaign
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import add_midpoints
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.corrections import FewRows, ManyRows, correct_slips, row_changes
 from fpcal_bayes.tracking.drift import State
@@ -25,7 +25,7 @@ def session():
     truth, sweeps = campaign(5, sessions=1, count=40)
     found = identify(CELL, sweeps.of_session("day0")).estimate
     state = predict(DRIFT, State(0.0, *DRIFT.initial(found.values, found.covariance)), 8.0)
-    both = simulate(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)
+    both = simulate_um(CELL, truth, add_midpoints(sweeps.of_session("s1")), sigma=SIGMA, seed=1)
     return state, replace(both, label=np.array([f"row {i}" for i in range(len(both))]))
 
 

@@ -12,7 +12,7 @@ from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.record import record_of, resume
 from fpcal_bayes.tracking.sessions import check_sessions
@@ -33,7 +33,7 @@ def ambiguous(seed: int):
     for i, time in enumerate(times[1:], 1):
         parts.append(replace(plan(6, random), session=np.full(6, f"s{i}"), time_h=np.full(6, time)))
     truth = Truth(CELL.free, times, START + np.cumsum(steps, axis=0))
-    return simulate(CELL, truth, join(parts, file="campaign"), sigma=SIGMA, seed=seed)
+    return simulate_um(CELL, truth, join(parts, file="campaign"), sigma=SIGMA, seed=seed)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from track_fixtures import CELL, DRIFT, SIGMA, campaign, knock, plan, step_of_be
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.session import take_in
@@ -92,7 +92,7 @@ def test_a_session_of_many_rows_is_judged_alike_both_ways(calibrated, what, monk
 
 def test_a_session_of_thousands_of_rows_forms_no_matrix_of_rows_by_rows(calibrated):
     rows = plan(4000, np.random.default_rng(0))
-    sweeps = simulate(CELL, paper_truth(CELL), replace(rows, time_h=np.full(4000, 2.0)), sigma=SIGMA, seed=1)
+    sweeps = simulate_um(CELL, paper_truth(CELL), replace(rows, time_h=np.full(4000, 2.0)), sigma=SIGMA, seed=1)
     dl = sweeps.dl.copy()
     dl[[17, 3000]] += CELL.wavelength
     slipped = sweeps.with_measurement(dl, sweeps.sigma)
@@ -126,7 +126,7 @@ def test_a_logged_temperature_drives_the_parameters():
     values = truth.values.copy()
     values[:, at] += 2.0 * (degrees - 20.0)
     warm = replace(sweeps, temperature_c=degrees[np.searchsorted(truth.times_h, sweeps.time_h)])
-    measured = simulate(CELL, replace(truth, values=values), warm, sigma=0.005, seed=3)
+    measured = simulate_um(CELL, replace(truth, values=values), warm, sigma=0.005, seed=3)
     sizes = [replace(s, temperature=2.0) if s.name == "x_wf" else s for s in CELL.drift]
     learning = [replace(s, temperature_sd=3.0) if s.name == "x_wf" else s for s in CELL.drift]
     for drift in (sizes, learning):

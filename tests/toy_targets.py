@@ -8,7 +8,7 @@ from typing import Any
 import emcee
 import numpy as np
 
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import half_squares
 
 
@@ -152,7 +152,9 @@ class CubicTarget(ToyTarget):
         return 2.0 * (points**3 - points), 2.0 * (3.0 * points**2 - 1.0)[:, :, None]
 
 
-def run_moves(target: Any, atlas: Atlas, moves: Sequence[Any], start: np.ndarray, n_steps: int, seed: int) -> Any:
+def run_moves(
+    target: Any, atlas: ProposalMixture, moves: Sequence[Any], start: np.ndarray, n_steps: int, seed: int
+) -> Any:
     """Draws (n_steps, n_walkers, n) of a mixture of emcee moves, in straight coordinates."""
 
     def log_probability(points: np.ndarray) -> np.ndarray:

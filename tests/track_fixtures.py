@@ -8,7 +8,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.drift import DriftModel
 
 CELL = load_cell(mechanics="none")
@@ -23,7 +23,7 @@ def plan(count: int, random: np.random.Generator) -> Sweeps:
     start = random.uniform(-high, high, (count, 6))
     end, rows, joint = start.copy(), np.arange(count), np.arange(count) % 6
     start[rows, joint], end[rows, joint] = -high[joint], high[joint]
-    return Sweeps.make(start, end, label=[f"q{j + 1}-{i}" for i, j in enumerate(joint)])
+    return Sweeps.of_um_rad(start, end, label=[f"q{j + 1}-{i}" for i, j in enumerate(joint)])
 
 
 def campaign(
@@ -47,7 +47,7 @@ def campaign(
     for i, time in enumerate(times[1:], 1):
         parts.append(replace(plan(count, random), session=np.full(count, f"s{i}"), time_h=np.full(count, time)))
     truth = Truth(CELL.free, times, values)
-    return truth, simulate(CELL, truth, join(parts, file="campaign"), sigma=SIGMA, seed=seed)
+    return truth, simulate_um(CELL, truth, join(parts, file="campaign"), sigma=SIGMA, seed=seed)
 
 
 def knock(random: np.random.Generator) -> np.ndarray:

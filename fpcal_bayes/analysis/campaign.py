@@ -10,7 +10,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import decide_track
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -26,7 +26,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.motion.tasks import TASKS, Task, find_task
+from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.record import resume
@@ -119,7 +119,7 @@ def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
 
 
 @dataclass(frozen=True)
-class TaskOutlook:
+class TaskStanding:
     """What is expected of one task now."""
 
     name: str
@@ -145,11 +145,11 @@ class CampaignFacts:
     observability: Observability  # of the first session: the calibration
     track: Track | None  # all sessions followed
     track_reason: str  # why they cannot be
-    forecast: Forecast | None  # of the last estimate; None where tasks cannot be judged
+    forecast: Forecaster | None  # of the last estimate; None where tasks cannot be judged
     decision: Decision | None  # what to do now
     decision_reason: str  # why that cannot be said
     estimate: Estimate  # what the controller holds, with the covariance of the truth now
-    tasks: tuple[TaskOutlook, ...]
+    tasks: tuple[TaskStanding, ...]
     budget: Budget | None  # of the first task that must be held, after the calibration
     budget_reason: str  # why there is none
     posterior: PosteriorSummary | None  # of the calibration
@@ -185,7 +185,7 @@ def gather(
     command: str = "",
 ) -> CampaignFacts:
     """Read a campaign and work out all that its report says; arguments as in `write_campaign_report`."""
-    goal = Goal(0.05) if goal is None else goal
+    goal = Goal(50.0) if goal is None else goal
     path = Path(file)
     measured = _Measured.read(path, cell, now)
     sweeps, parts = measured.sweeps, measured.parts
@@ -200,12 +200,12 @@ def gather(
     now_h = hours_now(sweeps, last_h) if measured.now_h is None else measured.now_h
     if now_h < last_h:
         raise InputError(f"{path}: now is {now_h:g} h, before the last session at {last_h:g} h: expected a time after")
-    costs = Costs(sigma=float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
+    costs = Costs(sigma_nm=1e3 * float(np.median(sweeps.sigma)), diagnosis_h=_DIAGNOSIS_H)
     forecast, decision, decision_reason = _decide(followed, sweeps, goal, costs, now_h)
     found = observability.identification
     assert found is not None
     estimate = found.estimate if followed is None else _estimate_now(followed, now_h)
-    judged = [*goal.tasks, *(name for name in TASKS if name not in goal.tasks)]
+    judged = [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
     budget, budget_reason = _budget(found, goal)
     return CampaignFacts(
         file=path.name,
@@ -233,13 +233,13 @@ def gather(
 
 def _decide(
     followed: Track | None, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float
-) -> tuple[Forecast | None, Decision | None, str]:
+) -> tuple[Forecaster | None, Decision | None, str]:
     """The forecast of the last estimate and the decision, or None for what cannot be had, and why."""
     if followed is None:
         return None, None, "the sessions cannot be followed, so that nothing is known about drift"
     model = CavityModel.of(followed.cell, followed.drift.parameters)
     try:
-        forecast = Forecast.of(followed.drift, model, goal, followed.last.state.mean)
+        forecast = Forecaster.of(followed.drift, model, goal, followed.last.state.mean)
     except InputError as error:
         return None, None, str(error)
     try:
@@ -257,13 +257,13 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
     return replace(now, trust=followed.trust)
 
 
-def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskOutlook:
+def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
     try:
-        task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius, n_points=_POINTS)
+        task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=_POINTS)
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
-        return TaskOutlook(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance))
+        return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance_um))
     except InputError as error:
-        return TaskOutlook(name, asked, None, None, None, str(error))
+        return TaskStanding(name, asked, None, None, None, str(error))
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
@@ -272,7 +272,7 @@ def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
     if not estimate.trust.usable:
         return None, estimate.trust.against
     try:
-        driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius).driven()
+        driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius_um).driven()
         try:
             return budget_of(estimate, driven, sweeps=found.problem.sweeps), ""
         except InputError:

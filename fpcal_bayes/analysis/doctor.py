@@ -22,8 +22,19 @@ _AT_LIMIT = 0.01
 _LEAST_REPEATS = 4
 
 
-def examine(sweeps: Sweeps, cell: Cell) -> list[Finding]:
-    """What there is to say of the sweeps of all sessions, measured or planned; problems first."""
+def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
+    """What there is to say of the sweeps of all sessions, measured or planned; problems first.
+
+    Parameters
+    ----------
+    sweeps
+        Of one session or several.
+
+    Raises
+    ------
+    InputError
+        If the sweeps break a rule of the cell.
+    """
     found = [*_times(sweeps), *_rows(sweeps, cell)]
     if sweeps.measured:
         found += [*_repeats(sweeps, cell), *session_fits(sweeps, cell)]

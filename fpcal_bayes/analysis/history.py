@@ -42,7 +42,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class Outlooks:
+class TaskForecasts:
     """Error of the worst task that must be held, while the estimate of the last session is used; each (t,)."""
 
     hours: Floats
@@ -119,7 +119,7 @@ def parameter_band(
     return days, (mean - width) / parameter.scale, (mean + width) / parameter.scale
 
 
-def outlooks(facts: CampaignFacts) -> Outlooks | None:
+def outlooks(facts: CampaignFacts) -> TaskForecasts | None:
     """Error of the tasks through time, or None where there is no forecast."""
     followed, forecast = facts.track, facts.forecast
     if followed is None or forecast is None or facts.fit_is_wrong:
@@ -130,9 +130,9 @@ def outlooks(facts: CampaignFacts) -> Outlooks | None:
         state = followed.outcomes[number].state
         held = forecast.following(state.mean)
         found = held.outlook(held.ahead(state, float(time_h) - state.time_h))
-        rows.append((found.median, *found.band(), found.exceeds(facts.goal.tolerance)))
+        rows.append((found.median, *found.band(), found.exceeds(facts.goal.tolerance_um)))
     median, low, high, risk = np.array(rows).T
-    return Outlooks(hours, median, low, high, risk)
+    return TaskForecasts(hours, median, low, high, risk)
 
 
 def residuals(facts: CampaignFacts) -> list[SessionResiduals]:

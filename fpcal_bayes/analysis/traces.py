@@ -59,7 +59,7 @@ class FittedSweep:
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
         time = np.interp(s, samples.s[order], samples.time[order])
-        lengths = legendre(s)[:, 1:] @ (reading.course if len(reading.course) else fit.course)
+        lengths = legendre(s)[:, 1:] @ (reading.profile if len(reading.profile) else fit.profile)
         turned = fit.phase(s, phase_per_um) / (2.0 * np.pi)
         return cls(
             s=s,

@@ -1,24 +1,20 @@
 """``fpcal check``: is the calibration still right, by a path recorded on the cell itself."""
 
 import argparse
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.path_check import PathError, check_path, check_rows, measure_path
+from fpcal_bayes.fringes.path_check import PathError, check, check_rows
 from fpcal_bayes.infer.fit.kernels import warm_up
-from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.infer.tasks.source import read_estimate_draws
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import write_sweeps
 from fpcal_bayes.io.traces import read_path_trace
 from fpcal_bayes.measure.traces import PathTrace
 from fpcal_bayes.model.air_index import ciddor
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.check import check_content, check_sentences, check_warnings
@@ -37,48 +33,28 @@ def run(options: argparse.Namespace) -> int:
     draws = read_estimate_draws(options.estimate, cell)
     trace = read_path_trace(options.trace, cell)
     warm_up(cell)
-    measured = measure_path(
-        cell, estimate, trace, index=index, stability=options.stability_percent / 100.0, seed=options.seed
-    )
-    model = CavityModel.of(cell, estimate.parameters, estimate.vector())
-    check = check_path(
-        measured,
-        model,
-        estimate.values,
-        None if draws is None else draws.values,
-        estimate.covariance,
+    found = check(
+        estimate,
         trace,
+        draws=None if draws is None else draws.values,
         drift=_drift(options, cell, estimate),
-        machine=_machine(estimate, options.seed),
+        index=index,
+        stability=options.stability_percent / 100.0,
         level=options.level,
         seed=options.seed,
     )
-    check = replace(check, trust=estimate.trust)
-    if not estimate.trust.usable:
-        check = replace(check, verdict="not evaluated")
     tolerance = None if options.tolerance_nm is None else 1e-3 * options.tolerance_nm
-    for line in check_sentences(check, tolerance):
+    for line in check_sentences(found, tolerance):
         console(options).say(line)
-    warnings = check_warnings(check) + [reason.text for reason in estimate.trust.reasons]
-    if options.output is not None and check.verdict != "not evaluated":
-        _write_rows(options, cell, estimate, trace, measured)
+    warnings = check_warnings(found) + [reason.text for reason in estimate.trust.reasons]
+    if options.output is not None and found.verdict != "not evaluated":
+        _write_rows(options, cell, estimate, trace, found.measured)
     elif options.output is not None:
         warnings.append(f"{options.output} is not written: the check was not evaluated")
     warn(warnings)
-    content = {"check": check_content(check, tolerance), "warnings": warnings}
+    content = {"check": check_content(found, tolerance), "warnings": warnings}
     write_result(options.json, "check", {**estimate.content(), **content})
     return 0
-
-
-def _machine(estimate: Estimate, seed: int) -> Callable[[Floats, int], Floats] | None:
-    """Errors along a path of a machine, as the estimate knows it; None on a perfect mechanism."""
-    if estimate.mechanics is None:
-        return None
-
-    def errors(q: Floats, draws: int) -> Floats:
-        return known_task_errors(estimate, q[0], q, draws=draws, seed=seed)[0].total
-
-    return errors
 
 
 def _index(options: argparse.Namespace, cell: Cell) -> float:

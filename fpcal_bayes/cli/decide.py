@@ -33,14 +33,14 @@ def run(options: argparse.Namespace) -> int:
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps
-    sigma = float(np.median(sweeps.sigma)) if options.sigma_nm is None else 1e-3 * options.sigma_nm
+    sigma_nm = 1e3 * float(np.median(sweeps.sigma)) if options.sigma_nm is None else options.sigma_nm
     costs = Costs(
         minutes_per_sweep=options.minutes_per_sweep,
         minutes_per_session=options.minutes_per_session or 0.0,
         out_of_tolerance=options.cost_out,
         least_sweeps=options.least_sweeps,
         most_sweeps=max(options.most_sweeps, options.least_sweeps),
-        sigma=sigma,
+        sigma_nm=sigma_nm,
         horizon_h=options.horizon_h,
         diagnosis_h=options.diagnose_every_h,
     )

@@ -4,7 +4,7 @@ import argparse
 
 from rich.markup import escape
 
-from fpcal_bayes.analysis.doctor import examine
+from fpcal_bayes.analysis.doctor import doctor
 from fpcal_bayes.cli.common import cell_of, check_output, console, write_result
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, options.file)
     sweeps = read_sweeps(options.file, cell, plan=True)
     warm_up(cell)
-    findings = examine(sweeps, cell)
+    findings = doctor(sweeps, cell)
     out = console(options)
     styles = {"problem": "red", "doubt": "yellow", "note": "dim"}
     for finding in findings:

@@ -14,14 +14,14 @@ from fpcal_bayes.model.kernels.inverse import batch_inverse
 def goal_of(options: argparse.Namespace) -> Goal:
     """The goal that the options name."""
     tasks = tuple(dict.fromkeys(options.task or ["circle"]))
-    return Goal(1e-3 * options.tolerance_nm, tasks, options.level, options.radius_um)
+    return Goal(options.tolerance_nm, tasks, options.level, options.radius_um)
 
 
 def warm_up_inverse(cell: Cell) -> None:
     """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
     inverse = InverseModel(cell)
     warm_up(cell)
-    if needs_compilation(batch_inverse):
+    if len(cell.joints) == 6 and needs_compilation(batch_inverse):
         print("fpcal: compiling the inverse model; this happens once and takes about 30 s", file=sys.stderr)
     nominal = cell.parameters.nominal
     inverse.solve(nominal, inverse.tool_poses(nominal, inverse.home[None]))

@@ -20,7 +20,7 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.estimate import read_estimate
-from fpcal_bayes.io.recordings import read_index
+from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         if options.alignment.resolve() in taken:
             raise InputError(f"{options.alignment}: is another output too, expected another name for --alignment")
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
-    index = read_index(options.index, cell)
+    index = read_recordings(options.index, cell)
     if needs_compilation(fit_signal):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     settings = IngestSettings(

@@ -14,6 +14,7 @@ from fpcal_bayes.core.version import __version__
 
 #: In the order of the work.
 _COMMANDS = (
+    measure.cell,
     measure.simulate,
     measure.ingest,
     measure.doctor,

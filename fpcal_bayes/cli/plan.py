@@ -21,9 +21,10 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
-from fpcal_bayes.tracking.drift import aged
+from fpcal_bayes.tracking.drift import propagated
 
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
     settings = _settings(options)
-    tasks = _tasks(options, targets)
+    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
@@ -96,7 +97,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     if options.purpose == "extrinsic":
         if options.estimate is None:
             raise InputError("--for extrinsic: expected --estimate ESTIMATE, what is known of the cell")
-        estimate = aged(read_estimate(options.estimate, cell), 24.0 if options.hours is None else options.hours)
+        estimate = propagated(read_estimate(options.estimate, cell), 24.0 if options.hours is None else options.hours)
     elif options.estimate is not None or options.hours is not None:
         raise InputError("--estimate and --hours: expected beside --for extrinsic only; --after takes measured sweeps")
     warm_up_inverse(cell)
@@ -117,7 +118,7 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
 def _absolute(cell: Cell) -> Sweeps:
     """One absolute length at joint vector zero."""
     home = np.zeros((1, len(cell.joints)))
-    return Sweeps.make(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
+    return Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
 
 def _labelled(sweeps: Sweeps) -> Sweeps:
@@ -151,9 +152,9 @@ def _targets(text: str | None) -> dict[str, float]:
     return targets
 
 
-def _tasks(options: argparse.Namespace, targets: dict[str, float]) -> list[str]:
+def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -> list[str]:
     if options.tasks is None:
-        return list(targets) if targets else list(DEFAULT_TASKS)
+        return list(targets or possible_tasks(cell, DEFAULT_TASKS) or possible_tasks(cell))
     tasks = [name.strip() for name in options.tasks.split(",") if name.strip()]
     if not tasks:
         raise InputError("--tasks: expected one task at least")

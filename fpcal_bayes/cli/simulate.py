@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.joint_paths import read_joint_path
-from fpcal_bayes.io.recordings import write_index
+from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.io.traces import write_path_trace
 from fpcal_bayes.io.truth import read_truth, write_truth
@@ -20,7 +20,7 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import check_recordable, record_path, record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 
 _PROTOCOLS = ("paper", "paper-mid")
 
@@ -70,7 +70,7 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     """Changes of length with Gaussian noise."""
     warm_up(cell)
     sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
-    sweeps = simulate(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
+    sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     command += "" if cell.mechanics is None else " --mechanics stated"
     if options.output.suffix.lower() in HDF5_SUFFIXES:
@@ -92,7 +92,7 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     check_recordable(plan)
     warm_up(cell)
     index = record_sweeps(cell, truth, plan, _settings(options), seed=options.seed, scans=plan.signed)
-    write_index(options.output, index, cell)
+    write_recordings(options.output, index, cell)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
     samples = sum(map(len, index.traces))

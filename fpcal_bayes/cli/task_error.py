@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.motion.tasks import TASKS
+from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.tasks import (
     budget_content,
     budget_table,
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     warm_up_inverse(cell)
     tolerance = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
     out, content, predictions, budgets, warnings = console(options), {}, [], [], []
-    for name in TASKS if options.task == "all" else [options.task]:
+    for name in possible_tasks(cell) if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
         warnings += reach_warnings(task)
         driven = task.driven()

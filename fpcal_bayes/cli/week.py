@@ -133,7 +133,7 @@ def _write_data(options: argparse.Namespace, cell: Cell, week: Week, followed: F
     estimate = lived.estimate(valid_until(lived, followed.goal)).content() | {"fit": {"converged": lived.converged}}
     last = {"schema": SCHEMA, "command": "track", **estimate}
     first = lived.outcomes[0].session
-    log = decision_log(followed.loop.decisions, lived.outcomes[1:], followed.goal.tolerance)
+    log = decision_log(followed.loop.decisions, lived.outcomes[1:], followed.goal.tolerance_um)
     save("policy.h5", followed.policy_sweeps, lived, {first: timeless[first], lived.last.session: last}, log)
     write_json(folder / "estimate.json", last)
     for name, content in contents.items():
@@ -168,7 +168,7 @@ def _print_week(week: Week, out: Output, *, timed: bool) -> None:
 
 def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circle], out: Output) -> None:
     """Print the circles, and what each way through the week held and cost."""
-    tolerance = followed.goal.tolerance
+    tolerance = followed.goal.tolerance_um
     out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
     out.print(circle_table("Circle at each identification (Fig 14)", renewed, tolerance))
     out.print(course_table(followed.courses))

@@ -1,1 +1,14 @@
 """Hold, re-identify or recalibrate."""
+
+from fpcal_bayes.core.lazy import lazy
+
+#: Names that are used outside the package, and the module of the room in which each stands.
+_PLACES = {
+    "Costs": "decision",
+    "Forecaster": "forecast",
+    "Goal": "forecast",
+    "Policy": "policy",
+    "is_diagnosis": "diagnosis",
+}
+
+__all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -12,7 +12,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.diagnosis import is_diagnosis
-from fpcal_bayes.decision.forecast import Forecast
+from fpcal_bayes.decision.forecast import Forecaster
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -101,7 +101,7 @@ def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: f
         last = done.outcomes[-1]
         if done.sweeps and is_diagnosis(drift, model, done.outcomes[-2], last, done.sweeps[-1], limits):
             diagnosed = now
-        forecast = Forecast.of(drift, model, policy.goal, last.state.mean)
+        forecast = Forecaster.of(drift, model, policy.goal, last.state.mean)
         due = f"the robot itself moved before session {last.session}" if last.verdict == "intrinsics-moved" else None
         state = forecast.ahead(last.state, now - last.time_h)
 

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.decision.forecast import Forecast, Outlook
+from fpcal_bayes.decision.forecast import Forecaster, TaskForecast
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.drift import State
@@ -16,7 +16,7 @@ from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 Action = Literal["hold", "extrinsic", "full"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
-Chooser = Callable[[Forecast, State, int], Sweeps]
+Chooser = Callable[[Forecaster, State, int], Sweeps]
 
 #: Times at which the running cost of a session is compared.
 _COST_STEPS = 40
@@ -35,8 +35,8 @@ class Costs:
     least_sweeps, most_sweeps
         Of a session with few sweeps. One sweep looks at one direction of the tasks and trusts the drift sizes for the
         others; as many as the tasks have directions (two for a circle) trust them less and cost more.
-    sigma
-        Standard deviation of each change of cavity length, in um.
+    sigma_nm
+        Standard deviation of each change of cavity length.
     horizon_h
         How far ahead is looked, in hours.
     diagnosis_h
@@ -55,7 +55,7 @@ class Costs:
     out_of_tolerance: float | None = None
     least_sweeps: int = 1
     most_sweeps: int = 6
-    sigma: float = 0.005
+    sigma_nm: float = 5.0
     horizon_h: float = 24.0
     diagnosis_h: float | None = None
     diagnosis_sweeps: int = 8
@@ -63,11 +63,16 @@ class Costs:
     def __post_init__(self) -> None:
         choices = [value for value in (self.out_of_tolerance, self.diagnosis_h) if value is not None]
         counts = (self.least_sweeps, self.most_sweeps, self.diagnosis_sweeps)
-        positive = (self.minutes_per_sweep, self.sigma, self.horizon_h, *choices, *counts)
+        positive = (self.minutes_per_sweep, self.sigma_nm, self.horizon_h, *choices, *counts)
         if not (np.isfinite(positive).all() and min(positive) > 0 and 0 <= self.minutes_per_session < np.inf):
             raise InputError("costs: expected times, sigma, horizon and number of sweeps above zero")
         if self.least_sweeps > self.most_sweeps:
             raise InputError(f"costs: at least {self.least_sweeps} sweeps, expected no more than {self.most_sweeps}")
+
+    @property
+    def sigma_um(self) -> float:
+        """The standard deviation as the filter has it."""
+        return 1e-3 * self.sigma_nm
 
     def minutes(self, n_sweeps: int) -> float:
         """How long a session of so many sweeps takes."""
@@ -89,9 +94,9 @@ class Decision:
     then_hours: float  # hours that the tolerance is expected to hold after it, up to the horizon
     # now, at_horizon, after: error of the tasks now, at the horizon if nothing is measured, and after what is
     # recommended (for ``hold``, at its end)
-    now: Outlook
-    at_horizon: Outlook
-    after: Outlook
+    now: TaskForecast
+    at_horizon: TaskForecast
+    after: TaskForecast
     reason: str
 
 
@@ -102,11 +107,11 @@ class _Session:
     sweeps: Sweeps
     minutes: float
     state: State
-    outlook: Outlook
+    outlook: TaskForecast
     hours: float
 
 
-def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
+def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan: Sweeps, sigma: float) -> State:
     """The state expected after measuring a plan at the time of `state`, to first order.
 
     Measurements in the plan are not looked at; `sigma` is the standard deviation of each change of cavity length, in
@@ -121,7 +126,7 @@ def expected_after(forecast: Forecast, model: CavityModel, state: State, plan: S
 
 
 def decide(
-    forecast: Forecast,
+    forecast: Forecaster,
     model: CavityModel,
     state: State,
     costs: Costs,
@@ -149,13 +154,13 @@ def decide(
         forecast = _with_level_of_cost(forecast, sessions, costs)
     goal = forecast.goal
 
-    def made(action: Action, hold: float, taken: _Session | None, after: Outlook, reason: str) -> Decision:
+    def made(action: Action, hold: float, taken: _Session | None, after: TaskForecast, reason: str) -> Decision:
         sweeps, minutes, then = (None, 0.0, 0.0) if taken is None else (taken.sweeps, taken.minutes, taken.hours)
         return Decision(
             action, state.time_h, hold, goal.level, sweeps, minutes, then, now, at_horizon, after, reason
         )  # fmt: skip
 
-    passes = f"P(error > {1e3 * goal.tolerance:g} nm)"
+    passes = f"P(error > {1e3 * goal.tolerance_um:g} nm)"
     if calibration_due is None:
         hold = 0.0 if measure else forecast.hold_hours(state, costs.horizon_h)
         if hold > 0.0:
@@ -163,19 +168,19 @@ def decide(
             beyond = "stays below" if hold >= costs.horizon_h else "reaches"
             return made("hold", hold, None, after, f"{passes} {beyond} {goal.level:.0%} at the end of this time")
         sessions = sessions or _sessions(forecast, model, state, costs, choose)
-        able = [s for s in sessions if s.outlook.exceeds(goal.tolerance) <= goal.level]
+        able = [s for s in sessions if s.outlook.exceeds(goal.tolerance_um) <= goal.level]
         if able:
             # A session that holds for less than a minute is no better than one that holds for a minute.
             best = min(able, key=lambda s: s.minutes / max(s.hours, 1.0 / 60.0))
             best = _if_it_lasts(forecast, model, costs, choose, best, max(able, key=lambda s: s.hours))
-            reason = f"{passes} is {now.exceeds(goal.tolerance):.0%} now, {goal.level:.0%} is accepted"
+            reason = f"{passes} is {now.exceeds(goal.tolerance_um):.0%} now, {goal.level:.0%} is accepted"
             return made("extrinsic", 0.0, best, best.outlook, reason)
     full = _session(forecast, model, state, costs, calibration)
-    if full.outlook.exceeds(goal.tolerance) > goal.level:
+    if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         raise InputError(
-            f"tolerance {1e3 * goal.tolerance:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
+            f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
             f"met with probability {1.0 - goal.level:g} is {1e3 * best.outlook.attainable(goal.level):.1f} nm, right "
             f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
         )
@@ -184,7 +189,13 @@ def decide(
 
 
 def measure_instead(
-    decision: Decision, forecast: Forecast, model: CavityModel, state: State, costs: Costs, sweeps: Sweeps, reason: str
+    decision: Decision,
+    forecast: Forecaster,
+    model: CavityModel,
+    state: State,
+    costs: Costs,
+    sweeps: Sweeps,
+    reason: str,
 ) -> Decision:
     """The decision to measure other sweeps now; arguments as in `decide`."""
     taken = _session(forecast, model, state, costs, sweeps)
@@ -200,14 +211,14 @@ def measure_instead(
     )
 
 
-def _session(forecast: Forecast, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
-    after = expected_after(forecast, model, state, plan, costs.sigma)
+def _session(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, plan: Sweeps) -> _Session:
+    after = expected_after(forecast, model, state, plan, costs.sigma_um)
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
 
 
-def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
+def _sessions(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
     """Sessions of the fewest sweeps, of one more, and so on."""
     chosen = choose(forecast, state, costs.most_sweeps)
     counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
@@ -215,7 +226,7 @@ def _sessions(forecast: Forecast, model: CavityModel, state: State, costs: Costs
 
 
 def _if_it_lasts(
-    forecast: Forecast, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
+    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, short: _Session, long: _Session
 ) -> _Session:
     """The longer of two sessions where its further sweeps pay in the sessions that follow.
 
@@ -235,7 +246,7 @@ def _if_it_lasts(
     return long if long.hours - short.hours >= loss * between else short
 
 
-def _with_level_of_cost(forecast: Forecast, sessions: Sequence[_Session], costs: Costs) -> Forecast:
+def _with_level_of_cost(forecast: Forecaster, sessions: Sequence[_Session], costs: Costs) -> Forecaster:
     """The forecast with the level at which measuring costs least in the long run.
 
     A session of m minutes is followed by T hours in which an hour out of tolerance costs c minutes. The cost an hour,

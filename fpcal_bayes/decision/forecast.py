@@ -39,15 +39,15 @@ class Goal:
 
     Attributes
     ----------
-    tolerance
-        Largest peak to peak of the error of any of the tasks, in um.
+    tolerance_nm
+        Largest peak to peak of the error of any of the tasks.
     tasks
         Names as in `TASKS`, or path files.
     level
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
-    radius
-        Of the circle, in um.
+    radius_um
+        Radius of the circle.
 
     Raises
     ------
@@ -55,22 +55,27 @@ class Goal:
         If a number is out of its range or no task is named.
     """
 
-    tolerance: float
+    tolerance_nm: float
     tasks: tuple[str, ...] = ("circle",)
     level: float = 0.1
-    radius: float = 100.0
+    radius_um: float = 100.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise InputError(f"tolerance {1e3 * self.tolerance:g} nm: expected a number above zero")
+        if not (np.isfinite(self.tolerance_nm) and self.tolerance_nm > 0):
+            raise InputError(f"tolerance {self.tolerance_nm:g} nm: expected a number above zero")
         if not 0 < self.level < 1:
             raise InputError(f"level {self.level:g}: expected a probability between 0 and 1")
         if not self.tasks:
             raise InputError("no task: expected at least one that the cell must hold")
 
+    @property
+    def tolerance_um(self) -> float:
+        """The tolerance as the forecasts have it."""
+        return 1e-3 * self.tolerance_nm
+
 
 @dataclass(frozen=True)
-class Outlook:
+class TaskForecast:
     """Error of the tasks at one time."""
 
     time_h: float  # hours since the campaign began
@@ -101,7 +106,7 @@ class Outlook:
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Forecaster:
     """Errors of tasks under one estimate, at any later time and after any further measurement."""
 
     drift: DriftModel  # what the states mean and how they move
@@ -117,19 +122,19 @@ class Forecast:
     draws: Floats  # standard normal, shape (rank, n_draws)
 
     @classmethod
-    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecast":
+    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecaster":
         """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
         values = drift.values(mean)
         vector = model.vector(values)
         counts = [_CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
-            find_task(model.cell, vector, name, radius=goal.radius, n_points=count).driven()
+            find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).driven()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
         ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()
         jacobian = np.vstack([task_jacobian(model, values, task) for task in tasks]) * drift.scale
         left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-        kept = singular > _NEGLIGIBLE * goal.tolerance
+        kept = singular > _NEGLIGIBLE * goal.tolerance_um
         factor = singular[kept, None] * right[kept]
         draws = np.random.default_rng(0).standard_normal((len(factor), _DRAWS))
         slices = tuple(slice(a, b) for a, b in pairwise(ends))
@@ -138,11 +143,11 @@ class Forecast:
         )
         return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws)
 
-    def following(self, mean: Floats) -> "Forecast":
+    def following(self, mean: Floats) -> "Forecaster":
         """The same for a controller that takes over another estimate; its tasks move by too little to matter."""
         return replace(self, estimate=np.array(mean))
 
-    def outlook(self, state: State) -> Outlook:
+    def outlook(self, state: State) -> TaskForecast:
         """Error of the tasks if the truth is drawn from `state`."""
         n = self.drift.n_parameters
         spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
@@ -150,7 +155,7 @@ class Forecast:
         change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
-        return Outlook(state.time_h, np.array(peaks))
+        return TaskForecast(state.time_h, np.array(peaks))
 
     def ahead(self, state: State, hours: float) -> State:
         """The state after some hours in which nothing is measured and the temperature stays."""
@@ -159,7 +164,7 @@ class Forecast:
 
     def exceeds(self, state: State, hours: float = 0.0) -> float:
         """Probability that a task is out of tolerance some hours after `state`."""
-        return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance)
+        return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance_um)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
         """Hours after `state` until the probability of being out of tolerance passes the level, at most `horizon_h`.

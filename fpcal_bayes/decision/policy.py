@@ -13,7 +13,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision, decide, measure_instead
 from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, reverses, visible_ranges
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
@@ -40,7 +40,7 @@ def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
     start[rows, joint], end[rows, joint] = low[joint], high[joint]
     good = (high > low)[joint] & can_be_followed(model, values, start, end, limits)
     labels = [f"q{j + 1}" for j in joint[good]]
-    return Sweeps.make(start[good], end[good], label=labels, file="task sweeps")
+    return Sweeps.of_um_rad(start[good], end[good], label=labels, file="task sweeps")
 
 
 #: Random sweeps to choose from, beside those of the calibration.
@@ -102,16 +102,16 @@ class Policy:
         pool = join([_plain(single), _plain(random)], file="candidates")
         return cls(drift, model, goal, costs, _steady(model, values, pool), calibration)
 
-    def choose(self, forecast: Forecast, state: State, n: int) -> Sweeps:
+    def choose(self, forecast: Forecaster, state: State, n: int) -> Sweeps:
         """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
         return self._choose_for_tasks(self._pool(forecast), forecast, state, n)
 
-    def _choose_for_tasks(self, pool: "_Pool", forecast: Forecast, state: State, n: int) -> Sweeps:
+    def _choose_for_tasks(self, pool: "_Pool", forecast: Forecaster, state: State, n: int) -> Sweeps:
         m = self.drift.n_parameters
         tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
         return pool.choose(state.covariance[:m, :m], tasks, n)
 
-    def choose_diagnosis(self, forecast: Forecast, state: State) -> Sweeps:
+    def choose_diagnosis(self, forecast: Forecaster, state: State) -> Sweeps:
         """The sweeps most likely to show a jump of the intrinsic parameter that drifts most.
 
         Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
@@ -131,21 +131,21 @@ class Policy:
 
     def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:
         """Probability that sweeps at the time of `state` show a jump of the watched parameter."""
-        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma))
+        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma_um))
         found = session_power(self.drift, self.model, state, planned, hours, self.limits)
         return float(found[watched(self.drift, self.limits)])
 
-    def _pool(self, forecast: Forecast) -> "_Pool":
+    def _pool(self, forecast: Forecaster) -> "_Pool":
         """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
         near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
         candidates = join([near, self.candidates], file="candidates")
-        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma)
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma_um)
         return _Pool(candidates, rows * self.drift.scale)
 
     def decide(
         self,
-        forecast: Forecast,
+        forecast: Forecaster,
         state: State,
         calibration_due: str | None = None,
         diagnosed_h: float | None = None,
@@ -171,7 +171,7 @@ class Policy:
 
     def measure_now(
         self,
-        forecast: Forecast,
+        forecast: Forecaster,
         state: State,
         calibration_due: str | None = None,
         diagnosed_h: float | None = None,
@@ -185,7 +185,7 @@ class Policy:
         due = state.time_h - diagnosed_h > every - 1e-6
         return self._diagnose(decision, forecast, state, diagnosed_h) if due else decision
 
-    def hold_hours(self, forecast: Forecast, state: State, diagnosed_h: float) -> float:
+    def hold_hours(self, forecast: Forecaster, state: State, diagnosed_h: float) -> float:
         """Hours from `state` until something is to be measured, at most the horizon; see `decide`."""
         hold = forecast.hold_hours(state, self.costs.horizon_h)
         if self.costs.diagnosis_h is not None:
@@ -193,19 +193,19 @@ class Policy:
         return hold
 
     def _decide(
-        self, forecast: Forecast, state: State, calibration_due: str | None, *, measure: bool = False
+        self, forecast: Forecaster, state: State, calibration_due: str | None, *, measure: bool = False
     ) -> Decision:
         # All sessions of a decision are chosen for one estimate, from one pool, which is made if one is wanted.
         pool = cache(lambda: self._pool(forecast))
 
-        def choose(same: Forecast, at: State, n: int) -> Sweeps:
+        def choose(same: Forecaster, at: State, n: int) -> Sweeps:
             return self._choose_for_tasks(pool(), same, at, n)
 
         return decide(
             forecast, self.model, state, self.costs, choose, self.calibration, calibration_due, measure=measure
         )
 
-    def _diagnose(self, decision: Decision, forecast: Forecast, state: State, diagnosed_h: float) -> Decision:
+    def _diagnose(self, decision: Decision, forecast: Forecaster, state: State, diagnosed_h: float) -> Decision:
         """The sweeps of a decision, and those that look at the robot itself."""
         sweeps = self.choose_diagnosis(forecast, state)
         if decision.sweeps is not None:
@@ -247,7 +247,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
             f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
         )
     model = CavityModel.of(track.cell, track.drift.parameters)
-    forecast = Forecast.of(track.drift, model, goal, last.state.mean)
+    forecast = Forecaster.of(track.drift, model, goal, last.state.mean)
     policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
     due = track.calibration_due
     reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
@@ -258,7 +258,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
 def valid_until(track: Track, goal: Goal) -> float:
     """Hours since the campaign began until which the last estimate holds the tasks; a week ahead at most."""
     state = track.last.state
-    forecast = Forecast.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
+    forecast = Forecaster.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
     return state.time_h + forecast.hold_hours(state, HOURS_PER_WEEK)
 
 

@@ -1,1 +1,12 @@
 """From recorded irradiance to changes of length, and to the error along a path."""
+
+from fpcal_bayes.core.lazy import lazy
+
+#: Names that are used outside the package, and the module of the room in which each stands.
+_PLACES = {
+    "Ingested": "ingest",
+    "Reading": "count",
+    "ingest": "ingest",
+}
+
+__all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -10,7 +10,7 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.fading import fading_priors
 from fpcal_bayes.fringes.fit import CALM, Nuisance, fit_course
 from fpcal_bayes.fringes.ingest import Ingested
-from fpcal_bayes.fringes.profile import prior_courses
+from fpcal_bayes.fringes.profile import prior_profiles
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -74,7 +74,7 @@ def fringe_amplitudes(cell: Cell, sweeps: Sweeps, found: Ingested) -> Amplitudes
             f"{sweeps.file}: all sweeps tilt the mirror about one axis, expected tilts about two for the fibre's "
             "direction"
         )
-    courses, fading = prior_courses(cell, chosen), fading_priors(cell, chosen)
+    profiles, fading = prior_profiles(cell, chosen), fading_priors(cell, chosen)
     light = 1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain)
     shape, covariance = np.empty((len(rows), 2)), np.empty((len(rows), 2, 2))
     for k, i in enumerate(rows):
@@ -84,8 +84,8 @@ def fringe_amplitudes(cell: Cell, sweeps: Sweeps, found: Ingested) -> Amplitudes
         allowed = Nuisance(CALM.offset, (), (*_WIDE, *fading[k].fade[2:]), fading[k].fade_mean)
         fit = fit_course(
             samples.binned(max(_FEWEST_BINS, int(_BINS * reading.fringes))),
-            courses[k],
-            reading.fit.course,
+            profiles[k],
+            reading.fit.profile,
             reading.phase_per_um,
             nuisance=allowed,
             noise=reading.noise,

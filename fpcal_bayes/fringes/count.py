@@ -16,7 +16,7 @@ from fpcal_bayes.fringes.solve import change_of
 
 #: Probability of another count, or of the other sign, from which on a reading does not stand.
 _COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
-#: A witness may be wrong altogether with this probability: it then expects anything within the last column, in um.
+#: A sign_source may be wrong altogether with this probability: it then expects anything within the last column, in um.
 _WITNESS_LIES, _ANYTHING = 1e-6, 200.0
 #: Changes closer than this, in um, are one count.
 _SAME_COUNT = 0.1
@@ -42,10 +42,10 @@ class Reading:
     #: noise, amplitude: Standard deviation of one sample and mean amplitude of the fringes, in V.
     noise: float = np.nan
     amplitude: float = np.nan
-    #: course, course_covariance: L less its mean along the sweep: Legendre coefficients in um, see `Course`; of the
-    #: sign of `dl`.
-    course: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
-    course_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    #: profile, profile_covariance: L less its mean along the sweep, with the sign of `dl`: Legendre coefficients in um,
+    #: see `DisplacementProfile`.
+    profile: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
+    profile_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     #: Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
     wavelength_share: float = 0.0
     #: fit, phase_per_um: What was fitted and its 4 pi n / wavelength, for figures; None where refused.
@@ -65,8 +65,8 @@ class Reading:
         correlated.
         """
         rows = legendre(s)[:, 1:] - legendre(np.array([-1.0]))[:, 1:]
-        changes = rows @ self.course
-        covariance = rows @ self.course_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
+        changes = rows @ self.profile
+        covariance = rows @ self.profile_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
         return changes, covariance
 
     def grouped(self, points: int) -> tuple[Floats, Floats, float]:
@@ -87,7 +87,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Witness:
+class SignSource:
     """A change of length that somebody expects: in um, with its standard deviation, and who says so."""
 
     dl: float
@@ -103,7 +103,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CountDecision:
     """What a trace is taken to say."""
 
     fit: Fit  # the fit chosen
@@ -119,17 +119,17 @@ class Verdict:
         return self.other_counts > _COUNT_RISK
 
 
-def decide(fits: Sequence[Fit], witnesses: Sequence[Witness]) -> Verdict:
+def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDecision:
     """Weigh fits and their mirror images.
 
-    fits: distinct courses of one trace.
-    witnesses: the most trustworthy first; the first that tells the sign by itself is named as its source.
+    fits: distinct profiles of one trace.
+    sign_sources: the most trustworthy first; the first that tells the sign by itself is named as its source.
     """
     dl, sd = np.array([change_of(fit) for fit in fits]).T
     both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])
     weights = np.tile([fit.evidence for fit in fits], 2)
-    for witness in witnesses:
-        weights = weights + witness.log_likelihood(both, sds)
+    for sign_source in sign_sources:
+        weights = weights + sign_source.log_likelihood(both, sds)
     share = np.exp(weights - weights.max())
     share /= share.sum()
     chosen = int(np.argmax(share))
@@ -140,19 +140,19 @@ def decide(fits: Sequence[Fit], witnesses: Sequence[Witness]) -> Verdict:
     others = np.flatnonzero(~same & (share > 1e-6))
     others = others[np.argsort(-share[others])]
     alternatives = list(dict.fromkeys(float(both[i]) if signed else float(size[i]) for i in others))
-    return Verdict(
+    return CountDecision(
         fit=fits[chosen % len(fits)],
         mirrored=chosen >= len(fits),
         signed=signed,
-        sign_source=_teller(witnesses, both[chosen], sds[chosen]) if signed else "",
+        sign_source=_teller(sign_sources, both[chosen], sds[chosen]) if signed else "",
         other_counts=float(share[~same].sum()),
         alternatives=tuple(alternatives[:4]),
     )
 
 
-def _teller(witnesses: Sequence[Witness], dl: float, sd: float) -> str:
-    for witness in witnesses:
-        right, wrong = witness.log_likelihood(np.array([dl, -dl]), np.array([sd, sd]))
+def _teller(sign_sources: Sequence[SignSource], dl: float, sd: float) -> str:
+    for sign_source in sign_sources:
+        right, wrong = sign_source.log_likelihood(np.array([dl, -dl]), np.array([sd, sd]))
         if right - wrong > -np.log(_SIGN_RISK):
-            return witness.source
+            return sign_source.source
     return "several together"

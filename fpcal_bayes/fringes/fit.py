@@ -1,8 +1,8 @@
-"""The signal of a sweep fitted as a whole: course, phase, offset, gain, visibility and cyclic error together.
+"""The signal of a sweep fitted as a whole: profile, phase, offset, gain, visibility and cyclic error together.
 
 Every sample takes part, so noise averages out; what is unknown of offset and envelope reaches the uncertainty of the
-course through the covariance. The evidence of a fit (Laplace's approximation; D. MacKay, Information Theory, Inference
-and Learning Algorithms, chapter 28) weighs courses and envelopes of different flexibility against each other.
+profile through the covariance. The evidence of a fit (Laplace's approximation; D. MacKay, Information Theory, Inference
+and Learning Algorithms, chapter 28) weighs profiles and envelopes of different flexibility against each other.
 """
 
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
-from fpcal_bayes.fringes.profile import Course, legendre
+from fpcal_bayes.fringes.profile import DisplacementProfile, legendre
 from fpcal_bayes.fringes.samples import Samples
 
 #: The cell's priors are widened by this factor: they direct a fit but shall not pull it.
 _WIDENED = 1.3
-#: Modes of a course whose effect stays below this, in um, are left out.
+#: Modes of a profile whose effect stays below this, in um, are left out.
 _LEAST_MODE = 1e-5
 #: Second and third harmonic relative to the fringe amplitude, as standard deviations.
 _HARMONIC_SDS = (0.014, 0.014, 0.005, 0.005)
@@ -50,8 +50,8 @@ LIVELY = Nuisance(offset=_OFFSET, gain=_GAIN, fade=(0.6, 0.2, 0.02, 0.01))
 class Fit:
     """A signal fitted."""
 
-    #: course, covariance: Coefficients of the course in um, shape (DEGREE,), and their covariance.
-    course: Floats
+    #: profile, covariance: Coefficients of the profile in um, shape (DEGREE,), and their covariance.
+    profile: Floats
     covariance: Floats
     #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
     unknowns: Floats
@@ -70,7 +70,7 @@ class Fit:
     def phase(self, s: Floats, phase_per_um: float) -> Floats:
         """Phase of the fringes at places `s` (n,), in rad."""
         at = sum(self.nuisance.counts) + 1 + HARMONICS
-        return np.asarray(self.unknowns[at] + phase_per_um * (legendre(s)[:, 1:] @ self.course))
+        return np.asarray(self.unknowns[at] + phase_per_um * (legendre(s)[:, 1:] @ self.profile))
 
     def signal(self, s: Floats, time: Floats, phase_per_um: float) -> Floats:
         """The fitted signal at places `s` and times `time` from -1 to 1, each of shape (n,), in V."""
@@ -90,7 +90,7 @@ class Fit:
 
 def fit_course(
     samples: Samples,
-    course: Course,
+    profile: DisplacementProfile,
     start: Floats,
     phase_per_um: float,
     *,
@@ -100,10 +100,10 @@ def fit_course(
     max_steps: int = 40,
     warm: Fit | None = None,
 ) -> Fit:
-    """Fit a signal from a starting course.
+    """Fit a signal from a starting profile.
 
     samples: signal along the sweep.
-    course: prior of the course; it is widened.
+    profile: prior of the profile; it is widened.
     start: coefficients to start from, shape (DEGREE,), in um.
     phase_per_um: 4 pi n / wavelength.
     noise: standard deviation of one reading, in V.
@@ -111,11 +111,11 @@ def fit_course(
     visibility.
     warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
     """
-    mean, modes_um = _modes(course)
+    mean, modes_um = _modes(profile)
     over_place, over_time = legendre(samples.s), legendre(samples.time)
     base = phase_per_um * (over_place[:, 1:] @ mean)
     modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1:] @ modes_um))
-    z = np.linalg.lstsq(modes_um, (start if warm is None else warm.course) - mean, rcond=None)[0]
+    z = np.linalg.lstsq(modes_um, (start if warm is None else warm.profile) - mean, rcond=None)[0]
     phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
@@ -145,7 +145,7 @@ def fit_course(
     evidence = -0.5 * (cost + log_determinant - np.log(prior_weight).sum())
     at = len(unknowns) - len(z)
     return Fit(
-        course=mean + modes_um @ unknowns[at:],
+        profile=mean + modes_um @ unknowns[at:],
         covariance=modes_um @ inverse[at:, at:] @ modes_um.T,
         unknowns=unknowns,
         unknowns_covariance=inverse,
@@ -157,16 +157,16 @@ def fit_course(
     )
 
 
-def _modes(course: Course) -> tuple[Floats, Floats]:
+def _modes(profile: DisplacementProfile) -> tuple[Floats, Floats]:
     """Mean of the prior, and its modes, widened, in um (DEGREE, n_modes): a unit of each is one sd."""
-    values, vectors = np.linalg.eigh(_WIDENED**2 * course.covariance)
+    values, vectors = np.linalg.eigh(_WIDENED**2 * profile.covariance)
     sds = np.sqrt(np.maximum(values, 0.0))
     kept = (sds > _LEAST_MODE) | (sds == sds.max())
-    return course.mean, np.ascontiguousarray((vectors * sds)[:, kept])
+    return profile.mean, np.ascontiguousarray((vectors * sds)[:, kept])
 
 
 def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tuple[float, float]:
-    """Phase at the sweep's middle and mean amplitude of the fringes for a course's phase `f` (n,)."""
+    """Phase at the sweep's middle and mean amplitude of the fringes for a profile's phase `f` (n,)."""
     root = np.sqrt(samples.count)
     columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)])
     solution = np.linalg.lstsq(columns * root[:, None], samples.signal * root, rcond=1e-6)[0]

@@ -7,10 +7,10 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.count import Reading, Witness
+from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fading import fading_priors
-from fpcal_bayes.fringes.profile import estimated_courses, prior_courses
-from fpcal_bayes.fringes.reader import Recorded, estimate_witness, read_traces
+from fpcal_bayes.fringes.profile import estimated_profiles, prior_profiles
+from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
 from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
 from fpcal_bayes.measure.campaign import DoubtfulRecord
@@ -143,20 +143,20 @@ class _IndexReader:
     ) -> list[Recorded | None]:
         """Each row with what is expected of it; None for absolute lengths."""
         sweeps = self.index.sweeps
-        courses, fading = prior_courses(self.cell, sweeps), fading_priors(self.cell, sweeps)
-        expected = None if estimate is None else estimated_courses(estimate, sweeps)
+        profiles, fading = prior_profiles(self.cell, sweeps), fading_priors(self.cell, sweeps)
+        expected = None if estimate is None else estimated_profiles(estimate, sweeps)
         made: list[Recorded | None] = []
         for i, trace in enumerate(self.index.traces):
             if sweeps.kind[i] == "absolute":
                 made.append(None)
                 continue
-            witnesses = []
+            sign_sources = []
             first, last = before[i], after[i]
             if first is not None and last is not None and first.good and last.good:
                 sd = float(np.hypot(first.sigma, last.sigma))
-                witnesses.append(Witness(last.length - first.length, sd, "scans"))
+                sign_sources.append(SignSource(last.length - first.length, sd, "scans"))
             if expected is not None:
-                witnesses.append(estimate_witness(expected[i]))
+                sign_sources.append(estimate_sign_source(expected[i]))
             joint = moving_joint(sweeps, i)
             start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
             samples = lay_out(
@@ -173,11 +173,11 @@ class _IndexReader:
                     samples=samples,
                     start=start,
                     end=end,
-                    course=courses[i],
+                    profile=profiles[i],
                     wavelength=float(self.vacuum[i] / self.air[i]),
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
-                    witnesses=tuple(witnesses),
+                    sign_sources=tuple(sign_sources),
                 )
             )
         return made

@@ -1,4 +1,4 @@
-"""Compiled kernels of fringe reading: courses searched for, a signal fitted, a phase followed through extremes."""
+"""Compiled kernels of fringe reading: profiles searched for, a signal fitted, a phase followed through extremes."""
 
 import math
 

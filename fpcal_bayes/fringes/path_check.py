@@ -1,6 +1,5 @@
 """A recorded path held against an estimate: its error measured, compared with a prediction, made rows of a campaign."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -18,9 +17,10 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
+from fpcal_bayes.model.mechanics.errors import known_task_errors
 from fpcal_bayes.model.trust import Trust
 
-Verdict = Literal["confirmed", "refuted", "not evaluated"]
+CheckVerdict = Literal["confirmed", "refuted", "not evaluated"]
 
 #: Residuals this many times the noise of the reference scan: the curve does not follow the trace.
 _LOST = 3.0
@@ -79,7 +79,7 @@ class PathCheck:
     probability: float  # of at least the measured peak to peak, if the calibration holds
     #: ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
     #: too uncertain to confirm what the estimate predicts (see `blunt`).
-    verdict: Verdict
+    verdict: CheckVerdict
     level: float  # see `verdict`
     trust: Trust = field(default_factory=Trust)  # of the estimate; nothing is evaluated against one not to be used
 
@@ -147,6 +147,63 @@ def measure_path(
     )
 
 
+def check(
+    estimate: Estimate,
+    trace: PathTrace,
+    *,
+    draws: Floats | None = None,
+    drift: Floats | None = None,
+    index: float = 1.0,
+    stability: float = STABILITY,
+    level: float = 0.01,
+    seed: int = 0,
+) -> PathCheck:
+    """Hold an estimate against a path that was recorded on the cell.
+
+    Parameters
+    ----------
+    estimate
+        What the path was made with. One that is not to be used gives the verdict ``not evaluated``.
+    trace
+        The recording, with its reference scans.
+    draws
+        Of the parameters from the posterior, shape (n_draws, n_free), in um and rad; by default the error is predicted
+        to first order from the covariance.
+    drift
+        Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
+    index
+        Refractive index of the air.
+    stability
+        How gain and offset may wander during the path, relative, one standard deviation.
+    level
+        Probability below which the calibration is refuted.
+    seed
+        Of numpy's default generator.
+
+    Raises
+    ------
+    InputError
+        If the recording lacks a part.
+    """
+    cell, model = estimate.cell, CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
+    measured = measure_path(cell, estimate, trace, index=index, stability=stability, seed=seed)
+    machine = None if estimate.mechanics is None else estimate
+    found = check_path(
+        measured,
+        model,
+        estimate.values,
+        draws,
+        estimate.covariance,
+        trace,
+        drift=drift,
+        machine=machine,
+        level=level,
+        seed=seed,
+    )
+    verdict = found.verdict if estimate.trust.usable else "not evaluated"
+    return replace(found, trust=estimate.trust, verdict=verdict)
+
+
 def check_path(
     measured: PathError,
     model: CavityModel,
@@ -156,7 +213,7 @@ def check_path(
     trace: PathTrace,
     *,
     drift: Floats | None = None,
-    machine: Callable[[Floats, int], Floats] | None = None,
+    machine: Estimate | None = None,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -168,8 +225,7 @@ def check_path(
     covariance: of the free parameters, shape (n_free, n_free), in um and rad.
     trace: what was measured.
     drift: covariance of what the free parameters may have drifted since the estimate, or None.
-    machine: with mechanics, errors (n_draws, n_points) along joint vectors (n_points, n_joints), so many as asked for;
-    in place of draws and covariance.
+    machine: an estimate that knows the cell's mechanics, in place of draws and covariance.
     level: probability below which the calibration is refuted.
     seed: of the draws.
     """
@@ -178,7 +234,7 @@ def check_path(
     random = np.random.default_rng([seed, 1])
     _, jacobian = model.predict_with_jacobian(values, rows)
     if machine is not None:
-        errors = machine(q, _DRAWS)
+        errors = known_task_errors(machine, q[0], q, draws=_DRAWS, seed=seed)[0].total
     elif draws is not None:
         errors = model.predict(draws, rows) - model.predict(values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
@@ -236,7 +292,7 @@ def check_rows(
     """
     q = trace.q[trace.path]
     name = Path(trace.file).name or "path"
-    row = Sweeps.make(
+    row = Sweeps.of_um_rad(
         q[:1],
         q[-1:],
         session=session,
@@ -257,7 +313,7 @@ def check_rows(
     ends = q[measured.places[chosen]]
     starts = np.repeat(q[:1], len(ends), axis=0)
     expected = model.predict(estimate.values, model.rows(starts, ends))
-    sweeps = Sweeps.make(
+    sweeps = Sweeps.of_um_rad(
         starts,
         ends,
         session=session,

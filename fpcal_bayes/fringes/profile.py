@@ -17,17 +17,17 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 
-#: Legendre polynomials of a course, from the first on.
+#: Legendre polynomials of a profile, from the first on.
 DEGREE = 6
 #: Draws from the priors, half of them on each path model; seeded, so that a trace gives the same reading every time.
 _DRAWS, _SEED = 400, 20240501
-#: Nodes at which courses are compared with their polynomials.
+#: Nodes at which profiles are compared with their polynomials.
 _NODES = 15
 
 
 @dataclass(frozen=True)
-class Course:
-    """What is known of the coefficients of a sweep's course, in um."""
+class DisplacementProfile:
+    """What is known of the coefficients of a sweep's profile, in um."""
 
     #: mean, covariance: Shapes (DEGREE,) and (DEGREE, DEGREE).
     mean: Floats
@@ -51,11 +51,11 @@ def legendre(s: Floats, degree: int = DEGREE) -> Floats:
 
 
 def end_weights() -> Floats:
-    """Weights (DEGREE,) of a course's coefficients in L(end) - L(start): 2 for odd polynomials, 0 for even ones."""
+    """Weights (DEGREE,) of a profile's coefficients in L(end) - L(start): 2 for odd polynomials, 0 for even ones."""
     return np.asarray(1.0 - (-1.0) ** np.arange(1, DEGREE + 1), dtype=float)
 
 
-def prior_courses(cell: Cell, sweeps: Sweeps) -> list[Course]:
+def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
     """Courses of sweeps by the cell's priors alone, optional parameters included.
 
     Both path models are taken as likely, so that a reading does not presume which one the light follows.
@@ -78,10 +78,10 @@ def prior_courses(cell: Cell, sweeps: Sweeps) -> list[Course]:
     spread = 1.4826 * np.median(np.abs(coefficients - centre), axis=0)
     limits = 6.0 * spread + 1e-6
     kept = np.clip(coefficients, centre - limits, centre + limits)
-    return [Course(rows.mean(axis=0), np.cov(rows.T)) for rows in kept.transpose(1, 0, 2)]
+    return [DisplacementProfile(rows.mean(axis=0), np.cov(rows.T)) for rows in kept.transpose(1, 0, 2)]
 
 
-def estimated_courses(estimate: Estimate, sweeps: Sweeps) -> list[Course]:
+def estimated_profiles(estimate: Estimate, sweeps: Sweeps) -> list[DisplacementProfile]:
     """Courses of sweeps by an estimate and its covariance, to first order."""
     model = CavityModel.of(estimate.cell, estimate.parameters)
     q, fit = _nodes(sweeps)
@@ -89,7 +89,7 @@ def estimated_courses(estimate: Estimate, sweeps: Sweeps) -> list[Course]:
     means = _coefficients(lengths[None], fit)[0]
     slopes = _coefficients(jacobian.T, fit)
     covariances = np.einsum("pnd,pq,qne->nde", slopes, estimate.covariance, slopes)
-    return [Course(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
+    return [DisplacementProfile(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
 
 
 def _nodes(sweeps: Sweeps) -> tuple[Floats, Floats]:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.count import Reading, Verdict, Witness, decide
+from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.profile import Course
+from fpcal_bayes.fringes.profile import DisplacementProfile
 from fpcal_bayes.fringes.samples import Samples, fault
-from fpcal_bayes.fringes.solve import Solution, change_of, path_fringes, rescaled, solve, with_noise
+from fpcal_bayes.fringes.solve import FringeSolution, change_of, path_fringes, rescaled, solve, with_noise
 
 #: Samples a fringe below which a trace is refused, on average and where L moves fastest.
 SPARSE, SPARSEST = 3.0, 2.1
@@ -18,7 +18,7 @@ SPARSE, SPARSEST = 3.0, 2.1
 _FAINT = 5.0
 #: Above this standard deviation, in um, a count is not certain: a fit near its edges is not as normal as it says.
 _VAGUE = 0.03
-#: Fringes below which amplitude and course cannot be told apart for certain.
+#: Fringes below which amplitude and profile cannot be told apart for certain.
 _FEWEST_FRINGES = 0.9
 #: Residuals this much above the campaign's noise mean that the sweep was not what it should have been.
 _MISFIT = 3.0
@@ -39,12 +39,12 @@ class Recorded:
     #: start, end: Of the joint that moves, in um or rad.
     start: float
     end: float
-    course: Course  # what the cell's priors know of it
+    profile: DisplacementProfile  # what the cell's priors know of it
     wavelength: float  # in the air of the cavity, in um
     wavelength_share: float = 0.0  # its relative standard deviation
     fading: Nuisance = LIVELY  # how visibility may fade along it
     #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
-    witnesses: tuple[Witness, ...] = ()
+    sign_sources: tuple[SignSource, ...] = ()
 
     @property
     def phase_per_um(self) -> float:
@@ -68,7 +68,7 @@ def read_traces(
     """
     faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
     solutions = [
-        None if why else solve(each.samples, each.course, each.phase_per_um, noise, mirror_light, each.fading)
+        None if why else solve(each.samples, each.profile, each.phase_per_um, noise, mirror_light, each.fading)
         for each, why in zip(recorded, faults, strict=True)
     ]
     pool = _Pool.of([solution.best for solution in solutions if solution is not None]) or _NoPool(noise)
@@ -79,7 +79,7 @@ def read_traces(
             continue
         sd, excess = pool.noise_of(solution.best)
         if abs(np.log(sd / solution.best.noise)) > 0.05:
-            solution = with_noise(solution, each.course, each.phase_per_um, sd, mirror_light)
+            solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
         else:
             solution = rescaled(solution, sd)
         readings.append(_reading(each, solution, excess))
@@ -141,17 +141,17 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _reading(each: Recorded, solution: Solution, excess: float) -> Reading:
-    prior = Witness(each.course.dl, 1.5 * each.course.dl_sd, "prior")
-    verdict = decide(solution.fits, (*each.witnesses, prior))
+def _reading(each: Recorded, solution: FringeSolution, excess: float) -> Reading:
+    prior = SignSource(each.profile.dl, 1.5 * each.profile.dl_sd, "prior")
+    verdict = decide(solution.fits, (*each.sign_sources, prior))
     fit = verdict.fit
     dl, sd = change_of(fit)
     sign = -1.0 if verdict.mirrored else 1.0
     if not verdict.signed and sign * dl < 0:
         sign = -sign
-    fringes = path_fringes(fit.course, each.phase_per_um)
+    fringes = path_fringes(fit.profile, each.phase_per_um)
     turns = _turns(fit)
-    density, least = _density(each.samples, fit.course, each.phase_per_um)
+    density, least = _density(each.samples, fit.profile, each.phase_per_um)
     known = Reading(
         label=each.label,
         fringes=fringes,
@@ -177,13 +177,13 @@ def _reading(each: Recorded, solution: Solution, excess: float) -> Reading:
         reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
         doubt=_doubt(verdict, sd, excess, fringes),
         alternatives=verdict.alternatives if verdict.doubtful else (),
-        course=sign * fit.course,
-        course_covariance=fit.covariance,
+        profile=sign * fit.profile,
+        profile_covariance=fit.covariance,
         wavelength_share=each.wavelength_share,
     )
 
 
-def _doubt(verdict: Verdict, sd: float, excess: float, fringes: float) -> str:
+def _doubt(verdict: CountDecision, sd: float, excess: float, fringes: float) -> str:
     if verdict.doubtful:
         return f"another count of fringes is possible (probability {verdict.other_counts:.2g})"
     if fringes < _FEWEST_FRINGES or sd > _VAGUE:
@@ -194,8 +194,8 @@ def _doubt(verdict: Verdict, sd: float, excess: float, fringes: float) -> str:
 
 
 def _turns(fit: Fit) -> Floats:
-    """Places s at which a course turns, those apart whose turning back is less than what is uncertain."""
-    series = np.polynomial.legendre.Legendre([0.0, *fit.course])
+    """Places s at which a profile turns, those apart whose turning back is less than what is uncertain."""
+    series = np.polynomial.legendre.Legendre([0.0, *fit.profile])
     slope = series.deriv()
     roots = slope.roots() if np.abs(slope.coef).max() > 0 else np.zeros(0)
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
@@ -212,9 +212,9 @@ def _turns(fit: Fit) -> Floats:
     return np.array(turns)
 
 
-def _density(samples: Samples, course: Floats, phase_per_um: float) -> tuple[float, float]:
-    """Samples a fringe along a course: on average over the moving part, and where it is least dense."""
-    series = np.polynomial.legendre.Legendre([0.0, *course])
+def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[float, float]:
+    """Samples a fringe along a profile: on average over the moving part, and where it is least dense."""
+    series = np.polynomial.legendre.Legendre([0.0, *profile])
     lengths = series(samples.s)
     turned = np.abs(np.diff(lengths)) * phase_per_um / (2.0 * np.pi)
     moving = np.abs(np.diff(samples.s)) > 0.05 * 2.0 / len(samples)
@@ -225,14 +225,14 @@ def _density(samples: Samples, course: Floats, phase_per_um: float) -> tuple[flo
 
 def _beyond_sampling(each: Recorded) -> str:
     """Why the samples cannot follow the change that is expected with certainty; empty if they can."""
-    for witness in (*each.witnesses, Witness(each.course.dl, each.course.dl_sd, "the cell's priors")):
-        least = abs(witness.dl) - 6.0 * witness.sd
+    for sign_source in (*each.sign_sources, SignSource(each.profile.dl, each.profile.dl_sd, "the cell's priors")):
+        least = abs(sign_source.dl) - 6.0 * sign_source.sd
         fringes = least * each.phase_per_um / (2.0 * np.pi)
         if fringes > 0 and len(each.samples) / fringes < SPARSE:
-            return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {witness.source}"
+            return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {sign_source.source}"
     return ""
 
 
-def estimate_witness(course: Course) -> Witness:
+def estimate_sign_source(profile: DisplacementProfile) -> SignSource:
     """What an estimate expects, with room for drift since it was made."""
-    return Witness(course.dl, 2.0 * course.dl_sd + _DRIFTED, "estimate")
+    return SignSource(profile.dl, 2.0 * profile.dl_sd + _DRIFTED, "estimate")

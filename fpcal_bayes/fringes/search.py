@@ -1,7 +1,7 @@
-"""Which courses of the cavity length may have made a trace: starting points for the fit.
+"""Which profiles of the cavity length may have made a trace: starting points for the fit.
 
-A course is split into its slope, what goes with it by the prior, and its largest bend beside it. For each bend the
-signal is turned back by the bend's phase; a Fourier transform then weighs all slopes at once. The true course stands
+A profile is split into its slope, what goes with it by the prior, and its largest bend beside it. For each bend the
+signal is turned back by the bend's phase; a Fourier transform then weighs all slopes at once. The true profile stands
 out however often L turns back, since all parts of the sweep add up in phase.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import floating_fits, turned_bins
-from fpcal_bayes.fringes.profile import DEGREE, Course, legendre
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre
 from fpcal_bayes.fringes.samples import Samples
 
 #: Courses are sought within this many standard deviations of the prior.
@@ -28,7 +28,7 @@ _FEW_FRINGES = 4.0
 
 @dataclass(frozen=True)
 class Split:
-    """A course as base + slope a + bend b, each of shape (DEGREE,), with the ranges of a and b in um."""
+    """A profile as base + slope a + bend b, each of shape (DEGREE,), with the ranges of a and b in um."""
 
     base: Floats
     slope: Floats
@@ -37,9 +37,9 @@ class Split:
     bend_range: tuple[float, float]
 
 
-def split_course(course: Course) -> Split:
+def split_profile(profile: DisplacementProfile) -> Split:
     """Split a prior of courses into its slope and its largest bend beside it."""
-    covariance, mean = course.covariance, course.mean
+    covariance, mean = profile.covariance, profile.mean
     slope = covariance[:, 0] / covariance[0, 0]
     rest = covariance - np.outer(slope, slope) * covariance[0, 0]
     values, vectors = np.linalg.eigh(rest)
@@ -54,16 +54,16 @@ def split_course(course: Course) -> Split:
     )
 
 
-def find_courses(samples: Samples, course: Course, phase_per_um: float, most: int = 8) -> Floats:
+def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: float, most: int = 8) -> Floats:
     """Coefficients of courses that may have made the signal, best first.
 
     samples: of one sweep.
-    course: what is known of its course.
+    profile: what is known of its profile.
     phase_per_um: 4 pi n / wavelength.
     most: how many are returned at most.
-    Returns shape (m, DEGREE), in um; a course and its mirror image, which make the same signal, count as one.
+    Returns shape (m, DEGREE), in um; a profile and its mirror image, which make the same signal, count as one.
     """
-    split = split_course(course)
+    split = split_profile(profile)
     used = samples.binned(_MOST_BINS)
     # Beyond two samples a fringe a slope cannot be told from a smaller one.
     steepest = 0.5 * len(samples) * np.pi / phase_per_um

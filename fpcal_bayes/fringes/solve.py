@@ -1,4 +1,4 @@
-"""From samples to the courses that explain them: search, fits, noise."""
+"""From samples to the profiles that explain them: search, fits, noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance, fit_course
-from fpcal_bayes.fringes.profile import Course, end_weights, legendre
+from fpcal_bayes.fringes.profile import DisplacementProfile, end_weights, legendre
 from fpcal_bayes.fringes.samples import Samples
-from fpcal_bayes.fringes.search import find_courses
+from fpcal_bayes.fringes.search import find_profiles
 
-#: Averages of a fringe at its fastest, for the choice among courses and for the final fit, and the fewest of a sweep.
+#: Averages of a fringe at its fastest, for the choice among profiles and for the final fit, and the fewest of a sweep.
 _CHOICE_BINS, _FINAL_BINS, _FEWEST_BINS = 10, 32, 160
 #: Fits this much less likely (in logarithm) than the best are dropped.
 _HOPELESS = 40.0
@@ -21,10 +21,10 @@ _GRID = np.linspace(-1.0, 1.0, 129)
 
 
 @dataclass(frozen=True)
-class Solution:
+class FringeSolution:
     """What explains a signal."""
 
-    fits: tuple[Fit, ...]  # distinct courses, the most likely first; at least one
+    fits: tuple[Fit, ...]  # distinct profiles, the most likely first; at least one
     samples: Samples  # what the first was fitted to
 
     @property
@@ -35,20 +35,20 @@ class Solution:
 
 def solve(
     samples: Samples,
-    course: Course,
+    profile: DisplacementProfile,
     phase_per_um: float,
     noise: float | None,
     mirror_light: float = 0.0,
     fading: Nuisance = LIVELY,
-) -> Solution | None:
-    """Find the courses that explain a signal.
+) -> FringeSolution | None:
+    """Find the profiles that explain a signal.
 
     noise: standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
     mirror_light: as in `fit_course`.
     fading: what the signal may do beside its fringes where it does not stay calm.
     Returns none where nothing resembles a fringe.
     """
-    found = find_courses(samples, course, phase_per_um)
+    found = find_profiles(samples, profile, phase_per_um)
     if len(found) == 0:
         return None
     sd = noise if noise else 0.005 * float(np.ptp(samples.signal))
@@ -56,16 +56,16 @@ def solve(
     if len(found) > 1:
         used = samples.binned(_bins(found, phase_per_um, _CHOICE_BINS))
         first = _distinct(
-            [fit_course(used, course, c, phase_per_um, nuisance=CALM, noise=sd, max_steps=20) for c in found]
+            [fit_course(used, profile, c, phase_per_um, nuisance=CALM, noise=sd, max_steps=20) for c in found]
         )
         # An envelope that CALM cannot follow spoils all fits alike: the others get their chance with fading.
         least = first[0].evidence - 0.5 * abs(first[0].evidence) - _HOPELESS
-        chosen = np.array([fit.course for fit in first[:3] if fit.evidence > least])
+        chosen = np.array([fit.profile for fit in first[:3] if fit.evidence > least])
     used = samples.binned(_bins(chosen, phase_per_um, _FINAL_BINS))
 
     def fit(start: Floats, nuisance: Nuisance) -> Fit:
         return fit_course(
-            used, course, start, phase_per_um, nuisance=nuisance, noise=sd, mirror_light=mirror_light, max_steps=30
+            used, profile, start, phase_per_um, nuisance=nuisance, noise=sd, mirror_light=mirror_light, max_steps=30
         )
 
     # Where the optics say that the mirror fades, a mirror that does not needs better grounds than a short sweep has.
@@ -73,23 +73,23 @@ def solve(
     fits = [
         max((fit(c, fading), fit(c, CALM)), key=lambda f: f.evidence - doubt * (f.nuisance is CALM)) for c in chosen
     ]
-    solution = Solution(tuple(_distinct(fits)), used)
+    solution = FringeSolution(tuple(_distinct(fits)), used)
     own = _noise(solution.best, sd)
     if abs(np.log(own / sd)) > 0.2:
-        solution = with_noise(solution, course, phase_per_um, own, mirror_light)
+        solution = with_noise(solution, profile, phase_per_um, own, mirror_light)
     least = solution.best.evidence - _HOPELESS
-    return Solution(tuple(fit for fit in solution.fits if fit.evidence > least), used)
+    return FringeSolution(tuple(fit for fit in solution.fits if fit.evidence > least), used)
 
 
 def with_noise(
-    solution: Solution, course: Course, phase_per_um: float, noise: float, mirror_light: float = 0.0
-) -> Solution:
-    """The same courses fitted anew with the standard deviation `noise` (V) of one reading."""
+    solution: FringeSolution, profile: DisplacementProfile, phase_per_um: float, noise: float, mirror_light: float = 0.0
+) -> FringeSolution:
+    """The same profiles fitted anew with the standard deviation `noise` (V) of one reading."""
     fits = [
         fit_course(
             solution.samples,
-            course,
-            fit.course,
+            profile,
+            fit.profile,
             phase_per_um,
             nuisance=fit.nuisance,
             noise=noise,
@@ -98,10 +98,10 @@ def with_noise(
         )
         for fit in solution.fits
     ]
-    return Solution(tuple(_distinct(fits)), solution.samples)
+    return FringeSolution(tuple(_distinct(fits)), solution.samples)
 
 
-def rescaled(solution: Solution, noise: float) -> Solution:
+def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
     """The same fits with their covariances for a noise (V) that is nearly what was presumed."""
     fits = [
         replace(
@@ -115,9 +115,9 @@ def rescaled(solution: Solution, noise: float) -> Solution:
     return replace(solution, fits=tuple(fits))
 
 
-def path_fringes(course: Floats, phase_per_um: float, grid: Floats = _GRID) -> float:
-    """Fringes that pass along a course (DEGREE,), those that pass back included."""
-    lengths = legendre(grid)[:, 1:] @ course
+def path_fringes(profile: Floats, phase_per_um: float, grid: Floats = _GRID) -> float:
+    """Fringes that pass along a profile (DEGREE,), those that pass back included."""
+    lengths = legendre(grid)[:, 1:] @ profile
     return float(np.abs(np.diff(lengths)).sum() * phase_per_um / (2.0 * np.pi))
 
 
@@ -127,17 +127,17 @@ def _noise(fit: Fit, before: float) -> float:
     return float(np.sqrt((weight * before**2 + fit.residual_squares) / (weight + max(fit.freedom, 0.0))))
 
 
-def _bins(courses: Floats, phase_per_um: float, a_fringe: int) -> int:
-    slopes = np.abs(np.diff(legendre(_GRID)[:, 1:] @ courses.T, axis=0)).max() / (_GRID[1] - _GRID[0])
+def _bins(profiles: Floats, phase_per_um: float, a_fringe: int) -> int:
+    slopes = np.abs(np.diff(legendre(_GRID)[:, 1:] @ profiles.T, axis=0)).max() / (_GRID[1] - _GRID[0])
     return max(_FEWEST_BINS, int(np.ceil(2.0 * slopes * phase_per_um / (2.0 * np.pi) * a_fringe)))
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Fits by falling evidence, each course once; mirror images are alike."""
+    """Fits by falling evidence, each profile once; mirror images are alike."""
     kept: list[Fit] = []
     for fit in sorted(fits, key=lambda each: -each.evidence):
         near = 5.0 * np.sqrt(np.diag(fit.covariance)).max() + 1e-3
-        if all(min(np.abs(fit.course - k.course).max(), np.abs(fit.course + k.course).max()) > near for k in kept):
+        if all(min(np.abs(fit.profile - k.profile).max(), np.abs(fit.profile + k.profile).max()) > near for k in kept):
             kept.append(fit)
     return kept
 
@@ -145,4 +145,4 @@ def _distinct(fits: Sequence[Fit]) -> list[Fit]:
 def change_of(fit: Fit) -> tuple[float, float]:
     """L(end) - L(start) of a fit and its standard deviation, in um."""
     weights = end_weights()
-    return float(weights @ fit.course), float(np.sqrt(weights @ fit.covariance @ weights))
+    return float(weights @ fit.profile), float(np.sqrt(weights @ fit.covariance @ weights))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.profile import DEGREE, Course
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile
 from fpcal_bayes.fringes.samples import Samples, fault
-from fpcal_bayes.fringes.solve import Solution, path_fringes, solve
+from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, solve
 from fpcal_bayes.measure.traces import WavelengthScan
 from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cavity import CavityModel
@@ -84,23 +84,23 @@ def read_wavelength_scan(
     sd = max(_WIDENED * expected_sd, _LEAST_SHARE * expected)
     mean, covariance = np.zeros(DEGREE), np.zeros((DEGREE, DEGREE))
     mean[0], covariance[0, 0] = expected * half, (sd * half) ** 2
-    # A course in units of L k: one cycle each half unit.
-    solution = solve(samples, Course(mean, covariance), 4.0 * np.pi, noise)
+    # A profile in units of L k: one cycle each half unit.
+    solution = solve(samples, DisplacementProfile(mean, covariance), 4.0 * np.pi, noise)
     if solution is None:
         return ScanReading(refused="no fringes are seen")
     return _reading(solution, samples, half, wavelength_share)
 
 
-def _reading(solution: Solution, samples: Samples, half: float, wavelength_share: float) -> ScanReading:
+def _reading(solution: FringeSolution, samples: Samples, half: float, wavelength_share: float) -> ScanReading:
     best = solution.best
-    fringes = path_fringes(best.course, 4.0 * np.pi)
+    fringes = path_fringes(best.profile, 4.0 * np.pi)
     if best.amplitude < 3.0 * best.noise:
         return ScanReading(refused="no fringes are seen")
     if len(samples) < SPARSE * fringes:
         return ScanReading(
             refused=f"sparse: {len(samples) / fringes:.2g} samples a fringe, expected {SPARSE:g} or more"
         )
-    length, sd = abs(float(best.course[0])) / half, float(np.sqrt(best.covariance[0, 0])) / half
+    length, sd = abs(float(best.profile[0])) / half, float(np.sqrt(best.covariance[0, 0])) / half
     weights = np.exp(np.array([fit.evidence for fit in solution.fits]) - best.evidence)
     others = float(weights[1:].sum() / weights.sum())
     doubt = ""

@@ -8,9 +8,12 @@ from typing import Any, Literal, get_args
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
+from fpcal_bayes.io.cell_envelope import read_envelope
+from fpcal_bayes.io.cell_tasks import read_tasks
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
+from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
@@ -55,7 +58,11 @@ _OPTICS_KEYS = {
 
 
 def load_cell(
-    source: str | Path = "femto-st", *, opd: Opd | None = None, mechanics: Literal["stated", "none"] = "stated"
+    source: str | Path = "femto-st",
+    *,
+    opd: Opd | None = None,
+    mechanics: Literal["stated", "none"] = "stated",
+    check: bool = True,
 ) -> Cell:
     """Read a cell by the name of a built-in one or from a TOML file.
 
@@ -67,6 +74,8 @@ def load_cell(
         Overrides the path model of the file.
     mechanics
         ``stated``: with the sizes of error motions that the file states; ``none``: the mechanism is taken as perfect.
+    check
+        Refuse geometry that cannot be right (see `fpcal_bayes.model.cell.check`).
 
     Raises
     ------
@@ -85,7 +94,10 @@ def load_cell(
         raise InputError(f"{source}: not a TOML file: {error}") from error
     except RecursionError as error:
         raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
-    cell = _Reader(source).cell(table)
+    reader = _Reader(source)
+    cell = reader.cell(table)
+    for key, what in impossible(cell) if check else ():
+        raise reader.error(key, what)
     if text[-1:].isdigit():
         require_line_end(path, text)
     if mechanics == "none":
@@ -97,13 +109,13 @@ class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "mechanics"})
+        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
-        wavelength = self.number(optics, "optics", "wavelength_nm", low=1.0, high=100_000.0) * 1e-3
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=0.1, high=100_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 
@@ -139,6 +151,8 @@ class _Reader(Tables):
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
             mechanics=self.mechanics(table, joint_tables, joints),
+            envelope=read_envelope(self, table.get("envelope"), len(joints)),
+            tasks=read_tasks(self, table.get("task", [])),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
@@ -158,7 +172,8 @@ class _Reader(Tables):
     def joint(self, table: dict[str, Any], place: str) -> Joint:
         kind = self.choice(table, place, "kind", tuple(JOINT_UNITS), None)
         unit = JOINT_UNITS[kind]
-        own = {f"{key}_{unit}" for key in ("limits", "repeatability", "resolution")}
+        speed_key = f"speed_{unit}_per_s"
+        own = {speed_key, *(f"{key}_{unit}" for key in ("limits", "repeatability", "resolution"))}
         self.keys(table, place, {"kind", "controller", "drift", "mechanics", *own, *LINK_SLOTS})
         low, high = -math.inf, math.inf
         if f"limits_{unit}" in table:
@@ -173,7 +188,8 @@ class _Reader(Tables):
             for key in ("repeatability", "resolution")
         )
         controller = self.controller(table, place, kind) if "controller" in table else None
-        return Joint(kind, low, high, repeatability, controller, resolution)
+        speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
+        return Joint(kind, low, high, repeatability, controller, resolution, speed)
 
     def mechanics(
         self, table: dict[str, Any], joint_tables: list[dict[str, Any]], joints: list[Joint]

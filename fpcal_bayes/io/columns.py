@@ -238,7 +238,7 @@ def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: Ints,
     for name, values in others.items():
         if is_text(name) and COLUMNS[name].default:
             others[name] = np.where(values == "", COLUMNS[name].default, values)
-    sweeps = Sweeps.make(
+    sweeps = Sweeps.of_um_rad(
         q_start,
         q_end,
         dl=table.get("dl_um", np.nan),

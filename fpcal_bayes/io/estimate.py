@@ -51,13 +51,14 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
         raise InputError(
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
         )
+    found = _Reader(str(path), cell).estimate(content)
     if CONTENT_HASH in content:
         rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
         if content[CONTENT_HASH] != content_sha256(rest):
             raise InputError(
                 f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
             )
-    return _Reader(str(path), cell).estimate(content)
+    return found
 
 
 class _Reader(Tables):

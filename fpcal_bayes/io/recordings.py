@@ -15,7 +15,7 @@ from fpcal_bayes.model.cell.cell import Cell
 _MAT_SUFFIX = ".mat"
 
 
-def read_index(path: str | Path, cell: Cell) -> TraceIndex:
+def read_recordings(path: str | Path, cell: Cell) -> TraceIndex:
     """Read recorded sweeps with their traces and scans.
 
     path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
@@ -33,7 +33,7 @@ def read_index(path: str | Path, cell: Cell) -> TraceIndex:
     return index
 
 
-def write_index(path: str | Path, index: TraceIndex, cell: Cell) -> None:
+def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     """Write recorded sweeps in the format that the suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
 
     A CSV gets a folder for its traces and scans beside it: ``INDEX_traces`` for ``INDEX.csv``.

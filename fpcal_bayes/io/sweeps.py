@@ -1,16 +1,17 @@
 """Sweeps from and to a file of either format: CSV or HDF5."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import require_readable
+from fpcal_bayes.core.files import exclusive, require_readable
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
 from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.measure.campaign import Campaign
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
@@ -61,6 +62,39 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str =
         write_csv(path, sweeps, cell)
     else:
         raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+
+
+def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
+    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes.
+
+    Parameters
+    ----------
+    path
+        CSV, or campaign whose other content is kept.
+    sweeps
+        Sessions that the file does not hold yet.
+
+    Raises
+    ------
+    InputError
+        If the sweeps are not measured, a session is there already, another program writes the file, or it cannot be
+        read or written; the file is then as it was.
+    """
+    path = Path(path)
+    if not sweeps.measured:
+        raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
+    with exclusive(path) as require_same:
+        campaign = read_campaign(path, cell) if is_campaign_file(path) else None
+        before = read_csv(path, cell) if campaign is None else campaign.sweeps
+        for name in sweeps.sessions:
+            if name in before.sessions:
+                raise InputError(f"{path}: session {name!r} is there already, expected a new one")
+        joined = join([before, sweeps], file=str(path))
+        require_same()
+        if campaign is None:
+            write_csv(path, joined, cell)
+        else:
+            write_campaign(path, replace(campaign, sweeps=joined), cell)
 
 
 def read_csv(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:

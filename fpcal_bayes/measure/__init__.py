@@ -1,1 +1,17 @@
 """What was measured, in memory: sweeps, traces, truths and campaigns."""
+
+from fpcal_bayes.core.lazy import lazy
+
+#: Names that are used outside the package, and the module of the room in which each stands.
+_PLACES = {
+    "PROTOCOLS": "protocol",
+    "Sweeps": "sweeps",
+    "TraceIndex": "recordings",
+    "Truth": "truth",
+    "join": "sweeps",
+    "paper_protocol": "protocol",
+    "paper_truth": "truth",
+    "protocol_by_name": "protocol",
+}
+
+__all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

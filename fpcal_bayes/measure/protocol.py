@@ -51,7 +51,7 @@ def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-
     _require_paper_chain(cell)
     labels, starts, ends = zip(*_paper_sweeps(), strict=True)
     q_start, q_end = np.array(starts) * cell.joint_scales, np.array(ends) * cell.joint_scales
-    sweeps = Sweeps.make(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
+    sweeps = Sweeps.of_um_rad(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
     if midpoints:
         sweeps = add_midpoints(sweeps)
     check_sweeps(sweeps, cell)
@@ -106,7 +106,7 @@ def single_sweep(
     q = np.zeros((2, n_joints)) if pose is None else np.tile(np.asarray(pose, dtype=float), (2, 1))
     q[:, joint - 1] = start, end
     label = label or f"q{joint}"
-    sweeps = Sweeps.make(q[:1], q[1:], session=session, label=label, time_h=time_h, file="single sweep")
+    sweeps = Sweeps.of_um_rad(q[:1], q[1:], session=session, label=label, time_h=time_h, file="single sweep")
     check_sweeps(sweeps, cell)
     return sweeps
 

@@ -76,7 +76,7 @@ class Sweeps:
     rows: NDArray[np.int64]
 
     @classmethod
-    def make(
+    def of_um_rad(
         cls,
         q_start: Floats,
         q_end: Floats,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.inverse_few import FewJoints
 from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
 from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
 
@@ -64,18 +65,18 @@ class JointSolutions:
 
 @dataclass(frozen=True)
 class InverseModel:
-    """The inverse geometric model of a cell with six joints."""
+    """The inverse geometric model of a cell with six joints, or with fewer: in the directions that exist."""
 
     cell: Cell  # gives kinds and limits of the joints
 
     def __post_init__(self) -> None:
         n, n_prismatic = len(self.cell.joints), int(np.count_nonzero(~self.cell.revolute))
-        if n != 6:
+        if n > 6:
             raise InputError(
                 f"cell {self.cell.name!r} has {n} joints: a pose has six degrees of freedom, so that the inverse "
-                "model, tasks and control need a cell with six"
+                "model, tasks and control need a cell with six or fewer"
             )
-        if n_prismatic > 3:
+        if n == 6 and n_prismatic > 3:
             raise InputError(
                 f"cell {self.cell.name!r} has {n_prismatic} prismatic joints: with fewer than three revolute ones an "
                 "orientation cannot be commanded, expected at most three prismatic joints"
@@ -92,7 +93,7 @@ class InverseModel:
     @cached_property
     def closed_form(self) -> bool:
         """Whether the chain has a closed form, so that every solution is found."""
-        return int(np.count_nonzero(self.cell.revolute)) == 3
+        return len(self.cell.joints) == 6 and int(np.count_nonzero(self.cell.revolute)) == 3
 
     @cached_property
     def _starts(self) -> Floats:
@@ -130,6 +131,8 @@ class InverseModel:
         """
         if check:
             check_poses(poses)
+        if len(self.cell.joints) < 6:
+            return self._solve_few(vectors, poses, self.home if near is None else near)
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         targets = np.ascontiguousarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
         q, status, joint = batch_inverse(
@@ -148,6 +151,30 @@ class InverseModel:
         if np.ndim(vectors) == 1:
             q, status, joint = q[0], status[0], joint[0]
         return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
+
+    def _solve_few(self, vectors: Floats, poses: Floats, near: Floats) -> JointSolutions:
+        """`solve` for fewer than six joints."""
+        targets = np.asarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
+        many = np.atleast_2d(vectors)
+        parts = [
+            FewJoints.of(self.cell, vector).solve(targets[k if len(targets) > 1 else 0], near)
+            for k, vector in enumerate(many)
+        ]
+        q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
+        if np.ndim(poses) == 2:
+            q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
+        if np.ndim(vectors) == 1:
+            q, status, joint = q[0], status[0], joint[0]
+        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
+
+    def missed(self, vector: Floats, poses: Floats, q: Floats) -> Floats:
+        """What joint values (n_poses, n_joints) leave undone of poses (n_poses, 4, 4), shape (n_poses, 6).
+
+        Zero for six joints; else in um, turns in rad times `LEVER` um (see `FewJoints`).
+        """
+        if len(self.cell.joints) == 6:
+            return np.zeros((len(poses), 6))
+        return FewJoints.of(self.cell, vector).missed(poses, q)
 
 
 def check_poses(poses: ArrayLike) -> None:

@@ -1,5 +1,6 @@
 """Tasks: the paths that a calibrated robot is judged on, and a user's own."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,8 +10,12 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.task_paths import read_path
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
 from fpcal_bayes.model.inverse import InverseModel
+from fpcal_bayes.model.inverse_few import LEVER
 from fpcal_bayes.motion.placement import Placement
 
 TASKS: tuple[str, ...] = ("circle", "line-x", "line-z", "tilt-x", "tilt-z", "spin")
@@ -21,6 +26,11 @@ HALF_TILT = float(np.radians(3.0))
 FARTHEST_SPIN = float(np.radians(90.0))
 #: Steps in which a spin looks for the first joint limit, and how closely it is found, in rad.
 _SPIN_STEP, _SPIN_GOAL = float(np.radians(1.0)), 1e-9
+#: A spin of less than this is none, in rad.
+_SPIN_LEAST = 1e-3
+#: Status of a point that asks for a direction that no axis has; the share of a move, and um, that may be left undone.
+NO_AXIS = "out of reach: no axis moves or turns in this direction"
+_LEFT_UNDONE, _UNSEEN = 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -79,36 +89,96 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     All tasks start from the aligned pose, q0: mirror normal Zt along +Yf, Xt along Xf, and the mirror point that
     reflects at joint vector zero, tPr, where it reflects there, wPr. ``circle`` translates around wPr in the mirror
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
-    about Xf and Zf through wPr; ``spin`` turns about Yf through wPr, to either side until a joint limit or 90 deg.
+    about Xf and Zf through wPr, less where the limits are narrower (see `half_line`, `half_tilt`); ``spin`` turns about
+    Yf through wPr, to either side until a joint limit or 90 deg.
 
-    cell: a cell with six joints.
+    cell: with six joints, or with fewer: points that ask for a direction that it has not say so.
     vector: model vector that the joint path is found with, shape (model size,), in um and rad.
-    name: one of `TASKS`.
+    name: one of `TASKS`, or of the cell's own.
     radius: of the circle, in um.
     n_points: points of the path, both ends included; the circle ends where it starts.
     """
-    if name not in TASKS:
-        raise InputError(f"unknown task {name!r}: expected one of {', '.join(TASKS)}, or the name of a path CSV")
+    own = {task.name: task for task in cell.tasks}
+    if name not in TASKS and name not in own:
+        known = ", ".join([*TASKS, *own])
+        raise InputError(f"unknown task {name!r}: expected one of {known}, or the name of a path CSV")
     if not (np.isfinite(radius) and radius > 0):
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
         raise InputError(f"task {name!r} with {n_points} points: expected at least two")
+    if name in own:
+        return _own_path(cell, vector, own[name], n_points)
     placement, offsets = Placement.of(cell, vector), np.zeros((n_points, 6))
     if name == "circle":
         phase = np.linspace(0.0, 2.0 * np.pi, n_points)
         offsets[:, 0], offsets[:, 2] = radius * np.cos(phase), radius * np.sin(phase)
         return _follow(cell, vector, placement, name, offsets, np.degrees(phase), "deg")
     if name.startswith("line"):
-        along = np.linspace(-HALF_LINE, HALF_LINE, n_points)
+        half = half_line(cell)
+        along = np.linspace(-half, half, n_points)
         offsets[:, 0 if name == "line-x" else 2] = along
         return _follow(cell, vector, placement, name, offsets, along, "um")
     if name.startswith("tilt"):
-        angle = np.linspace(-HALF_TILT, HALF_TILT, n_points)
+        half = half_tilt(cell)
+        angle = np.linspace(-half, half, n_points)
     else:
         first, last = (_spin_end(cell, vector, placement, side) for side in (-1.0, 1.0))
-        angle = np.linspace(first, last, n_points)
+        # A robot that cannot spin says so at every point.
+        still = len(cell.joints) < 6 and last - first < _SPIN_LEAST
+        ends = (-FARTHEST_SPIN, FARTHEST_SPIN) if still else (first, last)
+        angle = np.linspace(*ends, n_points)
     offsets[:, {"tilt-x": 3, "spin": 4, "tilt-z": 5}[name]] = angle
     return _follow(cell, vector, placement, name, offsets, np.degrees(angle), "deg")
+
+
+def _own_path(cell: Cell, vector: Floats, task: OwnTask, n_points: int) -> Task:
+    """A task that the cell states, as a joint path."""
+    offsets = np.zeros((n_points, 6))
+    offsets[:, :3] = task.centre
+    if task.kind == "circle":
+        phase = np.linspace(0.0, 2.0 * np.pi, n_points)
+        offsets[:, [0, 2]] += task.radius * np.column_stack([np.cos(phase), np.sin(phase)])
+        along = np.degrees(phase)
+    else:
+        along = np.linspace(task.low, task.high, n_points)
+        offsets[:, OWN_KINDS[task.kind]] += along
+        along = np.degrees(along) if task.turns else along
+    unit = "deg" if task.turns or task.kind == "circle" else "um"
+    return _follow(cell, vector, Placement.of(cell, vector), task.name, offsets, along, unit)
+
+
+def half_line(cell: Cell) -> float:
+    """Half the length of the lines in um: 150, or nine tenths of the shortest travel to a side where that is less."""
+    vector = cell.parameters.nominal
+    directions, _ = joint_axes(cell, vector, home(cell))
+    across = np.abs(directions @ chain.optical_axis(cell, vector)) < 0.5
+    moving = [joint for joint, beside in zip(cell.joints, across, strict=True) if beside and joint.kind == "prismatic"]
+    sides = [min(joint.high, -joint.low) for joint in moving]
+    shortest = min(sides, default=HALF_LINE)
+    return HALF_LINE if shortest >= HALF_LINE or shortest <= 0 else 0.9 * shortest
+
+
+def half_tilt(cell: Cell) -> float:
+    """Half the tilt in rad: 3 deg, or six tenths of the smallest turn to a side where that is less."""
+    sides = [min(joint.high, -joint.low) for joint in cell.joints if joint.kind == "revolute"]
+    smallest = 0.6 * min(sides, default=np.inf)
+    return float(smallest) if 0 < smallest < HALF_TILT else HALF_TILT
+
+
+def default_radius(cell: Cell) -> float:
+    """Radius of the circle in um where none is given: two thirds of half a line, 100 on a stage of 300 um."""
+    return half_line(cell) / 1.5
+
+
+def possible_tasks(cell: Cell, names: Sequence[str] = TASKS, *, radius: float = 100.0) -> tuple[str, ...]:
+    """Those of some built-in tasks that the nominal cell has the axes for; other names stay."""
+    if len(cell.joints) == 6:
+        return tuple(names)
+    vector = cell.parameters.nominal
+    few = {name: task_path(cell, vector, name, radius=radius, n_points=8).status for name in names if name in TASKS}
+    return tuple(
+        name for name in names if name not in few or not any(text.startswith("out of reach") for text in few[name])
+    )
 
 
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
@@ -123,7 +193,15 @@ def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
 
 
 def find_task(cell: Cell, vector: Floats, task: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
-    """A task by name, or a user's path by file name; as `task_path` and `user_path`."""
+    """A task by name, or a user's path by file name; as `task_path` and `user_path`.
+
+    Raises
+    ------
+    InputError
+        If no task has the name, or `vector` is not of the cell's model.
+    """
+    if vector.shape != (len(cell.parameters),) or not np.isfinite(vector).all():
+        raise InputError(f"vector of shape {vector.shape}: expected {len(cell.parameters)} finite numbers")
     if task in TASKS or not task.lower().endswith(".csv"):
         return task_path(cell, vector, task, radius=radius, n_points=n_points)
     return user_path(cell, vector, task)
@@ -141,8 +219,24 @@ def _follow(
     inverse, zero = InverseModel(cell), np.zeros(len(cell.joints))
     first = inverse.solve(vector, placement.tool_poses(placement.aligned), near=zero)
     poses = placement.moved(offsets)
-    found = inverse.solve(vector, placement.tool_poses(poses), near=zero, follow=True)
-    return Task(name, cell, offsets, poses, found.q, found.texts(), first.q, along, unit)
+    tools = placement.tool_poses(poses)
+    found = inverse.solve(vector, tools, near=zero, follow=True)
+    texts = found.texts()
+    if len(cell.joints) < 6 and np.isfinite(first.q).all():
+        texts = np.where(_beyond_directions(inverse, vector, placement, tools, found.q, first.q), NO_AXIS, texts)
+    return Task(name, cell, offsets, poses, found.q, texts, first.q, along, unit)
+
+
+def _beyond_directions(
+    inverse: InverseModel, vector: Floats, placement: Placement, tools: Floats, q: Floats, start: Floats
+) -> NDArray[np.bool_]:
+    """Whether a robot of fewer than six joints leaves undone what each point asks for beside the start, (n_points,)."""
+    first = placement.tool_poses(placement.aligned)[None]
+    missed = inverse.missed(vector, tools, q) - inverse.missed(vector, first, start[None])
+    asked = np.linalg.norm(tools[:, :3, 3] - first[0, :3, 3], axis=1)
+    turned = np.linalg.norm(tools[:, :3, :3] - first[0, :3, :3], axis=(1, 2)) / np.sqrt(2.0) * LEVER
+    beyond: NDArray[np.bool_] = np.linalg.norm(missed, axis=1) > _LEFT_UNDONE * np.hypot(asked, turned) + _UNSEEN
+    return beyond
 
 
 def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> float:
@@ -156,6 +250,8 @@ def _spin_end(cell: Cell, vector: Floats, placement: Placement, side: float) -> 
         found = inverse.solve(vector, tools, near=np.zeros(len(cell.joints)), follow=True)
         # A joint a rounding error beyond its limit is ok elsewhere; a path that seeks the limit ends inside it.
         good: NDArray[np.bool_] = found.ok & ((found.q >= cell.low) & (found.q <= cell.high)).all(axis=1)
+        if len(cell.joints) < 6:
+            good &= ~_beyond_directions(inverse, vector, placement, tools, found.q, found.q[np.argmin(angles)])
         if angles[0] == 0.0 and not good[0]:
             if not found.ok[0]:
                 raise UnreachableError(f"the aligned pose cannot be reached with this estimate: {found.texts()[0]}")

@@ -1,1 +1,13 @@
 """Words, tables and figures; computes nothing."""
+
+from fpcal_bayes.core.lazy import lazy
+
+#: Names that are used outside the package, and the module of the room in which each stands.
+_PLACES = {
+    "draw_plan": "plan",
+    "plain_table": "table",
+    "save_figure": "pages",
+    "write_campaign_report": "campaign.page",
+}
+
+__all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -2,7 +2,7 @@
 
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.report.table import Cell, Table, number, plain_table
+from fpcal_bayes.report.table import Table, TableCell, number, plain_table
 
 
 def parameter_table(estimate: Estimate, title: str) -> Table:
@@ -17,7 +17,7 @@ def parameter_table(estimate: Estimate, title: str) -> Table:
             number(value, sd),
             number(sd, sd) if sd > 0 else "exact",
             f"{parameter.shown(parameter.prior_sd):g}",
-            Cell(status, style=status),
+            TableCell(status, style=status),
         )
     return table
 

@@ -34,27 +34,27 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
     if fitted is None:
         _trace_alone(figure.subplots(), joint, samples.signal[::step], name)
         return figure
-    trace, course, left = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.2, 1.0))
+    trace, profile, left = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.2, 1.0))
     along = (start + end) / 2.0 + fitted.s * (end - start) / 2.0
     _trace_alone(trace, joint, samples.signal[::step], "")
     trace.plot(along, fitted.signal, color=BLUE, linewidth=0.9, label="fit")
     tops, found = fitted.tops, f"{reading.fringes:.2f} fringes"
     trace.plot(along[tops], fitted.signal[tops], "v", color=GREEN, markersize=4, label=found)
 
-    course.plot(along, fitted.lengths, color=BLUE, linewidth=1.2)
-    course.set_ylabel("L - L(start) [um]")
+    profile.plot(along, fitted.lengths, color=BLUE, linewidth=1.2)
+    profile.set_ylabel("L - L(start) [um]")
     for other in reading.alternatives:
-        course.axhline(other, color=VERMILION, linestyle=":", linewidth=1.0)
+        profile.axhline(other, color=VERMILION, linestyle=":", linewidth=1.0)
     if reading.alternatives:
-        course.plot([], [], color=VERMILION, linestyle=":", label="another dL that is possible")
-        course.legend(loc="best", fontsize=7)
+        profile.plot([], [], color=VERMILION, linestyle=":", label="another dL that is possible")
+        profile.legend(loc="best", fontsize=7)
 
     left.plot(joint, fitted.residual[::step], ".", color=_DATA, markersize=2 if len(joint) > 400 else 5)
     left.axhspan(-fitted.noise, fitted.noise, color=BLUE, alpha=0.2, linewidth=0, label="noise, one sd")
     left.set_ylabel("residual [V]")
     left.legend(loc="upper right", fontsize=7)
     left.set_xlabel(name)
-    for axis in (trace, course, left):
+    for axis in (trace, profile, left):
         for turn in reading.turns:
             axis.axvline((start + end) / 2.0 + turn * (end - start) / 2.0, color=VERMILION, linewidth=1.0)
         axis.grid(alpha=0.3)

@@ -16,7 +16,7 @@ from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.observability.profile import Profile
 from fpcal_bayes.report import observe_figures as figures
 from fpcal_bayes.report.pages import ENVIRONMENT
-from fpcal_bayes.report.table import Cell, Table, number, plain_table
+from fpcal_bayes.report.table import Table, TableCell, number, plain_table
 
 _MOST_NAMED = 10
 _MOST_CANDIDATES = 5
@@ -68,7 +68,7 @@ def parameter_table(result: Observability) -> Table:
         table.add_row(
             parameter.name,
             parameter.unit,
-            Cell(result.status[i], style=result.status[i]),
+            TableCell(result.status[i], style=result.status[i]),
             *([number(float(values[i]), float(sds[i]))] if measured else []),
             number(float(sds[i]), float(sds[i])),
             f"{prior[i]:g}",
@@ -121,12 +121,12 @@ def block_table(result: Observability) -> Table:
     return table
 
 
-def _sortable(text: str) -> Cell:
+def _sortable(text: str) -> TableCell:
     """A number that sorts by what is shown of it."""
     try:
-        return Cell(text, f"{float(text):.12g}")
+        return TableCell(text, f"{float(text):.12g}")
     except ValueError:
-        return Cell(text, text)
+        return TableCell(text, text)
 
 
 def sweep_table(result: Observability) -> Table:

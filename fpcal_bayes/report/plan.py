@@ -14,10 +14,10 @@ from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.report.track import add_sweeps
 
 #: Expected standard deviation of each task in um, by what is measured.
-Outlook = Mapping[str, Mapping[str, float]]
+TaskForecast = Mapping[str, Mapping[str, float]]
 
 
-def accuracy_table(expected: Outlook, title: str) -> Table:
+def accuracy_table(expected: TaskForecast, title: str) -> Table:
     """One line per task: expected worst-point standard deviation, a column for each thing that could be measured.
 
     What is called ``plan`` is compared with the one called ``paper`` if it is there.
@@ -43,7 +43,7 @@ def sweeps_table(cell: Cell, sweeps: Sweeps, title: str) -> Table:
 def plan_content(
     chosen: ChosenSweeps,
     ordered: Sweeps,
-    expected: Outlook | None,
+    expected: TaskForecast | None,
     seconds: Mapping[str, float],
     settings: Mapping[str, Any],
     warnings: Sequence[str],

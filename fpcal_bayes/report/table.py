@@ -36,7 +36,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """Any text, what the column sorts by on a page (the text, if empty), and a style such as ``good``, or none."""
 
     text: str
@@ -50,12 +50,12 @@ class Table:
 
     title: str
     columns: list[Column]
-    rows: list[list[Cell]] = field(default_factory=list)
+    rows: list[list[TableCell]] = field(default_factory=list)
     rules: list[int] = field(default_factory=list)
 
-    def add_row(self, *cells: str | Cell) -> None:
+    def add_row(self, *cells: str | TableCell) -> None:
         """Append a row of as many cells as there are columns."""
-        self.rows.append([cell if isinstance(cell, Cell) else Cell(cell) for cell in cells])
+        self.rows.append([cell if isinstance(cell, TableCell) else TableCell(cell) for cell in cells])
 
     def add_rule(self) -> None:
         """Set off what follows, in a terminal."""
@@ -83,9 +83,9 @@ def plain_table(title: str, heads: Sequence[str], words: Sequence[int] = (0, 1))
     return Table(title, [Column(name, unit, i in texts) for i, (name, _, unit) in enumerate(parts)])
 
 
-def figure_of(value: float, text: str | None = None, style: str = "") -> Cell:
+def figure_of(value: float, text: str | None = None, style: str = "") -> TableCell:
     """A number, which sorts by its value."""
-    return Cell(f"{value:.3g}" if text is None else text, f"{value:.12g}" if math.isfinite(value) else "", style)
+    return TableCell(f"{value:.3g}" if text is None else text, f"{value:.12g}" if math.isfinite(value) else "", style)
 
 
 def number(value: float, sd: float) -> str:
@@ -97,6 +97,6 @@ def number(value: float, sd: float) -> str:
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
-def _coloured(cell: Cell) -> str:
+def _coloured(cell: TableCell) -> str:
     style = _COLOURS.get(cell.style)
     return f"[{style}]{escape(cell.text)}[/{style}]" if style else escape(cell.text)

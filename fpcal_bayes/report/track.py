@@ -7,11 +7,11 @@ from typing import Any
 from fpcal_bayes.analysis.history import session_bounds
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
-from fpcal_bayes.decision.forecast import Goal, Outlook
+from fpcal_bayes.decision.forecast import Goal, TaskForecast
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.table import Cell as Entry
 from fpcal_bayes.report.table import Table, plain_table
+from fpcal_bayes.report.table import TableCell as Entry
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track
 
@@ -75,7 +75,7 @@ def decision_sentence(decision: Decision, track: Track) -> str:
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
-    heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance:g} nm)"]
+    heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance_um:g} nm)"]
     table = plain_table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", heads)
     after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
@@ -85,7 +85,7 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     ):
         low, high = outlook.band()
         numbers = [f"{1e3 * outlook.median:.1f}", f"{1e3 * low:.1f} .. {1e3 * high:.1f}"]
-        numbers.append(f"{outlook.exceeds(goal.tolerance):.3f}")
+        numbers.append(f"{outlook.exceeds(goal.tolerance_um):.3f}")
         shown = numbers if track.trust.usable else ["not to be used", "", ""]
         table.add_row(name, time_text(outlook.time_h, track.outcomes), *shown)
     return table
@@ -124,19 +124,19 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "then_hold_hours": decision.then_hours if usable else None,
         "minutes": decision.minutes,
         "level": decision.level,
-        "tolerance_nm": 1e3 * goal.tolerance,
+        "tolerance_nm": 1e3 * goal.tolerance_um,
         "tasks": list(goal.tasks),
         "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
         "probability_out": {
-            name: outlook.exceeds(goal.tolerance) if usable else None for name, outlook in outlooks.items()
+            name: outlook.exceeds(goal.tolerance_um) if usable else None for name, outlook in outlooks.items()
         },
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
 
 
-def _band(outlook: Outlook) -> list[float]:
+def _band(outlook: TaskForecast) -> list[float]:
     return [1e3 * edge for edge in outlook.band()]
 
 

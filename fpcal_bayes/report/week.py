@@ -13,8 +13,8 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.report.pages import BLACK, BLUE, GREEN, PURPLE, SKY, VERMILION
-from fpcal_bayes.report.table import Cell, Table, number, plain_table
-from fpcal_bayes.study.paper_scenarios import Course, Followed
+from fpcal_bayes.report.table import Table, TableCell, number, plain_table
+from fpcal_bayes.study.paper_scenarios import Followed, Scenario
 from fpcal_bayes.study.paper_week import SESSIONS, Circle, Week
 
 
@@ -33,7 +33,7 @@ def truth_table(estimate: Estimate, truth: Floats, names: Sequence[str], title: 
             number(value, sd),
             number(sd, sd) if sd > 0 else "exact",
             f"{(value - parameter.shown(float(true))) / sd:+.1f}" if sd > 0 else "",
-            Cell(status, style=status),
+            TableCell(status, style=status),
         )
     return table
 
@@ -62,7 +62,7 @@ def circle_table(title: str, circles: Sequence[Circle], tolerance: float) -> Tab
     return table
 
 
-def course_table(courses: Sequence[Course]) -> Table:
+def course_table(courses: Sequence[Scenario]) -> Table:
     """What each way through the week held and cost."""
     tolerance = 1e3 * courses[0].tolerance
     columns = ["way through the week", f"within {tolerance:g} nm", "worst nm", "sessions", "sweeps", "minutes"]
@@ -185,7 +185,7 @@ def _label(axis: Axes, y: str) -> None:
 _STYLES = ((VERMILION, "-"), (SKY, "--"), (BLUE, "-"))
 
 
-def draw_courses(courses: Sequence[Course]) -> Figure:
+def draw_courses(courses: Sequence[Scenario]) -> Figure:
     """Draw the error at each time above, the number of sweeps spent after day 0 below."""
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     error, spent = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))

@@ -9,7 +9,6 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.campaign import write_campaign
-from fpcal_bayes.io.recordings import write_index
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
@@ -73,7 +72,7 @@ def sweeps_of(
     for name in ("time_h", "dl", "temperature_c", "t_start_h", "t_end_h"):
         table[name] = np.array(table[name], dtype=float)
     known = {name: values for name, values in table.items() if name in _FIELDS}
-    return Sweeps.make(q_start, q_end, sigma=sigma, file="session", **known)
+    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", **known)
 
 
 def doubtful_of(orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]]) -> DoubtfulRecord | None:
@@ -108,7 +107,7 @@ def recordings_of(
     for (_, outcome), moves in zip(kept, moved, strict=True):
         scale = float(cell.joint_scales[int(np.argmax(moves))])
         traces.append(read_trace(folder / outcome["trace"], scale))
-    sweeps = Sweeps.make(
+    sweeps = Sweeps.of_um_rad(
         ends[0],
         # A joint that was not moved stands where it stood, to the last bit of its encoder's noise.
         np.where(moved, ends[1], ends[0]),
@@ -127,11 +126,6 @@ def write_session(path: Path, sweeps: Sweeps, doubtful: DoubtfulRecord | None, c
         write_campaign(path, replace(Campaign.of(sweeps, cell, command=command), doubtful=doubtful), cell)
     else:
         write_sweeps(path, sweeps, cell)
-
-
-def write_recordings(path: Path, index: TraceIndex, cell: Cell) -> None:
-    """Write recordings for ``fpcal ingest``."""
-    write_index(path, index, cell)
 
 
 def _approach(moved: Floats, planned: Floats) -> str:

@@ -13,6 +13,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.rig.envelope import envelope_of
 from fpcal_bayes.rig.settings import Rig
 from fpcal_bayes.rig.ticket import Order
 
@@ -80,7 +81,7 @@ class Guard:
     estimate
         Geometry by which gap and length are told; by default the cell's nominal one.
     envelope
-        Where the cell may be, beyond the limits of its joints.
+        Where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
     """
 
     def __init__(
@@ -88,9 +89,7 @@ class Guard:
     ) -> None:
         self._cell = cell
         self._rig = rig
-        self._envelope = envelope
-        if envelope is None and getattr(cell, "envelope", None) is not None:
-            raise InputError(f"cell {cell.name!r} has an envelope, expected a rig that holds its moves to it")
+        self._envelope: Envelope | None = envelope_of(cell, estimate) if envelope is None else envelope
         parameters = cell.free if estimate is None else estimate.parameters
         self._values = parameters.nominal if estimate is None else estimate.values
         self._model = CavityModel.of(cell, parameters)

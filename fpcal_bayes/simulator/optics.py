@@ -120,7 +120,7 @@ class Chances:
 
 
 @dataclass(frozen=True)
-class OpticalRig:
+class SimulatedOptics:
     """A cell with a truth, recorded with some settings."""
 
     cell: Cell

@@ -18,7 +18,7 @@ from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell, check_joints
-from fpcal_bayes.simulator.optics import Chances, OpticalRig, RecorderSettings
+from fpcal_bayes.simulator.optics import Chances, RecorderSettings, SimulatedOptics
 
 #: Samples of the reference scan for each of its fringes.
 _REFERENCE_SAMPLES = 40
@@ -58,7 +58,7 @@ def record_sweeps(
     Returns its sweeps are a plan, without measurement.
     """
     settings = RecorderSettings() if settings is None else settings
-    rig, n = OpticalRig(cell, truth, settings), len(sweeps)
+    rig, n = SimulatedOptics(cell, truth, settings), len(sweeps)
     check_sweeps(sweeps, cell)
     check_recordable(sweeps)
     chances = Chances.several(seed, n, len(cell.joints))
@@ -117,7 +117,7 @@ def record_path(
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():
         raise InputError(f"path of shape {path.shape}: expected two or more vectors of {len(cell.joints)} joint values")
     check_joints(cell, path, "path", range(1, len(path) + 1), cell.joint_columns)
-    rig = OpticalRig(cell, truth, RecorderSettings() if settings is None else settings)
+    rig = SimulatedOptics(cell, truth, RecorderSettings() if settings is None else settings)
     chance = Chances.several(seed, 1, len(cell.joints))[0]
     n_reference = max(FEWEST, round(_REFERENCE_SAMPLES * rig.settings.reference_fringes))
     n_path = max(FEWEST, round(rig.settings.rate_hz * rig.settings.duration_s) + 1)

@@ -38,6 +38,26 @@ def noise_free(
 
 
 def simulate(
+    cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma_nm: float | Floats, seed: int, machine_seed: int | None = None
+) -> Sweeps:
+    """Measure sweeps on the simulated cell with noise of `sigma_nm`; all else as in `simulate_um`.
+
+    Parameters
+    ----------
+    sigma_nm
+        Standard deviation of a row's noise: one, or one per row, shape (n,).
+
+    Raises
+    ------
+    InputError
+        As `simulate_um`.
+    """
+    return simulate_um(
+        cell, truth, sweeps, sigma=1e-3 * np.asarray(sigma_nm, dtype=float), seed=seed, machine_seed=machine_seed
+    )
+
+
+def simulate_um(
     cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int, machine_seed: int | None = None
 ) -> Sweeps:
     """Measure sweeps on the simulated cell.

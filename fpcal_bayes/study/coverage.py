@@ -21,7 +21,7 @@ from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobi
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import TASKS, Task, task_path
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 METHODS = ("draws", "covariance")
@@ -55,7 +55,7 @@ class Coverage(Study):
         """Fit, true peak to peak of each task, its rank among the draws (0 to 1), and the edges of the bands."""
         random = self.random(number)
         truth = drawn_truth(self.cell, random)
-        measured = simulate(self.cell, truth, self.plan, sigma=self.sigma, seed=int(random.integers(2**31)))
+        measured = simulate_um(self.cell, truth, self.plan, sigma=self.sigma, seed=int(random.integers(2**31)))
         result = {name: np.full(shape, np.nan) for name, shape in self.shapes().items()}
         found = identify(self.cell, measured)
         result["converged"] = np.array(float(found.converged))

@@ -13,7 +13,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_terms
 from fpcal_bayes.tracking.session import SessionOutcome
@@ -56,7 +56,7 @@ class Setting:
             temperature_c=np.full(count, temperature_c),
         )
         truth = Truth(self.cell.free, np.array([time_h]), values[None])
-        return simulate(self.cell, truth, timed, sigma=self.sigma, seed=number)
+        return simulate_um(self.cell, truth, timed, sigma=self.sigma, seed=number)
 
 
 @dataclass(frozen=True)

@@ -18,18 +18,18 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track, track
 
 #: The task error is looked at so often.
 LOOK_H = 0.1
-_GOAL = Goal(0.05)
+_GOAL = Goal(50.0)
 
 
 @dataclass(frozen=True)
-class Course:
+class Scenario:
     """One way through the week."""
 
     name: str
@@ -67,7 +67,7 @@ class Followed:
     # goal, costs: of the policy
     goal: Goal
     costs: Costs
-    courses: tuple[Course, ...]  # the paper's, the filter's, the policy's
+    courses: tuple[Scenario, ...]  # the paper's, the filter's, the policy's
 
 
 def follow_week(
@@ -92,7 +92,7 @@ def follow_week(
     followed = track(cell, sweeps, drift=drift)
     progress("living the week again under the policy")
     first = sweeps.of_session(followed.outcomes[0].session)
-    goal, costs = _GOAL, Costs(most_sweeps=2, sigma=sigma, diagnosis_h=24.0)
+    goal, costs = _GOAL, Costs(most_sweeps=2, sigma_nm=1e3 * sigma, diagnosis_h=24.0)
     policy = Policy.of(drift, model, goal, costs, paper_protocol(cell))
     rig = _Rig(cell, truth, sigma, seed)
     end_h = float(truth.times_h[-1])
@@ -108,14 +108,14 @@ def follow_week(
         "policy": (_held(drift, loop.outcomes), np.array([len(first), *(len(part) for part in loop.sweeps)])),
     }
     courses = tuple(
-        Course(
+        Scenario(
             name,
             np.array([time for time, _ in estimates]),
             counts,
             sum(costs.minutes(int(count)) for count in counts[1:]),
             times,
-            task_peaks(model, truth, estimates, goal.tasks, times, radius=goal.radius)[0],
-            goal.tolerance,
+            task_peaks(model, truth, estimates, goal.tasks, times, radius=goal.radius_um)[0],
+            goal.tolerance_um,
         )
         for name, (estimates, counts) in held.items()
     )
@@ -159,4 +159,4 @@ class _Rig:
         n = len(plan)
         timed = replace(plan, session=np.full(n, f"h{time_h:06.2f}"), time_h=np.full(n, time_h))
         seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
-        return simulate(self._cell, self._truth, timed, sigma=self._sigma, seed=seed, machine_seed=self._machine)
+        return simulate_um(self._cell, self._truth, timed, sigma=self._sigma, seed=seed, machine_seed=self._machine)

@@ -20,7 +20,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import Task, task_path
 from fpcal_bayes.simulator.recorder import record_path
-from fpcal_bayes.simulator.sweeps import machine_of, simulate, vector_at
+from fpcal_bayes.simulator.sweeps import machine_of, simulate_um, vector_at
 
 #: The paper's Fig 13: every 2 h for 14 h.
 CHECK_HOURS = tuple(2.0 * number for number in range(8))
@@ -119,7 +119,7 @@ Free = Literal["all", "extrinsic"]
 
 
 @dataclass(frozen=True)
-class Session:
+class PaperSession:
     """One session of the week."""
 
     # name, day: as in the campaign
@@ -130,11 +130,11 @@ class Session:
 
 
 SESSIONS = (
-    Session("full-T0", 0.0, "all", "Tables II and III"),
-    Session("full-day1", 1.0, "all", "Tables V and IV"),
-    Session("full-day2", 2.0, "all", "Tables VI and IV"),
-    Session("extrinsic-day7", 7.0, "extrinsic", "Table IV"),
-    Session("full-day8", 8.0, "all", "Tables VII and IV"),
+    PaperSession("full-T0", 0.0, "all", "Tables II and III"),
+    PaperSession("full-day1", 1.0, "all", "Tables V and IV"),
+    PaperSession("full-day2", 2.0, "all", "Tables VI and IV"),
+    PaperSession("extrinsic-day7", 7.0, "extrinsic", "Table IV"),
+    PaperSession("full-day8", 8.0, "all", "Tables VII and IV"),
 )
 
 
@@ -173,11 +173,11 @@ def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady"
     """
     truth = week_truth(cell, between, seed)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")
-    return truth, simulate(cell, truth, plan, sigma=sigma, seed=seed)
+    return truth, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)
 
 
 def identify_session(
-    cell: Cell, sweeps: Sweeps, session: Session, full: Identification | None, data: dict[str, str]
+    cell: Cell, sweeps: Sweeps, session: PaperSession, full: Identification | None, data: dict[str, str]
 ) -> Identification:
     """Identify one session; `full` is the last full identification, at which an extrinsic one holds the rest."""
     start = None if session.free == "all" or full is None else full.estimate

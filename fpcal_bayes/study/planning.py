@@ -19,7 +19,7 @@ from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 #: Points of each path.
@@ -36,7 +36,7 @@ def largest_errors(cell: Cell, values: Floats, plan: Sweeps, *, sigma: float, se
     """
     model = CavityModel.of(cell)
     truth = Truth(cell.free, np.zeros(1), values[None])
-    found = identify(cell, simulate(cell, truth, plan, sigma=sigma, seed=seed)).estimate
+    found = identify(cell, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)).estimate
     result = dict.fromkeys(DEFAULT_TASKS, np.nan)
     for name in DEFAULT_TASKS:
         try:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs
-from fpcal_bayes.decision.forecast import Forecast, Goal
+from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -30,7 +30,7 @@ def translations(cell_joints: int, *joints: int) -> Sweeps:
     """Translations of some joints (1 for ``q1``) over 300 um, the others at zero."""
     start = np.zeros((len(joints), cell_joints))
     start[range(len(joints)), [j - 1 for j in joints]] = -150.0
-    return Sweeps.make(start, -start, label=[f"q{j}" for j in joints])
+    return Sweeps.of_um_rad(start, -start, label=[f"q{j}" for j in joints])
 
 
 def fixed(hours: float, plan: Sweeps) -> Rule:
@@ -69,7 +69,7 @@ def ours(setting: Setting, goal: Goal, costs: Costs, fixed_hours: float | None =
         nonlocal diagnosed
         if now == 0.0 or outcome.dof >= costs.diagnosis_sweeps:
             diagnosed = now
-        forecast = Forecast.of(drift, model, goal, outcome.state.mean)
+        forecast = Forecaster.of(drift, model, goal, outcome.state.mean)
         state: State = forecast.ahead(outcome.state, now - outcome.state.time_h)
         if fixed_hours is not None:
             return fixed_hours, policy.choose(forecast, forecast.ahead(state, fixed_hours), costs.most_sweeps)
@@ -91,7 +91,7 @@ def rules(setting: Setting, goal: Goal) -> dict[str, MakeRule]:
     }
     for hours in (0.5, 0.7, 1.0, 1.3, 2.0, 4.0):
         found[f"q3 and q1 every {hours:g} h"] = lambda hours=hours: fixed(hours, two)  # type: ignore[misc]
-    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance, two)
+    found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance_um, two)
     for count, intervals in ((1, (0.5, 0.7, 1.0, 1.3)), (2, (1.0, 1.3, 2.0, 4.0))):
         for hours in intervals:
             found[f"{count} chosen every {hours:g} h"] = lambda count=count, hours=hours: ours(  # type: ignore[misc]
@@ -128,7 +128,7 @@ class Policies(Study):
     def settings(self) -> dict[str, Any]:
         """Goal, policies, noise and weeks."""
         goal = self.goal
-        wanted = {"tolerance_um": goal.tolerance, "tasks": list(goal.tasks), "radius_um": goal.radius}
+        wanted = {"tolerance_um": goal.tolerance_um, "tasks": list(goal.tasks), "radius_um": goal.radius_um}
         weeks = {"sigma_um": self.sigma, "hours": self.hours, "harder": self.harder}
         return wanted | weeks | {"policies": list(self.policies)}
 
@@ -140,7 +140,7 @@ class Policies(Study):
         result = {name: np.full(shape, np.nan) for name, shape in self.shapes().items()}
         for i, name in enumerate(self.policies):
             run = follow(setting, week, known[name](), self.goal.tasks)
-            within = run.errors <= 1e3 * self.goal.tolerance
+            within = run.errors <= 1e3 * self.goal.tolerance_um
             result["sweeps"][i] = sum(run.sweeps)
             result["sessions"][i] = len(run.times)
             result["in_tolerance"][i] = within.mean(axis=1)
@@ -160,5 +160,5 @@ class Policies(Study):
             row["all_percent"] = 100.0 * float(every.mean())
             row["standard_error"] = 100.0 * float(every.std(ddof=1)) / np.sqrt(n) if n > 1 else 0.0
             rows.append(row)
-        nm = 1e3 * self.goal.tolerance
+        nm = 1e3 * self.goal.tolerance_um
         return Summary(f"share of {n} weeks of {self.hours:g} h within {nm:g} nm peak to peak, in %", rows)

@@ -20,7 +20,7 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.study.base import Results, Study, Summary, drawn_truth, sweeps_sha256
 
 #: Draws among which a truth is ranked; 200 ranks can be split into 20 bins and into the intervals below.
@@ -31,7 +31,7 @@ FAMILY_WISE = 0.01
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RankVerdict:
     """Tests of one quantity: p-values of the ranks' uniformity, and of each interval's coverage."""
 
     name: str
@@ -43,7 +43,7 @@ class Verdict:
     coverage: list[float]
 
 
-def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> Verdict:
+def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> RankVerdict:
     """Test the ranks (n_replicates,), 0 to `RANKED`, of one quantity."""
     counts = np.bincount(ranks * BINS // (RANKED + 1), minlength=BINS)
     spread = (ranks + random.random(len(ranks))) / (RANKED + 1)
@@ -53,12 +53,12 @@ def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> V
         inside = int(((ranks >= tail - 1e-9) & (ranks < RANKED + 1 - tail - 1e-9)).sum())
         covered.append(inside / len(ranks))
         p_values.append(float(stats.binomtest(inside, len(ranks), share).pvalue))
-    return Verdict(
+    return RankVerdict(
         name, float(stats.chisquare(counts).pvalue), float(stats.kstest(spread, "uniform").pvalue), covered, p_values
     )
 
 
-def least_p(verdict: Verdict) -> float:
+def least_p(verdict: RankVerdict) -> float:
     """The smallest p-value of the five tests, corrected for their number."""
     return min(1.0, 5.0 * min(verdict.chi_square, verdict.kolmogorov, *verdict.coverage))
 
@@ -111,7 +111,7 @@ def ranks_of(
     truth = drawn_truth(cell, random)
     values = truth.values[0]
     noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    found = identify(cell, simulate(cell, truth, plan, sigma=sigma, seed=noise_seed))
+    found = identify(cell, simulate_um(cell, truth, plan, sigma=sigma, seed=noise_seed))
     charts = 1 + len(found.other_minima)
     if not found.converged:
         return Replicate(None, ("not identified",), charts)

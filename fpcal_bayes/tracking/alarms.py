@@ -20,7 +20,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
 
-Verdict = Literal["as-modelled", "extrinsics-moved", "intrinsics-moved"]
+SessionVerdict = Literal["as-modelled", "extrinsics-moved", "intrinsics-moved"]
 
 HOURS_PER_WEEK = 168.0
 
@@ -97,7 +97,7 @@ class Onset:
 class Finding:
     """One test that failed."""
 
-    verdict: Verdict  # what it speaks for
+    verdict: SessionVerdict  # what it speaks for
     p_value: float  # probability of such a value if all is as modelled, and what it had to be below
     limit: float
     evidence: str
@@ -166,13 +166,13 @@ def _summed(total: float, squared: float, dof: int) -> float:
     return max(0.0, total + score - _CUSUM_SLACK)
 
 
-def findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: float = 0.0) -> list[Finding]:
+def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    `knock_gain` is by how much a knock just before the last session raises the log likelihood of that session. A change
+    `step_gain` is by how much a knock just before the last session raises the log likelihood of that session. A change
     of the robot before an earlier session is believed only if it raises the likelihood more.
     """
-    return [*_full_findings(monitor, limits, drift, knock_gain), *_extrinsic_findings(monitor, limits, drift)]
+    return [*_full_findings(monitor, limits, drift, step_gain), *_extrinsic_findings(monitor, limits, drift)]
 
 
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
@@ -193,7 +193,7 @@ def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftMode
     return result
 
 
-def _full_findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_gain: float) -> list[Finding]:
+def _full_findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float) -> list[Finding]:
     found: list[Finding] = []
     extrinsic = drift.extrinsic
     shares = _shares(limits, drift)
@@ -202,7 +202,7 @@ def _full_findings(monitor: Monitor, limits: Limits, drift: DriftModel, knock_ga
         single = _single_jumps(onset, extrinsic)
         p_values = 2.0 * special.ndtr(-np.abs(single.scores))
         limit = allowed * shares[~extrinsic]
-        passed = (p_values < limit) & (single.gain > (0.0 if onset is monitor.onsets[-1] else knock_gain))
+        passed = (p_values < limit) & (single.gain > (0.0 if onset is monitor.onsets[-1] else step_gain))
         if passed.any():
             at = int(np.argmin(np.where(passed, p_values / limit, np.inf)))
             position = int(np.flatnonzero(~extrinsic)[at])

@@ -189,7 +189,7 @@ def likely_terms(drift: DriftModel) -> DriftModel:
     return drift.resized(change)
 
 
-def aged(estimate: Estimate, hours: float) -> Estimate:
+def propagated(estimate: Estimate, hours: float) -> Estimate:
     """An estimate `hours` later: its covariance has grown by the cell's drift."""
     drift = DriftModel.of(estimate.cell, estimate.parameters)
     _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)

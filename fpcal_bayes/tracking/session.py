@@ -8,7 +8,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, Verdict, extend, findings
+from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, SessionVerdict, extend, findings
 from fpcal_bayes.tracking.corrections import correct_slips, with_signs
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import Innovation, Update, inflate, kelvin_between, predict, update
@@ -16,7 +16,7 @@ from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.sessions import mean_temperature
 
 #: Sizes of a knock that are tried, in units of `Limits.jump`.
-_KNOCK_SIZES = (1.0, 3.0, 10.0)
+_STEP_SIZES = (1.0, 3.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SessionOutcome:
     nis: float
     dof: int
     # verdict, evidence: whether all is as modelled, and in words what speaks against it
-    verdict: Verdict
+    verdict: SessionVerdict
     evidence: tuple[str, ...]
     warnings: tuple[str, ...]  # sentences about rows that were corrected or left out
     log_likelihood: float  # of the rows given all sessions before
@@ -82,7 +82,7 @@ def take_in(
             measurement = replace(measurement, target=correction.dl)
             taken = update(predicted, measurement)
             after, found = judge.session(predicted, taken)
-    verdict: Verdict = "as-modelled"
+    verdict: SessionVerdict = "as-modelled"
     innovation, jump = taken.innovation, none
     if found:
         verdict, found, jump = judge.explain(predicted, measurement, found)
@@ -120,13 +120,13 @@ class _Judge:
     matrix: Floats
     monitor: Monitor
 
-    def knock(self, size: float) -> Floats:
+    def step(self, size: float) -> Floats:
         """Standard deviations of a jump of mirror and fibre, shape (n_states,)."""
         return self._states(np.where(self.drift.extrinsic, size * self.limits.jump(self.drift), 0.0))
 
     def jumps(self) -> tuple[Floats, ...]:
         """Jumps of mirror and fibre, and of all parameters."""
-        return *(self.knock(size) for size in _KNOCK_SIZES), self._states(self.limits.jump(self.drift))
+        return *(self.step(size) for size in _STEP_SIZES), self._states(self.limits.jump(self.drift))
 
     def session(self, predicted: State, taken: Update) -> tuple[Monitor, list[Finding]]:
         """The memory after the session as it was taken in, and the tests that fail."""
@@ -136,14 +136,14 @@ class _Judge:
 
     def explain(
         self, predicted: State, measurement: SweepMeasurement, found: list[Finding]
-    ) -> tuple[Verdict, list[Finding], Floats]:
+    ) -> tuple[SessionVerdict, list[Finding], Floats]:
         """What moved, why, and by how much the state is to be widened.
 
         The rows are not linear over a jump, so the tests are made again where the best knock leads.
         """
         tried = []
-        for size in _KNOCK_SIZES:
-            wide = inflate(predicted, self.knock(size))
+        for size in _STEP_SIZES:
+            wide = inflate(predicted, self.step(size))
             taken = update(wide, measurement)
             log_volume = taken.innovation.log_volume
             at_solution = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, log_volume)
@@ -155,11 +155,11 @@ class _Judge:
         intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
         if intrinsic:
             every = self._states(self.limits.jump(self.drift))
-            return "intrinsics-moved", intrinsic, np.maximum(every, self.knock(size))
+            return "intrinsics-moved", intrinsic, np.maximum(every, self.step(size))
         extrinsic = [finding for finding in anew or found if finding.verdict == "extrinsics-moved"]
-        return "extrinsics-moved", extrinsic or found, self.knock(size)
+        return "extrinsics-moved", extrinsic or found, self.step(size)
 
-    def restarted(self, wide: State, taken: Update, verdict: Verdict) -> Monitor:
+    def restarted(self, wide: State, taken: Update, verdict: SessionVerdict) -> Monitor:
         """The memory after a jump was allowed for: only a change of the robot at this session is still looked for."""
         if verdict == "intrinsics-moved":
             return Monitor()

@@ -17,8 +17,8 @@ from typing import Any
 
 from fault_child import meaning
 
-#: The only values that tell how long a run took; they stand in `fit`, `sampler` or beside a model.
-TIMED = {"seconds"}
+#: The only values that tell how long a run took (in `fit`, `sampler` or beside a model), and the hash that covers them.
+TIMED = {"seconds", "content_sha256"}
 
 #: What is needed first, and then each command that writes JSON; the slower ones on a small task.
 INPUTS = (
@@ -29,6 +29,7 @@ INPUTS = (
     "simulate --traces -o index.h5",
 )
 COMMANDS = {
+    "cell": "cell femto-st",
     "identify": "identify sweeps.csv",
     "observe": "observe sweeps.csv",
     "task-error": "task-error estimate.json --task spin --tolerance-nm 50",

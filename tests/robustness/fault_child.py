@@ -96,7 +96,8 @@ def meaning(path: Path) -> Any:
 
         def timeless(value: Any) -> Any:
             if isinstance(value, dict):
-                return {key: timeless(entry) for key, entry in value.items() if key != "seconds"}
+                timed = ("seconds", "content_sha256")
+                return {key: timeless(entry) for key, entry in value.items() if key not in timed}
             return [timeless(entry) for entry in value] if isinstance(value, list) else value
 
         return timeless(json.loads(path.read_text()))

@@ -7,6 +7,38 @@ from fpcal_bayes.cli.arguments.common import Commands, add_command, add_json, co
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
 
+_CELL = """\
+Look:  fpcal cell CELL says where each axis points and turns at joint zero, how mirror and fibre stand, what tasks can
+       reach, what is odd and what the file does not state. --at "q2=10,q4=1.5" or "0,10,0,1.5,0,0" (um, deg) moves it
+       there. --figure draws it: directions are true, axes are drawn apart.
+Make:  fpcal cell --new "x y z rx rz ry" --name lab7 -o lab7.toml works the angles out. A word for each axis from base
+       to mirror: x moves along +x of the world, rx turns about it by the right hand, -x and -rx count the other way.
+       --side says where the fibre stands as seen from the mirror: +x, minus-x, +y and so on.
+       fpcal cell --from-dh TABLE.csv -o CELL.toml takes modified DH parameters (Craig), a row a joint, with the columns
+       kind,alpha_deg,a_um,theta_deg,d_um and, if wanted, beta_deg.
+A cell whose geometry cannot be right is shown all the same, then refused (exit status 2) with what to mend.
+"""
+
+
+def cell(commands: Commands) -> None:
+    """Add ``fpcal cell``."""
+    parser = add_command(commands, "cell", "look at a cell, or make one from its axes", _CELL)
+    add = parser.add_argument
+    add("file", metavar="CELL", nargs="?", help="cell TOML file, or built-in cell (femto-st)")
+    add("--at", metavar="Q", help="joint values, in um and deg (default: joint zero)")
+    add("--figure", metavar="OUT", type=Path, help="draw the cell: .svg or .png")
+    make = parser.add_mutually_exclusive_group()
+    make.add_argument("--new", metavar="AXES", help='make a cell from words such as "x y z rx rz ry"')
+    make.add_argument("--from-dh", metavar="TABLE", help="make a cell from a CSV of modified DH parameters")
+    add("-o", dest="output", metavar="CELL", type=Path, help="cell file to write: .toml")
+    add("--name", help="of the new cell (default: that of its file)")
+    add("--side", default="+y", metavar="AXIS", help="where the fibre stands: +y (default), minus-y, ..")
+    add("--gap-um", type=positive, default=920.0, metavar="L", help="of the new cell (default: 920)")
+    add("--gap-sd-um", type=positive, metavar="S", help="standard deviation of that gap, if measured")
+    add("--wavelength-nm", type=positive, default=1550.0, metavar="W", help="of the new cell's laser (default: 1550)")
+    add_json(parser)
+
+
 _SIMULATE = """\
 The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
 another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several

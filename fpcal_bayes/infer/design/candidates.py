@@ -114,7 +114,7 @@ def candidate_sweeps(
             "expected wider limits"
         )
     labels = [f"c{i}" for i in range(1, n + 1)]
-    return Sweeps.make(np.vstack(starts)[:n], np.vstack(ends)[:n], label=labels, file="candidates")
+    return Sweeps.of_um_rad(np.vstack(starts)[:n], np.vstack(ends)[:n], label=labels, file="candidates")
 
 
 def neighbours(

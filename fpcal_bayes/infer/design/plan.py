@@ -1,6 +1,6 @@
 """Plan sweeps: the best of a number, or the fewest that reach a target."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,10 +23,11 @@ from fpcal_bayes.infer.design.exchange import (
     refine,
 )
 from fpcal_bayes.infer.design.information import Design
-from fpcal_bayes.infer.design.problem import Ground
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
 
 #: A task is left undetermined if more than this share of its standard deviation is left.
 LEFT_SHARE = 0.1
@@ -82,7 +83,9 @@ def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
             break
         order[i : j + 1], turned[i : j + 1] = order[i : j + 1][::-1].copy(), 1 - turned[i : j + 1][::-1]
     ordered = sweeps.take(order)
-    return Sweeps.make(ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file)
+    return Sweeps.of_um_rad(
+        ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file
+    )
 
 
 def duration(cell: Cell, sweeps: Sweeps, readings: int, limits: SweepLimits) -> float:
@@ -269,3 +272,49 @@ class Planner:
             if sd[name] > limit
         ]
         return InputError(f"no plan of up to {n} sweeps reaches the target; the best has {', '.join(missed)}")
+
+
+def plan(
+    cell: Cell,
+    n: int,
+    *,
+    estimate: Estimate | None = None,
+    tasks: Sequence[str] = DEFAULT_TASKS,
+    radius_um: float = 100.0,
+    readings: int = 2,
+    sigma_nm: float = 5.0,
+    draws: int = 64,
+    seed: int = 0,
+) -> Sweeps:
+    """The n sweeps that are expected to leave least unknown of the tasks, in the order in which they are made fastest.
+
+    Parameters
+    ----------
+    cell
+        The cell that is to be measured.
+    n
+        How many sweeps.
+    estimate
+        What is known of the cell; by default its prior, averaged over `draws` draws of it.
+    tasks, radius_um
+        Tasks that count, and the radius of the circle.
+    readings
+        Readings of each sweep after its start.
+    sigma_nm
+        Standard deviation of each change of cavity length.
+    seed
+        Of numpy's default generator.
+
+    Raises
+    ------
+    InputError
+        If the estimate is not to be used, a task is unknown or out of reach, or `n` is not possible.
+    """
+    if estimate is not None and not estimate.trust.usable:
+        raise InputError(f"nothing is planned from this estimate: {estimate.trust.against}")
+    settings = PlanSettings(readings=readings, sigma=1e-3 * sigma_nm, seed=seed)
+    if estimate is None:
+        ground = prior_ground(cell, tasks=tasks, radius=radius_um, draws=draws, seed=seed)
+    else:
+        ground = estimate_ground(estimate, tasks=tasks, radius=radius_um)
+    return in_short_order(cell, Planner(ground, settings).best(n).sweeps, settings.limits)

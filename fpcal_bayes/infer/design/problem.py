@@ -107,7 +107,7 @@ class Ground:
     def sd_at_draws(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, Floats]:
         """Worst-point standard deviation of each task in um at each draw, shape (n_draws,) (see `expected_sd`)."""
         home = np.zeros((1, len(self.cell.joints)))
-        design = self.design(Sweeps.make(home, home) if sweeps is None else sweeps, readings=readings, sigma=sigma)
+        design = self.design(Sweeps.of_um_rad(home, home) if sweeps is None else sweeps, readings=readings, sigma=sigma)
         variance = design.task_variance(() if sweeps is None else range(len(sweeps)))
         return {
             name: np.sqrt(variance[:, design.task_of_point == task].max(axis=1))

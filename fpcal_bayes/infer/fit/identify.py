@@ -17,7 +17,7 @@ from fpcal_bayes.infer.fit.minimise import (
     Solution,
     distinct_minima,
     minimise,
-    mirror_images,
+    sign_images,
     solution_rank,
 )
 from fpcal_bayes.infer.fit.prior import Prior
@@ -300,7 +300,7 @@ def _fit(
     """
     problem, solution = _converge(problem, first)
     found = [solution]
-    found += [minimise(problem, image) for image in mirror_images(problem, solution)[: max_starts - 1]]
+    found += [minimise(problem, image) for image in sign_images(problem, solution)[: max_starts - 1]]
     best = min(found, key=solution_rank)
     while len(found) < max_starts and (
         not best.converged or chi2_tail(best.sum_of_squares, len(problem.sweeps)) < RETRY_BELOW

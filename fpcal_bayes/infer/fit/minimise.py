@@ -130,7 +130,7 @@ _MOST_IMAGES = 3
 MINIMUM_EXCESS = 30.0
 
 
-def mirror_images(problem: Problem, solution: Solution) -> list[Floats]:
+def sign_images(problem: Problem, solution: Solution) -> list[Floats]:
     """Points (n_unknowns,) across the directions that the data see at `solution` but hardly at the prior mean.
 
     They are starting points for further fits. Hardly means: they tell less than the prior (singular value below one),
@@ -169,6 +169,6 @@ def distinct_minima(problem: Problem, best: Solution, found: list[Solution]) -> 
 
 def all_minima(problem: Problem, solution: Solution) -> tuple[Solution, ...]:
     """The minimum `solution` and those across the hidden symmetries that count, lowest first."""
-    found = [solution, *(minimise(problem, image) for image in mirror_images(problem, solution))]
+    found = [solution, *(minimise(problem, image) for image in sign_images(problem, solution))]
     best = min(found, key=solution_rank)
     return (best, *distinct_minima(problem, best, found))

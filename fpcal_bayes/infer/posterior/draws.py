@@ -13,7 +13,7 @@ from fpcal_bayes.infer.fit.slips import Slips, find_slips
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
 from fpcal_bayes.infer.posterior.diagnostics import Diagnostics
 from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.model.trust import Reason, Trust
@@ -112,7 +112,7 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     target, references = make_target(found, "gaussian")
-    atlas, random = Atlas(target, references), np.random.default_rng(seed)
+    atlas, random = ProposalMixture(target, references), np.random.default_rng(seed)
     points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)
     for _ in range(_MOST_ROUNDS):
         solved = atlas.propose(random.standard_normal((draws, target.n_unknowns)), random.random(draws))

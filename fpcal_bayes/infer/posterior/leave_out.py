@@ -15,7 +15,7 @@ from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import distinct_minima, minimise, solution_rank
 from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
-from fpcal_bayes.infer.posterior.proposal import Atlas
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 _MOST_K = 0.7
@@ -171,7 +171,7 @@ def _left_out(
     if reduced is None:
         return None
     target, references = make_target(reduced, likelihood)
-    atlas = Atlas(target, references)
+    atlas = ProposalMixture(target, references)
     solved = atlas.propose(rng.standard_normal((_PROPOSALS, target.n_unknowns)), rng.random(_PROPOSALS))
     found = solved.inside
     if found.sum() < _LEAST_EFFECTIVE:

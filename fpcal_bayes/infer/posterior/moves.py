@@ -7,7 +7,7 @@ from emcee.moves import Move
 from emcee.state import State
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.posterior.proposal import Atlas, Solved
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture, Solved
 from fpcal_bayes.infer.posterior.target import Target
 
 
@@ -20,7 +20,7 @@ class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
     once.
     """
 
-    def __init__(self, atlas: Atlas, ahead: int = 1) -> None:
+    def __init__(self, atlas: ProposalMixture, ahead: int = 1) -> None:
         self.atlas, self.ahead = atlas, ahead
         self._ready: list[Solved] = []
 
@@ -58,7 +58,7 @@ class LocalMove(Move):  # type: ignore[misc]
     It goes where no chart reaches, and so makes the mixture of moves irreducible.
     """
 
-    def __init__(self, target: Target, atlas: Atlas) -> None:
+    def __init__(self, target: Target, atlas: ProposalMixture) -> None:
         self.target, self.atlas = target, atlas
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:

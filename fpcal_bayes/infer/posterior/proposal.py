@@ -37,7 +37,7 @@ class Solved:
         return Solved(self.points[chosen], self.log_density[chosen], self.log_proposal[chosen], self.inside[chosen])
 
 
-class Chart:
+class Proposal:
     """The map around one reference point (n,) of a target; a minimum of the sum of squares serves best."""
 
     def __init__(self, target: Target, reference: Floats) -> None:
@@ -173,11 +173,11 @@ _TRIALS = 2048
 _MOST_CHARTS = 4
 
 
-def learn_charts(target: Target, minima: Floats, rng: np.random.Generator) -> Floats:
+def learn_proposals(target: Target, minima: Floats, rng: np.random.Generator) -> Floats:
     """Reference points of the charts, shape (n_charts, n): the minima (n_minima, n) and further points."""
     references = minima
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
-        atlas = Atlas(target, references)
+        atlas = ProposalMixture(target, references)
         solved = atlas.propose(rng.standard_normal((_TRIALS, target.n_unknowns)), rng.random(_TRIALS))
         log_weights = np.full(_TRIALS, -np.inf)
         found = solved.inside
@@ -194,12 +194,12 @@ def learn_charts(target: Target, minima: Floats, rng: np.random.Generator) -> Fl
 LEAST_SHARE = 0.1
 
 
-class Atlas:
+class ProposalMixture:
     """A mixture of charts around reference points (n_charts, n), of which the first is the lowest minimum."""
 
     def __init__(self, target: Target, references: Floats) -> None:
         self.target = target
-        self.charts = [Chart(target, reference) for reference in references]
+        self.charts = [Proposal(target, reference) for reference in references]
         residuals, _ = target.data_batch(np.atleast_2d(references))
         # Shares by the mass of each minimum in the Laplace approximation.
         mass = target.log_density(residuals, np.atleast_2d(references)) - [chart.log_volume for chart in self.charts]

@@ -17,7 +17,7 @@ from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, d
 from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.machine import MachineCharts, MachineLocalMove, MachineMove, MachineTarget
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
-from fpcal_bayes.infer.posterior.proposal import Atlas, learn_charts
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture, learn_proposals
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 N_ENSEMBLES = 4
@@ -93,9 +93,9 @@ def sample(
     else:
         target, references = make_target(identification, likelihood, noise_scale)
         if target.dof is None:
-            references = learn_charts(target, references, np.random.default_rng(children[-1]))
+            references = learn_proposals(target, references, np.random.default_rng(children[-1]))
         # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
-        atlas = Atlas(target, references)
+        atlas = ProposalMixture(target, references)
         n_charts = len(atlas.charts)
         runs = [_Ensemble(target, atlas, child) for child in children[:N_ENSEMBLES]]
     least = -(-draws // (N_ENSEMBLES * N_WALKERS))
@@ -159,7 +159,7 @@ def _listed(numbers: Floats | None) -> list[object] | None:
 class _Ensemble:
     """One ensemble of walkers with its own random numbers."""
 
-    def __init__(self, target: PosteriorTarget, atlas: Atlas, seed: np.random.SeedSequence) -> None:
+    def __init__(self, target: PosteriorTarget, atlas: ProposalMixture, seed: np.random.SeedSequence) -> None:
         self.target, self.atlas = target, atlas
         self._from_charts = RandomiseThenOptimiseMove(atlas, ahead=BLOCK_STEPS)
         moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]

@@ -24,10 +24,10 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
-from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics.errors import known_task_errors
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
 

@@ -23,7 +23,7 @@ from fpcal_bayes.motion.tasks import Task
 
 @dataclass(frozen=True)
 class AngularErrors:
-    """Errors of the mirror's direction along a path, in deg."""
+    """Errors of the mirror's direction along a path, in rad."""
 
     # angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame, shape
     # (n_draws, n_points)
@@ -106,7 +106,7 @@ def angular_errors(
         slopes = [(a - b) / width[:, None, None] for a, b in zip(ahead, behind, strict=True)]
         change = np.atleast_2d(truth_values) - estimate_values
         tilt, since = (np.tensordot(change, slope, axes=1) for slope in slopes)
-    return AngularErrors(np.degrees(np.linalg.norm(tilt, axis=-1)), np.degrees(np.linalg.norm(since, axis=-1)))
+    return AngularErrors(np.linalg.norm(tilt, axis=-1), np.linalg.norm(since, axis=-1))
 
 
 def peak_to_peak(errors: Floats) -> Floats:

@@ -22,9 +22,9 @@ from fpcal_bayes.infer.tasks.error import (
     task_jacobian,
     task_rows,
 )
-from fpcal_bayes.infer.tasks.machine import known_task_errors
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics.errors import known_task_errors
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import Task, find_task

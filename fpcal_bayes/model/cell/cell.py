@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
 from fpcal_bayes.model.priors import Marginal
 
@@ -43,6 +45,10 @@ class Cell:
         How the parameters drift; those not named stay.
     optics
         Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
+    envelope
+        What keeps the mirror off the fibre, or None where the cell does not say.
+    tasks
+        Tasks of its own, beside those that every cell has.
     mechanics
         Sizes of the error motions, or None: the mechanism is taken as perfect. They stand outside `sha256`.
     """
@@ -55,6 +61,8 @@ class Cell:
     optical_axis: OpticalAxis
     drift: tuple[DriftSize, ...] = ()
     optics: Interferometer | None = None
+    envelope: Envelope | None = None
+    tasks: tuple[OwnTask, ...] = ()
     mechanics: Mechanics | None = None
 
     @cached_property

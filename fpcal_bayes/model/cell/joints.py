@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from fpcal_bayes.core.errors import InputError
 
 JointKind = Literal["prismatic", "revolute"]
 
@@ -26,21 +28,22 @@ class ControllerAxis:
     unit: str
     per_unit: float
 
-    def to_controller(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reading_of(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Controller readings of joint values `q` (um or rad), same shape."""
         return self.zero + self.sign * q / self.per_unit
 
-    def to_model(self, reading: NDArray[np.float64]) -> NDArray[np.float64]:
+    def joint_value(self, reading: NDArray[np.float64]) -> NDArray[np.float64]:
         """Joint values (um or rad) of controller readings, same shape."""
         return self.sign * (reading - self.zero) * self.per_unit
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution.
+    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution, speed.
 
     Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position, `resolution` the
-    smallest step (zero where it is not stated).
+    smallest step (zero where it is not stated), `speed` what the joint travels or turns in a second at most, None where
+    the cell does not say.
     """
 
     kind: JointKind
@@ -49,8 +52,30 @@ class Joint:
     repeatability: float
     controller: ControllerAxis | None
     resolution: float = 0.0
+    speed: float | None = None
 
     @property
     def unit(self) -> str:
         """Unit in which a person reads the joint: um or deg."""
         return JOINT_UNITS[self.kind]
+
+    def to_controller(self, shown: ArrayLike) -> NDArray[np.float64]:
+        """What the controller shows at joint values as files hold them (um or deg), same shape.
+
+        Raises
+        ------
+        InputError
+            If the cell names no controller for the joint.
+        """
+        values = np.asarray(shown, dtype=float)
+        return self._axis().reading_of(values if self.kind == "prismatic" else np.radians(values))
+
+    def from_controller(self, reading: ArrayLike) -> NDArray[np.float64]:
+        """Joint values as files hold them (um or deg) of what the controller shows; as `to_controller`."""
+        values = self._axis().joint_value(np.asarray(reading, dtype=float))
+        return values if self.kind == "prismatic" else np.degrees(values)
+
+    def _axis(self) -> ControllerAxis:
+        if self.controller is None:
+            raise InputError("the cell names no controller for this joint: expected a key controller in its table")
+        return self.controller

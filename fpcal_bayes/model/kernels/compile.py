@@ -15,7 +15,7 @@ def compiled[F: Callable[..., Any]](function: F) -> F:
     Products and sums may be fused; nothing else that changes results is allowed.
     """
     kernel = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
-    drop_stale(kernel)
+    drop_outdated(kernel)
     return cast(F, kernel)
 
 
@@ -30,7 +30,7 @@ def _stored(kernel: Any) -> list[Path]:
     return list(Path(kernel.stats.cache_path).glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi"))
 
 
-def drop_stale(kernel: Any) -> None:
+def drop_outdated(kernel: Any) -> None:
     """Forget machine code older than the source of any kernel.
 
     numba looks at the kernel's own file only, not at those of the kernels that it calls.

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals, saved_decisions, session_log
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, saved_decisions, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
-from fpcal_bayes.report.table import Cell, Table, figure_of, plain_table
+from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
 
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
@@ -44,13 +44,13 @@ def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
     return {"hours": _numbers(hours, 9), "now": facts.now_h, "parameters": parameters}
 
 
-def outlook_chart(facts: CampaignFacts, found: Outlooks) -> dict[str, Any]:
+def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
     """The error of the worst task through time, in nm."""
     series = {"median": found.median, "low": found.low, "high": found.high}
     return {
         "hours": _numbers(_increasing(found.hours), 9),
         "now": facts.now_h,
-        "tolerance": 1e3 * facts.goal.tolerance,
+        "tolerance": 1e3 * facts.goal.tolerance_um,
         "series": {name: _numbers(1e3 * values) for name, values in series.items()},
         "risk": _numbers(found.risk, 4),
     }
@@ -111,8 +111,8 @@ def log_table(facts: CampaignFacts) -> Table | None:
     return table
 
 
-def _next(late: float, *, last: bool) -> Cell:
+def _next(late: float, *, last: bool) -> TableCell:
     """Whether the next session, or the present after the last one, comes before the hold has ended."""
     if late <= _SLACK_H:
-        return Cell("latest" if last else "in time", f"{late:.6g}", "good")
-    return Cell(f"overdue by {late:.1f} h" if last else f"{late:.1f} h late", f"{late:.6g}", "caution")
+        return TableCell("latest" if last else "in time", f"{late:.6g}", "good")
+    return TableCell(f"overdue by {late:.1f} h" if last else f"{late:.1f} h late", f"{late:.6g}", "caution")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, Outlooks, SessionResiduals
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.analysis.motions import MotionCurve
 from fpcal_bayes.analysis.parameters import intervals
 from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
@@ -24,7 +24,7 @@ def task_figure(facts: CampaignFacts) -> str:
         axes = figure.subplots(n_rows, 3, squeeze=False).ravel()
         for axis in axes[len(drawn) :]:
             axis.remove()
-        half = 1e3 * facts.goal.tolerance / 2
+        half = 1e3 * facts.goal.tolerance_um / 2
         for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=False)):
             found, prediction = outlook.numbers, outlook.prediction
             assert found is not None
@@ -47,14 +47,14 @@ def task_figure(facts: CampaignFacts) -> str:
     return svg[0]
 
 
-def outlook_figure(facts: CampaignFacts, found: Outlooks) -> str:
+def outlook_figure(facts: CampaignFacts, found: TaskForecasts) -> str:
     """Error of the worst task through time: it grows between sessions and falls at each."""
     with svg_figure(9.6, 3.4) as (figure, svg):
         axis = figure.subplots()
         days, low, high = found.hours / _HOURS_PER_DAY, 1e3 * found.low, 1e3 * found.high
         axis.fill_between(days, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
         axis.plot(days, 1e3 * found.median, color=BLUE, label="median")
-        tolerance = 1e3 * facts.goal.tolerance
+        tolerance = 1e3 * facts.goal.tolerance_um
         axis.axhline(tolerance, color=VERMILION, linestyle="--", linewidth=1, label=f"tolerance {tolerance:g} nm")
         axis.axvline(facts.now_h / _HOURS_PER_DAY, color="black", linestyle=":", linewidth=1, label="now")
         axis.set_yscale("log")

@@ -6,7 +6,7 @@ from platform import python_version
 
 import numpy as np
 
-from fpcal_bayes.analysis.campaign import CampaignFacts, TaskOutlook
+from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
 from fpcal_bayes.analysis.history import SessionResiduals, session_bounds, session_numbers
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
@@ -15,7 +15,7 @@ from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.report.table import Cell, Table, figure_of, number, plain_table
+from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
 from fpcal_bayes.tracking.session import SessionOutcome
@@ -30,7 +30,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Headline:
     """What to do, first thing on the page."""
 
     word: str
@@ -39,22 +39,22 @@ class Verdict:
     sentences: tuple[str, ...]
 
 
-def verdict(facts: CampaignFacts) -> Verdict:
+def verdict(facts: CampaignFacts) -> Headline:
     """Hold, re-identify or recalibrate; or why that cannot be said."""
     if facts.fit_is_wrong or not (facts.trust.usable or (facts.track is not None and facts.track.calibration_due)):
         meaning = "These numbers are not to be used: they rest on a fit that is wrong."
         said = f"{facts.trust.against[0].upper()}{facts.trust.against[1:]}."
-        return Verdict("Do not use", "bad", meaning, (said, f"What to do: fpcal doctor {facts.file}."))
+        return Headline("Do not use", "bad", meaning, (said, f"What to do: fpcal doctor {facts.file}."))
     sentences = [_task_sentence(facts)]
     if facts.decision is None or facts.track is None:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
-        return Verdict("No verdict", "caution", meaning, tuple(sentences))
+        return Headline("No verdict", "caution", meaning, tuple(sentences))
     word, style, meaning = _ACTIONS[facts.decision.action]
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
         sentences.append(f"The robot itself moved before session {facts.track.calibration_due}.")
-    return Verdict(word, style, meaning, tuple(sentences))
+    return Headline(word, style, meaning, tuple(sentences))
 
 
 def _task_sentence(facts: CampaignFacts) -> str:
@@ -70,10 +70,10 @@ def _task_sentence(facts: CampaignFacts) -> str:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
             continue
         parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
-    return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance:g} nm."
+    return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance_um:g} nm."
 
 
-def standing(outlook: TaskOutlook, facts: CampaignFacts) -> tuple[str, str]:
+def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
     """Where a task stands against the tolerance, in words, and the class of the style sheet."""
     if not facts.trust.usable:
         return "not known", "bad"
@@ -88,19 +88,19 @@ def standing(outlook: TaskOutlook, facts: CampaignFacts) -> tuple[str, str]:
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
     heads = ["task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]"]
-    heads += [f"P(above {1e3 * facts.goal.tolerance:g} nm)", "mirror direction, 95 % [deg]"]
+    heads += [f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "mirror direction, 95 % [deg]"]
     table = plain_table("Error of each task now", heads, words=(0, 1, 2))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)
         asked, found = "yes" if outlook.asked else "no", outlook.numbers
         if found is None or found.exceeds is None:
             reason = outlook.reason or facts.trust.against
-            table.add_row(outlook.name, asked, Cell(f"{said}: {reason}", said, style), "", "", "", "")
+            table.add_row(outlook.name, asked, TableCell(f"{said}: {reason}", said, style), "", "", "", "")
             continue
         table.add_row(
             outlook.name,
             asked,
-            Cell(said, style=style),
+            TableCell(said, style=style),
             figure_of(found.median, f"{found.median:.2f}"),
             figure_of(found.most, f"{found.least:.2f} to {found.most:.2f}"),
             figure_of(found.exceeds, f"{found.exceeds:.3f}"),
@@ -144,16 +144,20 @@ def session_table(facts: CampaignFacts) -> Table:
     return table
 
 
-def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | Cell]:
-    """Verdict, innovation and bounds."""
+def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | TableCell]:
+    """Headline, innovation and bounds."""
     if outcome is None:
         return ["not followed", "", ""]
-    word = Cell("calibration", style="good") if first else Cell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
+    word = (
+        TableCell("calibration", style="good")
+        if first
+        else TableCell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
+    )
     bounds = session_bounds(outcome)
     if bounds is None:
         return [word, "", ""]
     low, high = bounds
-    return [word, figure_of(outcome.nis, f"{outcome.nis:.1f}"), Cell(f"{low:.1f} to {high:.1f}", f"{high:.6g}")]
+    return [word, figure_of(outcome.nis, f"{outcome.nis:.1f}"), TableCell(f"{low:.1f} to {high:.1f}", f"{high:.6g}")]
 
 
 def parameter_table(facts: CampaignFacts) -> Table:
@@ -172,7 +176,7 @@ def parameter_table(facts: CampaignFacts) -> Table:
             parameter.name,
             parameter.kind,
             parameter.unit,
-            Cell(status, style=status),
+            TableCell(status, style=status),
             figure_of(value, number(value, sd)),
             figure_of(sd, number(sd, sd)),
             figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),

@@ -88,7 +88,7 @@ class PIStage:
     def move(self, positions: Floats) -> None:
         """Start to move; all axes of one command start together, but do not move in step."""
         targets = {
-            axis.channel: float(axis.to_controller(q))
+            axis.channel: float(axis.reading_of(q))
             for axis, q, before in zip(self._axes, positions, self._targets, strict=True)
             if q != before
         }
@@ -99,7 +99,7 @@ class PIStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         read = self._of(self._gcs.qPOS)
-        return np.array([float(axis.to_model(np.asarray(read[axis.channel]))) for axis in self._axes])
+        return np.array([float(axis.joint_value(np.asarray(read[axis.channel]))) for axis in self._axes])
 
     def settled(self) -> bool:
         """Whether all axes are on target."""

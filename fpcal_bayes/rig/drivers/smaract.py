@@ -70,7 +70,7 @@ class SmarActStage:
     def position(self) -> Floats:
         """Joint values in um and rad."""
         read = [
-            axis.to_model(np.asarray(self._number(f":CHAN{axis.channel}:POS?") * wire / axis.per_unit))
+            axis.joint_value(np.asarray(self._number(f":CHAN{axis.channel}:POS?") * wire / axis.per_unit))
             for axis, wire in zip(self._axes, self._wire, strict=True)
         ]
         return np.array(read, dtype=float)
@@ -105,7 +105,7 @@ class SmarActStage:
 
     @staticmethod
     def _count(axis: ControllerAxis, q: float, wire: float) -> float:
-        return float(axis.to_controller(np.asarray(q))) * axis.per_unit / wire
+        return float(axis.reading_of(np.asarray(q))) * axis.per_unit / wire
 
     def _tell(self, command: str) -> None:
         self._link.send(command + _END)

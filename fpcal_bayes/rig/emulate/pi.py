@@ -136,7 +136,7 @@ class PIController:
             if not all(self._servo[channel] for channel in values):
                 return _SERVO_OFF
             for channel, value in values.items():
-                q = float(self._axes[channel].to_model(np.asarray(value)))
+                q = float(self._axes[channel].joint_value(np.asarray(value)))
                 if not self._lab.move(self._joints[channel], q):
                     return _LIMITS
         return 0
@@ -145,7 +145,7 @@ class PIController:
         return self._lab.axes[self._joints[channel]].settled(self._lab.clock.now())
 
     def _shown(self, channel: str, q: float) -> float:
-        return float(self._axes[channel].to_controller(np.asarray(q)))
+        return float(self._axes[channel].reading_of(np.asarray(q)))
 
     def _range(self, channel: str) -> tuple[float, float]:
         joint = self._lab.cell.joints[self._joints[channel]]

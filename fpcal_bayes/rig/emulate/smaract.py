@@ -93,7 +93,7 @@ class MCS2:
         what = what.upper()
         if what == "POS":
             stated = self._axes[channel]
-            reading = float(stated.to_controller(np.asarray(self._lab.position(joint))))
+            reading = float(stated.reading_of(np.asarray(self._lab.position(joint))))
             return str(round(reading * stated.per_unit / self._wire[channel]))
         if what == "VEL":
             return str(round(axis.speed / self._wire[channel]))
@@ -116,7 +116,7 @@ class MCS2:
         reading = int(value) * self._wire[channel] / stated.per_unit
         if not self._referenced[channel] or self._mode[channel] != 0:
             self._errors.append(_NOT_REFERENCED)
-        elif not self._lab.move(self._joints[channel], float(stated.to_model(np.asarray(reading)))):
+        elif not self._lab.move(self._joints[channel], float(stated.joint_value(np.asarray(reading)))):
             self._errors.append(_RANGE)
 
     def _stop(self, channel: str) -> None:

@@ -1,0 +1,108 @@
+"""``fpcal cell``: look at a cell, or make one from the directions of its axes."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from fpcal_bayes.analysis.cell_view import view_cell
+from fpcal_bayes.cli.common import check_output, check_suffix, console, write_result
+from fpcal_bayes.cli.driven import warm_up_inverse
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.check import impossible
+from fpcal_bayes.model.cell.layout import Layout, layout_of_axes, layout_of_links, read_axes, read_side
+from fpcal_bayes.report.cell import cell_figure, cell_words
+from fpcal_bayes.report.pages import save_figure
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    if options.new is not None or options.from_dh is not None:
+        return _make(options)
+    if options.output is not None:
+        raise InputError("-o CELL: expected --new AXES or --from-dh TABLE, what the new cell is made from")
+    return _look(options, options.file or options.cell)
+
+
+def _look(options: argparse.Namespace, source: str | Path) -> int:
+    check_output(options.figure, source)
+    check_output(options.json, source, options.figure)
+    check_suffix(options.figure, ".svg", ".png")
+    cell = load_cell(source, opd=options.opd, check=False)
+    q = None if options.at is None else joints_at(cell, options.at)
+    if next(impossible(cell), None) is None:
+        warm_up_inverse(cell)
+    view = view_cell(cell, q)
+    out = console(options)
+    for line in cell_words(view):
+        out.say(line)
+    if options.figure is not None:
+        save_figure(cell_figure(view), options.figure)
+    write_result(options.json, "cell", view.content())
+    if view.refused:
+        raise InputError(f"{source}: {view.refused}")
+    return 0
+
+
+def _make(options: argparse.Namespace) -> int:
+    if options.output is None or options.output.suffix.lower() != ".toml":
+        raise InputError("expected -o CELL.toml, where the new cell is written")
+    if options.file is not None or options.at is not None:
+        raise InputError("--new and --from-dh make a cell: expected neither CELL nor --at beside them")
+    if options.output.exists():
+        raise InputError(f"{options.output}: is there already, expected another name for the new cell")
+    check_output(options.output, options.from_dh)
+    name = options.name or options.output.stem
+    if not name.isprintable() or not name.strip() or '"' in name or "\\" in name or len(name) > 100:
+        raise InputError(f"--name {name!r:.40}: expected a line of text without quotes")
+    text = new_cell_text(
+        _layout(options),
+        name,
+        wavelength_nm=options.wavelength_nm,
+        opd=options.opd or "axis",
+        gap_sd_um=options.gap_sd_um,
+    )
+    write_text(options.output, text)
+    try:
+        load_cell(options.output)
+    except InputError:
+        options.output.unlink()
+        raise
+    return _look(options, options.output)
+
+
+def _layout(options: argparse.Namespace) -> Layout:
+
+    side = read_side(options.side)
+    if options.new is not None:
+        return layout_of_axes(read_axes(options.new), side, options.gap_um)
+    return layout_of_links(*read_dh_table(options.from_dh), side, options.gap_um)
+
+
+def joints_at(cell: Cell, text: str) -> Floats:
+    """A joint vector in um and rad from ``q2=10,q4=1.5`` or ``0,10,0,1.5,0,0``; `InputError` if it is neither."""
+    shown = np.zeros(len(cell.joints))
+    parts = [part.strip() for part in text.split(",")]
+    named = "=" in text
+    if not named and len(parts) != len(shown):
+        raise InputError(
+            f"--at {text!r:.40}: expected {len(shown)} values, or q1=VALUE,.. with those that are not zero"
+        )
+    for i, part in enumerate(parts):
+        name, _, value = part.rpartition("=")
+        known = [f"q{j + 1}" for j in range(len(shown))]
+        if named and name.strip() not in known:
+            raise InputError(f"--at {part!r:.40}: expected one of {', '.join(known)}, then = and its value")
+        try:
+            shown[known.index(name.strip()) if named else i] = float(value)
+        except ValueError as error:
+            raise InputError(f"--at {part!r:.40}: expected a number in um or deg") from error
+    if not np.isfinite(shown).all():
+        raise InputError(f"--at {text!r:.40}: expected finite numbers")
+    internal: Floats = shown * cell.joint_scales
+    return internal

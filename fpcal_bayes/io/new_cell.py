@@ -1,0 +1,173 @@
+"""A new cell file, commented and ready to fill in, from a layout; and links from a table of modified DH parameters."""
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.files import read_text
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.axes import direction_words
+from fpcal_bayes.model.cell.joints import JOINT_UNITS, JointKind
+from fpcal_bayes.model.cell.layout import Layout
+from fpcal_bayes.model.parameters import EXTRINSICS, UNITS
+
+_STEMS = ("beta", "alpha", "d", "theta", "r")
+_DH_COLUMNS = ("kind", "alpha_deg", "a_um", "theta_deg", "d_um")
+#: Priors of angles in deg and of lengths in um, far limits, and how much of the gap a motion along the beam may use.
+_ANGLE_SD, _OFFSET_SD, _TRAVEL, _TILT, _SPIN, _SHARE = 1.0, 20.0, 150.0, 5.0, 90.0, 0.25
+
+_HEAD = """\
+# {title}
+# Made by fpcal cell from the directions of the axes. Look at it: fpcal cell {file}
+# Link i stands RotY(beta) RotX(alpha) TransX(d) RotZ(theta) TransZ(r) on link i-1; the joint adds to r (moves) or to
+# theta (turns). A parameter with a prior standard deviation is identified. Lines marked <- are for you to fill in from
+# data sheets or measurements; every key: docs/reference/cell.md.
+schema = "fpcal-cell/1"
+name = "{name}"
+
+[optics]
+wavelength_nm = {wavelength:g}
+opd = "{opd}"{pad}# "axis": along the optical axis; "perpendicular": from the fibre to the mirror plane
+mode_field_radius_um = 5.2        # <- of the fibre; 5.2 is standard single-mode fibre at 1550 nm
+mirror_reflectivity = 0.95        # <- a metal film
+
+"""
+_ENVELOPE = """\
+[envelope]                        # keeps the mirror off the fibre in plan, decide, control and simulate
+{least}# <- mirror and fibre never come nearer, edges included
+fibre_radius_um = 62.5            # <- bare fibre; its ferrule where that reaches as far as the fibre
+mirror_radius_um = 2500.0         # <- of the mirror
+max_tilt_deg = 20.0               # <- of the mirror against the light
+max_fringe_rate_hz = 1000.0       # <- half waves a second that your recorder follows
+together = []                     # <- groups of joints that may move at once: [["q1", "q2"]]; others move in turn
+{gap}
+"""
+
+
+def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
+    """Kinds and links (beta, alpha, d, theta, r in deg and um, shape (n, 5)) from modified DH parameters.
+
+    Parameters
+    ----------
+    path
+        CSV with the columns ``kind,alpha_deg,a_um,theta_deg,d_um`` (Craig's alpha and a of the link before, theta and d
+        of the joint, without the joint's own value), a row a joint from base to tool; ``beta_deg`` may follow.
+
+    Raises
+    ------
+    InputError
+        If the file is anything else.
+    """
+    rows = list(csv.reader(io.StringIO(read_text(Path(path)))))
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    head = rows[0] if rows else []
+    if head not in (list(_DH_COLUMNS), [*_DH_COLUMNS, "beta_deg"]):
+        raise located(path, f"expected the columns {','.join(_DH_COLUMNS)}, then beta_deg if wanted", row=1)
+    kinds: list[JointKind] = []
+    links = np.zeros((len(rows) - 1, 5))
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(head):
+            raise located(path, f"expected {len(head)} fields, found {len(row)}", row=number)
+        found: JointKind | None = next((kind for kind in JOINT_UNITS if row[0] in (kind, kind[0])), None)
+        if found is None:
+            raise located(path, f"expected prismatic or revolute, found {row[0]!r:.40}", row=number, column="kind")
+        kinds.append(found)
+        values = [_number(path, number, name, text) for name, text in zip(head[1:], row[1:], strict=True)]
+        alpha, a, theta, d, *beta = values
+        links[number - 2] = [*(beta or [0.0]), alpha, a, theta, d]
+    if not kinds:
+        raise InputError(f"{path}: expected a row for each joint")
+    return tuple(kinds), links
+
+
+def _number(path: str | Path, row: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise located(path, f"expected a finite number, found {text!r:.40}", row=row, column=column)
+    return value
+
+
+def new_cell_text(
+    layout: Layout, name: str, *, wavelength_nm: float, opd: str = "axis", gap_sd_um: float | None = None
+) -> str:
+    """The text of a cell file.
+
+    Parameters
+    ----------
+    gap_sd_um
+        Standard deviation of the layout's gap where it was measured; without it the file leaves it to be filled in.
+    """
+    directions = layout.directions()
+    words = [_axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]
+    title = "; ".join(f"q{i} {word}" for i, word in enumerate(words, 1))
+    side = direction_words(layout.side)
+    text = _HEAD.format(
+        title=title, file=f"{name}.toml", name=name, wavelength=wavelength_nm, opd=opd, pad=" " * (26 - len(opd))
+    )
+    for i, word in enumerate(words):
+        text += _joint(layout, i, word, directions[i])
+    text += (
+        f"[extrinsic]                       # mirror in the tool frame (et), fibre in the world frame (wf), at {side}\n"
+    )
+    values = dict(zip(EXTRINSICS, (layout.beta_et, layout.theta_et, layout.beta_wf, layout.theta_wf), strict=False))
+    values |= {"z_et": 0.0, **dict(zip(("x_wf", "y_wf", "z_wf"), layout.fibre.tolist(), strict=True))}
+    beam = ("x_wf", "y_wf", "z_wf")[int(np.argmax(np.abs(layout.side)))]
+    across_sd = round(min(200.0, max(20.0, layout.gap / 4.0)), 3)
+    sds = {"z_et": _OFFSET_SD, **dict.fromkeys(("x_wf", "y_wf", "z_wf"), across_sd)}
+    sds[beam] = round(min(200.0, layout.gap / 4.0), 3)
+    for stem in EXTRINSICS:
+        text += _parameter(stem, values[stem], stem in layout.free, sds.get(stem, _ANGLE_SD)) + "\n"
+    text += "\n[extrinsic.drift]                 # <- random walk, per square-root day: what your room does\n"
+    drift = {"beta_et": 0.01, "theta_et": 0.02, "beta_wf": 0.01, "theta_wf": 0.016, "z_et": 0.2}
+    for stem, size in (drift | dict.fromkeys(("x_wf", "y_wf", "z_wf"), 0.5)).items():
+        if stem in layout.free:
+            text += f"{stem} = {{ walk_{UNITS[stem]} = {size:g} }}\n"
+    gap = f"gap_um = {layout.gap:g}\n"
+    if gap_sd_um is None:
+        gap = (
+            f"# gap_um = {layout.gap:g}                   # <- measured gap at joint zero and its standard deviation,\n"
+        )
+        gap += "# gap_sd_um = 5.0                 #    unless the sweeps hold one: a wavelength scan (kind = absolute)"
+    else:
+        gap += f"gap_sd_um = {gap_sd_um:g}"
+    return text + "\n" + _ENVELOPE.format(least=f"least_gap_um = {layout.gap / 4.0:g}".ljust(34), gap=gap)
+
+
+def _axis_words(kind: JointKind, direction: Floats) -> str:
+    return f"{'moves along' if kind == 'prismatic' else 'turns about'} {direction_words(direction)}"
+
+
+def _joint(layout: Layout, i: int, word: str, direction: Floats) -> str:
+    kind, unit = layout.kinds[i], JOINT_UNITS[layout.kinds[i]]
+    along = abs(float(direction @ layout.side)) > 0.7
+    if kind == "prismatic":
+        far, speed = (round(min(_TRAVEL, _SHARE * layout.gap), 3) if along else _TRAVEL), 100.0
+    else:
+        far, speed = (_SPIN if along else _TILT), 2.0
+    note = ", along the beam" if along and kind == "prismatic" else ", about the beam" if along else ""
+    lines = [
+        "[[joint]]".ljust(34) + f"# q{i + 1} {word}{note}",
+        f'kind = "{kind}"',
+        f"limits_{unit} = [{-far:.6g}, {far:.6g}]".ljust(34) + "# <- as far as it may go, from joint zero",
+        f"repeatability_{unit} = 0.0".ljust(34) + "# <- data sheet, one standard deviation",
+        f"speed_{unit}_per_s = {speed:g}".ljust(34) + "# <- as it is driven",
+        f'# controller = {{ name = "?", channel = "{i + 1}", sign = 1, zero = 0.0, unit = "{unit}" }}  # <-',
+    ]
+    for slot, stem in enumerate(_STEMS):
+        value, free = float(layout.links[i, slot]), f"{stem}_{i + 1}" in layout.free
+        if value or free:
+            lines.append(_parameter(stem, value, free, _OFFSET_SD if UNITS[stem] == "um" else _ANGLE_SD))
+    return "\n".join(lines) + "\n\n"
+
+
+def _parameter(stem: str, value: float, free: bool, sd: float) -> str:
+    unit = UNITS[stem]
+    prior = f", prior_sd_{unit} = {sd:g}" if free else ""
+    return f"{stem} = {{ nominal_{unit} = {round(value, 9) + 0.0:.12g}{prior} }}"

@@ -1,0 +1,107 @@
+"""Where the axes of a cell point, and how mirror and fibre face each other, at one joint vector."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.parameters import LINK_SLOTS
+
+_STRIDE = len(LINK_SLOTS)
+#: A direction within this of a world axis is said to be along it, in rad.
+ALONG = float(np.radians(0.05))
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Mirror and fibre at one joint vector, in the world frame; lengths in um, angles in rad.
+
+    Attributes
+    ----------
+    normal, across, origin
+        Normal Zt and axis Xt of the mirror, and its origin, shape (3,) each.
+    light, fibre_x, fibre
+        Direction of the light that leaves the fibre, axis Xf, and the fibre's end, shape (3,) each.
+    point, point_on_mirror
+        Reflection point in the world frame and in the mirror frame, shape (3,) each; not finite where the light runs
+        along the mirror.
+    length
+        Distance along the light from the fibre's end to the mirror plane, below zero where the mirror stands behind
+        the fibre, infinite where the light runs along it.
+    tilt
+        Angle between the light and the normal turned round: 0 where the mirror faces the fibre, pi where its back does.
+    """
+
+    normal: Floats
+    across: Floats
+    origin: Floats
+    light: Floats
+    fibre_x: Floats
+    fibre: Floats
+    point: Floats
+    point_on_mirror: Floats
+    length: float
+    tilt: float
+
+
+def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """Direction of each joint's axis and a point on it, in the world frame.
+
+    Parameters
+    ----------
+    vector
+        Model vector, shape (model size,), in um and rad.
+    q
+        Joint vector, shape (n_joints,), in um and rad.
+
+    Returns
+    -------
+    tuple of ndarray
+        Unit vectors along which positive joint values move, or about which they turn by the right hand, and points in
+        um; shape (n_joints, 3) each.
+    """
+    pose, directions, points = np.eye(4), [], []
+    for i, joint in enumerate(cell.joints):
+        link = vector[_STRIDE * i : _STRIDE * (i + 1)]
+        pose = pose @ chain.link_transform(link, q[i], joint.kind == "prismatic")
+        directions.append(pose[:3, 2])
+        points.append(pose[:3, 3])
+    return np.array(directions), np.array(points)
+
+
+def sight(cell: Cell, vector: Floats, q: Floats) -> Sight:
+    """How mirror and fibre stand to each other at joint vector `q`; arguments as those of `joint_axes`."""
+    mirror, fibre = chain.mirror_pose(cell, vector, q), chain.fibre_in_world(vector)
+    normal, origin, light = mirror[:3, 2], mirror[:3, 3], chain.optical_axis(cell, vector)
+    facing, distance = float(-normal @ light), float(-normal @ (origin - fibre[:3, 3]))
+    seen = abs(facing) > 1e-12
+    length = distance / facing if seen else np.inf
+    point = fibre[:3, 3] + light * length if seen else np.full(3, np.nan)
+    tilt = float(np.arctan2(np.linalg.norm(np.cross(normal, light)), facing))
+    on_mirror = mirror[:3, :3].T @ (point - origin)
+    return Sight(normal, mirror[:3, 0], origin, light, fibre[:3, 0], fibre[:3, 3], point, on_mirror, length, tilt)
+
+
+def home(cell: Cell) -> Floats:
+    """Joint vector zero, or as near to it as the limits allow, shape (n_joints,)."""
+    return np.clip(np.zeros(len(cell.joints)), cell.low, cell.high)
+
+
+def direction_words(direction: Floats) -> str:
+    """A direction in words: ``+z``, or ``+z, 3.2 deg off it towards -x``."""
+    size = np.abs(direction)
+    along = int(np.argmax(size))
+    main = _signed(direction, along)
+    off = float(np.arctan2(np.linalg.norm(np.delete(direction, along)), size[along]))
+    if off < ALONG:
+        return main
+    rest = size.copy()
+    rest[along] = 0.0
+    towards = [_signed(direction, i) for i in np.argsort(-rest)[:2] if rest[i] > np.sin(ALONG)]
+    return f"{main}, {np.degrees(off):.3g} deg off it towards {' and '.join(towards) or 'another axis'}"
+
+
+def _signed(direction: Floats, axis: int) -> str:
+    return f"{'+' if direction[axis] > 0 else '-'}{'xyz'[axis]}"

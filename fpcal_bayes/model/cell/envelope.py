@@ -1,0 +1,37 @@
+"""What keeps the mirror off the fibre, as a cell's [envelope] table states it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Bounds of every motion of a cell; lengths in um, angles in rad.
+
+    None of it changes a cavity length, so it is no part of the cell's hash.
+
+    Attributes
+    ----------
+    least_gap
+        Between mirror and fibre, where the edges of both come nearest.
+    fibre_radius
+        Of the fibre's end, with its ferrule where that reaches as far.
+    mirror_radius
+        Of the mirror around the origin of its frame.
+    max_tilt
+        Largest angle between the mirror's normal and the light turned round.
+    max_fringe_rate
+        Half waves a second that the cavity length may change by.
+    together
+        Groups of joints, by position, that may move at the same time.
+    gap, gap_sd
+        Measured cavity length at joint zero and its standard deviation, or None where nobody has measured it.
+    """
+
+    least_gap: float
+    fibre_radius: float
+    mirror_radius: float
+    max_tilt: float
+    max_fringe_rate: float
+    together: tuple[tuple[int, ...], ...] = ()
+    gap: float | None = None
+    gap_sd: float | None = None

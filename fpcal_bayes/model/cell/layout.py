@@ -1,0 +1,248 @@
+"""The angles of a cell worked out from where its axes point, or from modified Denavit-Hartenberg parameters.
+
+Each link stands RotY(beta) RotX(alpha) TransX(d) RotZ(theta) TransZ(r) on the one before it. Along a chain of axes that
+point along +-x, +-y, +-z the theta of a link is turned such that the next axis is reached by alpha alone; parallel
+neighbours get Hayati's beta beside alpha, since there theta and alpha cannot tell a small change of direction.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.cell.check import mirror_angles
+from fpcal_bayes.model.cell.joints import JointKind
+
+_WORD = re.compile(r"(?P<sign>[+-]?)(?P<turns>r?)(?P<inner>[+-]?)(?P<axis>[xyz])")
+_QUARTERS = (0.0, -90.0, 90.0, 180.0)
+#: Links of a chain at most: more is a mistake in the words.
+_MOST_AXES = 12
+
+
+@dataclass(frozen=True)
+class AxisWord:
+    """One axis in words: ``x``, ``-z``, ``ry``, ``-rx`` (turns about -x)."""
+
+    kind: JointKind
+    direction: tuple[int, int, int]
+
+    @property
+    def vector(self) -> Floats:
+        """The direction, shape (3,)."""
+        return np.array(self.direction, dtype=float)
+
+    def __str__(self) -> str:
+        axis = int(np.argmax(np.abs(self.direction)))
+        word = f"{'+' if self.direction[axis] > 0 else '-'}{'xyz'[axis]}"
+        return f"moves along {word}" if self.kind == "prismatic" else f"turns about {word}"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Nominal geometry of a cell; angles in deg, lengths in um, as files hold them.
+
+    Attributes
+    ----------
+    kinds
+        Of the joints, from base to tool.
+    links
+        beta, alpha, d, theta, r of each link, shape (n_joints, 5).
+    free
+        Names of the parameters that are worth a prior.
+    beta_et, theta_et, beta_wf, theta_wf
+        Angles of mirror and fibre.
+    fibre
+        End of the fibre in the world frame, shape (3,).
+    side
+        Direction from the mirror to the fibre, shape (3,).
+    gap
+        Distance from the fibre's end to the mirror at joint zero.
+    """
+
+    kinds: tuple[JointKind, ...]
+    links: Floats
+    free: frozenset[str]
+    beta_et: float
+    theta_et: float
+    beta_wf: float
+    theta_wf: float
+    fibre: Floats
+    side: Floats
+    gap: float
+
+    def directions(self) -> Floats:
+        """Where each axis points at joint zero, in the world frame, shape (n_joints, 3)."""
+        return np.array([frame[:3, 2] for frame in _frames(self.links)[1:]])
+
+
+def read_axes(text: str) -> tuple[AxisWord, ...]:
+    """Axes from words such as ``x y z rx rz -ry``, from base to mirror.
+
+    Raises
+    ------
+    InputError
+        If a word is none, or there is none or more than twelve.
+    """
+    words = text.replace(",", " ").split()
+    axes = []
+    for word in words:
+        found = _WORD.fullmatch(word.lower())
+        if found is None or (found["inner"] and not found["turns"]) or (found["sign"] and found["inner"]):
+            raise InputError(
+                f"axis {word!r:.40}: expected x, y or z (moves along), rx, ry or rz (turns about), with - in front"
+            )
+        sign = -1 if "-" in (found["sign"], found["inner"]) else 1
+        direction = [0, 0, 0]
+        direction["xyz".index(found["axis"])] = sign
+        axes.append(AxisWord("revolute" if found["turns"] else "prismatic", (direction[0], direction[1], direction[2])))
+    if not 1 <= len(axes) <= _MOST_AXES:
+        raise InputError(f"{len(axes)} axes: expected 1 to {_MOST_AXES}, from base to mirror, as in 'x y z rx rz ry'")
+    return tuple(axes)
+
+
+def read_side(text: str) -> Floats:
+    """Direction from the mirror to the fibre from a word such as ``+y``, shape (3,)."""
+    try:
+        (axis,) = read_axes(text.replace("minus-", "-"))
+    except (InputError, ValueError):
+        axis = AxisWord("revolute", (0, 0, 1))
+    if axis.kind != "prismatic":
+        raise InputError(
+            f"side {text!r:.40}: expected +x, -x, +y, -y, +z or -z, where the fibre stands from the mirror"
+        )
+    return axis.vector
+
+
+def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout:
+    """The layout of axes that meet at the mirror, with the fibre on one side of it.
+
+    Parameters
+    ----------
+    side
+        Direction from the mirror to the fibre, along a world axis, shape (3,).
+    gap
+        In um.
+    """
+    links, frame = np.zeros((len(axes), 5)), np.eye(3)
+    for i, axis in enumerate(axes):
+        if i > 0:
+            links[i - 1, 3] = _theta_before(frame.T @ axis.vector)
+            frame = frame @ chain.rot_z(np.radians(links[i - 1, 3]))[:3, :3]
+        wanted = np.round(frame.T @ axis.vector)
+        if wanted[0]:
+            # Only the first axis may point along x of the frame before it, the world's.
+            links[i, 0] = 90.0 * wanted[0]
+        else:
+            links[i, 1] = np.degrees(np.arctan2(-wanted[1], wanted[2])) + 0.0
+        frame = frame @ (chain.rot_y(np.radians(links[i, 0])) @ chain.rot_x(np.radians(links[i, 1])))[:3, :3]
+    kinds = tuple(axis.kind for axis in axes)
+    return _faced(kinds, links, side, gap)
+
+
+def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap: float) -> Layout:
+    """The layout of links that are given: beta, alpha, d, theta, r in deg and um, shape (n_joints, 5).
+
+    The theta of a last axis that turns about the mirror's normal is turned such that tasks can use it.
+    """
+    return _faced(tuple(kinds), np.array(links, dtype=float), side, gap)
+
+
+def _theta_before(wanted: Floats) -> float:
+    """The turn about z after which the direction `wanted` (3,) of the next axis has no x component, in deg."""
+    if abs(wanted[0]) < 0.5:
+        return 0.0
+    return -90.0 if wanted[0] > 0 else 90.0
+
+
+def _faced(kinds: tuple[JointKind, ...], links: Floats, side: Floats, gap: float) -> Layout:
+    """Turn mirror and fibre to each other, the mirror's x axis along the fibre's as far as quarter turns go."""
+    last = _frames(links)[-1]
+    about = abs(float(last[:3, 2] @ side))
+    best: tuple[float, ...] = (np.inf,)
+    found = (0.0,) * 5
+    for beta_wf, theta_wf in product(_QUARTERS, _QUARTERS):
+        fibre = (chain.rot_x(np.radians(beta_wf)) @ chain.rot_z(np.radians(theta_wf)))[:3, :3]
+        # With the light along the world's x, theta_wf must tilt it about z: beta_1 tilts the robot about y.
+        if fibre[:, 1] @ side < 0.5 or (abs(theta_wf) == 90.0 and abs(beta_wf) == 90.0):
+            continue
+        for turn in _turns(last[:3, :3], side, fibre[:, 0], about):
+            frame = last[:3, :3] @ chain.rot_z(np.radians(turn))[:3, :3]
+            for beta_et, theta_et in _mirror_choices(frame.T @ side):
+                mirror = frame @ (chain.rot_x(np.radians(beta_et)) @ chain.rot_y(np.radians(theta_et)))[:3, :3]
+                off = float(np.degrees(np.arccos(np.clip(mirror[:, 0] @ fibre[:, 0], -1.0, 1.0))))
+                angles = (turn, beta_et, theta_et, beta_wf, theta_wf)
+                # beta_et tilts no mirror whose theta_et is a quarter turn; the last theta does then.
+                cost = (round(off, 3), float(abs(np.cos(np.radians(theta_et))) < 0.5), float(np.abs(angles).sum()))
+                if cost < best:
+                    best, found = cost, angles
+    turn, beta_et, theta_et, beta_wf, theta_wf = found
+    links = links.copy()
+    links[-1, 3] = _wrapped(links[-1, 3] + turn)
+    end = _frames(links)[-1][:3, 3] + gap * side
+    free = _worth_a_prior(kinds, links, side, theta_et, theta_wf)
+    return Layout(kinds, links, free, beta_et, theta_et, beta_wf, theta_wf, end + 0.0, side, gap)
+
+
+def _turns(frame: Floats, side: Floats, across: Floats, about: float) -> list[float]:
+    """Turns of the last frame about its own axis that may bring the mirror's x axis along `across`, in deg."""
+    if about < 0.9:
+        return list(_QUARTERS)
+    x, y = float(frame[:, 0] @ across), float(frame[:, 1] @ across)
+    exact = round(float(np.degrees(np.arctan2(y, x))), 6)
+    return [_wrapped(exact + quarter) for quarter in _QUARTERS]
+
+
+def _mirror_choices(normal: Floats) -> list[tuple[float, float]]:
+    """Angles beta_et and theta_et in deg that put the mirror's normal along `normal` (3,) of the tool frame."""
+    beta, theta = (round(float(np.degrees(angle)), 6) for angle in mirror_angles(normal))
+    choices = [(beta, theta), (_wrapped(beta + 180.0), _wrapped(180.0 - theta))]
+    if np.hypot(normal[1], normal[2]) < 1e-6:
+        choices = [(quarter, theta) for quarter in _QUARTERS]
+    return choices
+
+
+def _worth_a_prior(
+    kinds: tuple[JointKind, ...], links: Floats, side: Floats, theta_et: float, theta_wf: float
+) -> frozenset[str]:
+    """Parameters that lengths can tell in principle: not the direction of the world's own axes."""
+    axes = [frame[:3, 2] for frame in _frames(links)[1:]]
+    parallel = [i > 0 and abs(float(axes[i - 1] @ axes[i])) > 0.99 for i in range(len(axes))]
+    # The first axis is the world's own, and so is the turn about it until another axis points elsewhere.
+    fixed = next((i for i in range(1, len(axes)) if abs(float(axes[0] @ axes[i])) < 0.99), len(axes))
+    free = set()
+    for i, kind in enumerate(kinds):
+        number = i + 1
+        if i > 0:
+            free.add(f"alpha_{number}")
+        if i >= fixed:
+            free.add(f"theta_{number}")
+        if parallel[i]:
+            free.add(f"beta_{number}")
+        # Where an axis along the normal pierces the mirror leaves no trace in a length.
+        if kind == "revolute" and i > 0 and abs(float(axes[i] @ side)) < 0.99:
+            free.add(f"d_{number}")
+    free |= {"theta_et", "theta_wf", "z_et", "x_wf", "y_wf", "z_wf"}
+    if abs(np.cos(np.radians(theta_et))) > 0.5:
+        free.add("beta_et")
+    # With the light along the world's x, beta_wf turns about the light: the tilt it cannot make is the robot's.
+    free.add("beta_wf" if abs(np.cos(np.radians(theta_wf))) > 0.5 else "beta_1")
+    return frozenset(free)
+
+
+def _frames(links: Floats) -> list[Floats]:
+    """The world frame and the frame of each link at joint zero."""
+    frames = [np.eye(4)]
+    for beta, alpha, d, theta, r in links:
+        link = np.array([np.radians(beta), np.radians(alpha), d, np.radians(theta), r, 0.0, 0.0, 0.0])
+        frames.append(frames[-1] @ chain.link_transform(link, 0.0, True))
+    return frames
+
+
+def _wrapped(degrees: float) -> float:
+    turned = round((degrees + 180.0) % 360.0 - 180.0, 6) + 0.0
+    return 180.0 if turned == -180.0 else turned

@@ -1,0 +1,40 @@
+"""Tasks of one's own, as a cell's [[task]] tables state them."""
+
+from dataclasses import dataclass, field
+
+#: What moves, by the kind of task: position of the offset (x y z rx ry rz of the fibre frame); a circle moves two.
+OWN_KINDS: dict[str, int] = {"line-x": 0, "line-y": 1, "line-z": 2, "tilt-x": 3, "spin": 4, "tilt-z": 5, "circle": -1}
+
+
+@dataclass(frozen=True)
+class OwnTask:
+    """One task; lengths in um, angles in rad, in the fibre frame and relative to the aligned pose.
+
+    Attributes
+    ----------
+    name
+        By which commands take it.
+    kind
+        One of `OWN_KINDS`.
+    radius
+        Of a circle; 0 for other kinds.
+    low, high
+        Ends of a line, a tilt or a spin; 0 for a circle.
+    centre
+        Offset of the middle: x, y, z in um.
+    tolerances
+        Largest peak to peak by degree of freedom: ``beam``, ``x``, ``z`` in um, ``rx``, ``ry``, ``rz`` in rad.
+    """
+
+    name: str
+    kind: str
+    radius: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tolerances: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the mirror turns on the way."""
+        return OWN_KINDS[self.kind] >= 3

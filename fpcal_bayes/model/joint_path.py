@@ -1,0 +1,127 @@
+"""Every pose that a robot may take on its way through sweeps or a task, also between them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Bools, Floats, Ints
+from fpcal_bayes.model.axes import home
+from fpcal_bayes.model.cell.cell import Cell
+
+#: Poses of a sweep that are looked at, both ends included.
+POINTS = 9
+#: Speeds of joints that state none, in um and rad a second.
+TRAVEL_SPEED, TURN_SPEED = 100.0, float(np.radians(2.0))
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Poses in the order of the rows they belong to.
+
+    Attributes
+    ----------
+    q
+        Shape (n_poses, n_joints), in um and rad.
+    row
+        Position of the row that each pose belongs to, shape (n_poses,).
+    between
+        Whether a pose lies on the way to its row's start, shape (n_poses,).
+    step
+        Pairs of poses between which the joints move straight, by position, shape (n_steps, 2), and the seconds that
+        each takes, shape (n_steps,).
+    seconds
+        See `step`.
+    """
+
+    q: Floats
+    row: Ints
+    between: Bools
+    step: Ints
+    seconds: Floats
+
+
+def speeds(cell: Cell) -> Floats:
+    """What each joint travels or turns in a second, shape (n_joints,)."""
+    usual = np.where(cell.revolute, TURN_SPEED, TRAVEL_SPEED)
+    stated = [np.nan if joint.speed is None else joint.speed for joint in cell.joints]
+    return np.where(np.isnan(stated), usual, stated)
+
+
+def in_turn(cell: Cell, moved: Bools) -> bool:
+    """Whether joints that move, shape (n_joints,), must move one after the other: no group allows them at once."""
+    joints = set(np.flatnonzero(moved).tolist())
+    groups = () if cell.envelope is None else cell.envelope.together
+    return len(joints) > 1 and not any(joints <= set(group) for group in groups)
+
+
+def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True) -> JointPath:
+    """The path of sweeps that are driven in their order, each (n_rows, n_joints).
+
+    Parameters
+    ----------
+    ways
+        Also look at the ways from joint zero to the first start and from each end to the next start. The order in which
+        the joints go there is not known: every pose between their old and new values counts.
+    """
+    parts: list[Floats] = []
+    rows: list[Ints] = []
+    between: list[Bools] = []
+    steps, count = [], 0
+    share = np.linspace(0.0, 1.0, POINTS)[:, None]
+    before = home(cell)
+    for row, (start, end) in enumerate(zip(q_start, q_end, strict=True)):
+        way = _box(cell, before, start) if ways else start[None][:0]
+        line = start + share * (end - start)
+        if in_turn(cell, start != end):
+            line = np.vstack([line, _box(cell, start, end)])
+        first = count + len(way)
+        steps.append(np.column_stack([np.arange(first, first + POINTS - 1), np.arange(first + 1, first + POINTS)]))
+        parts += [way, line]
+        rows.append(np.full(len(way) + len(line), row))
+        between.append(np.arange(len(way) + len(line)) < len(way))
+        count += len(way) + len(line)
+        before = end
+    return _joined(cell, parts, rows, between, steps)
+
+
+def task_path(cell: Cell, q: Floats) -> JointPath:
+    """The path of a task through joint vectors `q` (n_points, n_joints), from joint zero to the first and so on.
+
+    Between points joints that no group moves at once take an unknown order: every pose between counts.
+    """
+    parts: list[Floats] = []
+    rows: list[Ints] = []
+    between: list[Bools] = []
+    steps, count = [], 0
+    before = home(cell)
+    for row, point in enumerate(q):
+        way = _box(cell, before, point) if row == 0 or in_turn(cell, before != point) else point[None][:0]
+        if row > 0:
+            steps.append(np.array([[count - 1, count + len(way)]]))
+        parts += [way, point[None]]
+        rows.append(np.full(len(way) + 1, row))
+        between.append(np.arange(len(way) + 1) < len(way))
+        count += len(way) + 1
+        before = point
+    return _joined(cell, parts, rows, between, steps)
+
+
+def _joined(
+    cell: Cell, parts: Sequence[Floats], rows: Sequence[Ints], between: Sequence[Bools], steps: Sequence[Ints]
+) -> JointPath:
+    q = np.vstack(parts)
+    step = np.vstack(steps) if steps else np.zeros((0, 2), dtype=np.int64)
+    seconds = (np.abs(q[step[:, 1]] - q[step[:, 0]]) / speeds(cell)).max(axis=1, initial=0.0)
+    return JointPath(q, np.concatenate(rows), np.concatenate(between), step, seconds)
+
+
+def _box(cell: Cell, start: Floats, end: Floats) -> Floats:
+    """Poses between two, whatever the order in which the joints move: corners, and middles of those that turn."""
+    # The distance of the mirror's plane is linear in each joint that travels: its extremes are at the ends.
+    values = [
+        (start[i],) if start[i] == end[i] else (start[i], end[i], (start[i] + end[i]) / 2.0)[: 3 if turns else 2]
+        for i, turns in enumerate(cell.revolute)
+    ]
+    return np.array(list(product(*values)))

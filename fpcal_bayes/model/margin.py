@@ -1,0 +1,242 @@
+"""What a path leaves between mirror and fibre, with what is known of the cell.
+
+Changes of length never see the gap itself, so it comes from the cell (``gap_um``), or from an estimate that holds a
+measured length. Mirror and fibre are discs: the fibre's edge stands before the mirror's plane, or the mirror's edge
+before the plane of the fibre's end; whichever keeps them farther apart counts.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model import chain
+from fpcal_bayes.model.axes import home
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.joint_path import JointPath
+
+#: Standard deviations of the estimate that stay inside the envelope over a whole path.
+SIGMAS = 4.0
+#: Draws of an estimate that its uncertainty is judged by, and how many tell which poses need all of them.
+N_DRAWS, _SCREEN = 2000, 400
+#: An estimate whose length at joint zero is known this much better than the prior says has measured it.
+_MEASURED = 0.5
+#: Stands for a clearance where the mirror faces away.
+_AWAY = -1e6
+#: Draws times poses that are looked at together: what fits a few tens of megabytes.
+_BLOCK = 400_000
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What is left at each pose; lengths in um, angles in rad.
+
+    Attributes
+    ----------
+    gap, gap_sd, least_gap
+        Clearance between mirror and fibre, edges included: expected, its standard deviation, and what it is at
+        `SIGMAS` standard deviations, shape (n_poses,).
+    tilt, most_tilt
+        Angle between light and mirror normal, expected and at `SIGMAS` standard deviations, shape (n_poses,).
+    most_aside
+        Distance of the reflection point from the mirror's origin, likewise.
+    rate
+        Half waves a second on each step of the path, likewise, shape (n_steps,).
+    known
+        Whether the gap is measured; if not, `gap` counts from the nominal one.
+    """
+
+    gap: Floats
+    gap_sd: Floats
+    least_gap: Floats
+    tilt: Floats
+    most_tilt: Floats
+    most_aside: Floats
+    rate: Floats
+    known: bool
+
+
+def estimate_draws(estimate: Estimate, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityModel, Floats]:
+    """The model of an estimate's parameters and draws of them, shape (n, n_free), from its covariance."""
+    model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
+    values, vectors = np.linalg.eigh(estimate.covariance)
+    spread = np.random.default_rng(seed).standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0.0, None))
+    return model, estimate.values + spread @ vectors.T
+
+
+def prior_draws(cell: Cell, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityModel, Floats]:
+    """The model of a cell's free parameters and draws of their priors, as normal ones, shape (n, n_free)."""
+    free = cell.free
+    return CavityModel.of(cell), free.nominal + free.prior_sd * np.random.default_rng(seed).standard_normal(
+        (n, len(free))
+    )
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a cell, as draws of its model's parameters.
+
+    Attributes
+    ----------
+    model
+        Cavity model of the parameters.
+    draws
+        Shape (n_draws, n_free), in um and rad.
+    fibre, light
+        End of the fibre and direction of its light at each draw, shape (n_draws, 1, 3).
+    """
+
+    model: CavityModel
+    draws: Floats
+    fibre: Floats
+    light: Floats
+
+    @classmethod
+    def of(cls, model: CavityModel, draws: Floats) -> "Known":
+        """The same with fibre and light worked out; one draw may come as a vector."""
+        draws = np.atleast_2d(draws)
+        vectors = [model.vector(values) for values in draws]
+        fibre = np.array([chain.fibre_in_world(vector)[:3, 3] for vector in vectors])
+        light = np.array([chain.optical_axis(model.cell, vector) for vector in vectors])
+        return cls(model, draws, fibre[:, None], light[:, None])
+
+    def first(self, n: int) -> "Known":
+        """The first `n` draws."""
+        return Known(self.model, self.draws[:n], self.fibre[:n], self.light[:n])
+
+    def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
+
+        Distance of the fibre before the mirror's plane, cosine of the tilt, distance of the reflection point from the
+        mirror's origin, distance of that origin along the light.
+        """
+        normals, origins = self.model.mirrors(self.draws, q)
+        light = np.swapaxes(self.light, 1, 2)
+        # Products with one vector a draw are products of matrices, which need no copies of the poses.
+        facing = -(normals @ light)[..., 0]
+        before = (origins @ light)[..., 0] - (self.fibre @ light)[..., 0]
+        origins -= self.fibre
+        ahead = -np.einsum("dpi,dpi->dp", normals, origins)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = ahead / facing
+        # The reflection point lies at `length` along the light: by Pythagoras from the mirror's origin.
+        square = np.einsum("dpi,dpi->dp", origins, origins) - (2.0 * before - length) * length
+        aside = np.sqrt(np.maximum(square, 0.0))
+        return ahead, facing, np.where(facing > 1e-3, aside, 1e9), before
+
+
+def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1) -> Margin:
+    """What a path leaves between mirror and fibre.
+
+    Parameters
+    ----------
+    model, draws
+        A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
+    exact
+        The draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
+    rows
+        How many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+
+    Raises
+    ------
+    InputError
+        If the cell has no envelope, or the gap that it states and the one that the draws have measured disagree.
+    """
+    envelope = require_envelope(model.cell)
+    told = Known.of(model, draws)
+    known = (np.zeros(len(told.draws)), 0.0) if exact else _gap(told, envelope)
+    shift, gap_sd = (np.zeros(len(told.draws)), 0.0) if known is None else known
+    sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
+    sizes = _sizes(told.first(_SCREEN), path.q, (envelope, shift[:_SCREEN], gap_sd, sigmas))
+    gap, _, least, tilt, most_tilt, most_aside = sizes
+    # Poses that half as much spread again keeps inside need no finer look.
+    near = (1.5 * least - 0.5 * gap < envelope.least_gap) | (1.5 * most_tilt - 0.5 * tilt > envelope.max_tilt)
+    near |= 1.5 * most_aside > envelope.mirror_radius
+    if len(told.draws) > _SCREEN and near.any():
+        sizes[:, near] = _sizes(told, path.q[near], (envelope, shift, gap_sd, sigmas))
+    rates = _rates(model, told.draws[:_SCREEN], path, sigmas)
+    gap, spread, least, tilt, most_tilt, most_aside = sizes
+    return Margin(gap, spread, least, tilt, most_tilt, most_aside, rates, known is not None)
+
+
+def _sizes(known: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float]) -> Floats:
+    """The first six fields of a `Margin`, shape (6, n_poses)."""
+    envelope, shift, gap_sd, sigmas = bounds
+    sizes = np.empty((6, len(q)))
+    step = max(1, _BLOCK // len(known.draws))
+    for first in range(0, len(q), step):
+        block = slice(first, first + step)
+        ahead, facing, aside, before = known.facing(q[block])
+        tilt = np.arccos(np.clip(facing, -1.0, 1.0))
+        lean = np.sin(np.minimum(tilt, np.pi / 2))
+        from_plane = ahead + shift[:, None] * facing - envelope.fibre_radius * lean
+        from_face = before + shift[:, None] - envelope.mirror_radius * lean
+        clear = np.where(facing > 0.1, np.maximum(from_plane, from_face), _AWAY)
+        sizes[:3, block] = clear.mean(axis=0), np.hypot(clear.std(axis=0), gap_sd), -_far(-clear, sigmas, gap_sd)
+        sizes[3:, block] = tilt.mean(axis=0), _far(tilt, sigmas), _far(aside, sigmas)
+    return sizes
+
+
+def _far(samples: Floats, z: float, extra_sd: float = 0.0) -> Floats:
+    """Upper end at `z` standard deviations of samples (n, m) with an independent normal part added; shape (m,).
+
+    A tilt times an offset is no normal quantity: the quantile follows skewness and kurtosis (Cornish and Fisher 1938).
+    """
+    mean, sd = samples.mean(axis=0), samples.std(axis=0)
+    both = np.maximum(np.hypot(sd, extra_sd), 1e-12)
+    away = (samples - mean) / both
+    square = away * away
+    skew, kurtosis = (square * away).mean(axis=0), (square * square).mean(axis=0) - 3.0 * (sd / both) ** 4
+    reach = z + (z**2 - 1) * skew / 6 + (z**3 - 3 * z) * kurtosis / 24 - (2 * z**3 - 5 * z) * skew**2 / 36
+    end: Floats = mean + both * np.maximum(reach, z)
+    return end
+
+
+def require_envelope(cell: Cell) -> Envelope:
+    """The cell's envelope; `InputError` if it states none."""
+    if cell.envelope is None:
+        raise InputError(f"cell {cell.name!r}: expected an [envelope] table, see docs/reference/cell.md")
+    return cell.envelope
+
+
+def _gap(told: Known, envelope: Envelope) -> tuple[Floats, float] | None:
+    """What to add to each draw's length along the light, shape (n_draws,), and the sd of the gap; None if not known."""
+    cell, draws = told.model.cell, told.draws
+    ahead, facing, _, _ = told.facing(home(cell)[None])
+    length = (ahead / facing)[:, 0]
+    sd, prior_sd = float(length.std()), _prior_sd(told.model)
+    measured = len(draws) > 1 and sd < _MEASURED * prior_sd
+    if envelope.gap is None or envelope.gap_sd is None:
+        return (np.zeros(len(draws)), 0.0) if measured else None
+    if measured:
+        off, both = abs(float(length.mean()) - envelope.gap), float(np.hypot(sd, envelope.gap_sd))
+        if off > SIGMAS * both:
+            raise InputError(
+                f"cell {cell.name!r}: gap_um = {envelope.gap:g} (sd {envelope.gap_sd:g}) and the measured length "
+                f"{length.mean():.5g} um (sd {sd:.2g}) at joint zero disagree: mend the one that is wrong"
+            )
+        if sd < envelope.gap_sd:
+            return np.zeros(len(draws)), 0.0
+    return envelope.gap - length, envelope.gap_sd
+
+
+def _prior_sd(model: CavityModel) -> float:
+    """Standard deviation of the length at joint zero that the cell's priors leave, in um."""
+    wide = replace(model, free=model.cell.free, held=model.cell.parameters.nominal)
+    axis_model = replace(wide, cell=model.cell.with_opd("axis"))
+    _, jacobian = axis_model.predict_with_jacobian(wide.free.nominal, axis_model.pose_rows(home(model.cell)[None]))
+    return float(np.linalg.norm(jacobian[0] * wide.free.prior_sd))
+
+
+def _rates(model: CavityModel, draws: Floats, path: JointPath, sigmas: float) -> Floats:
+    """Half waves a second on each step at `sigmas` standard deviations, shape (n_steps,)."""
+    lengths = model.predict(draws, model.rows(path.q[path.step[:, 0]], path.q[path.step[:, 1]]))
+    change = np.maximum(_far(lengths, sigmas), _far(-lengths, sigmas))
+    seconds = np.where(path.seconds > 0, path.seconds, np.inf)
+    rate: Floats = change / seconds / (model.cell.wavelength / 2.0)
+    return rate

@@ -1,0 +1,197 @@
+"""A cell in words and as one picture: a schematic in which directions are true and distances are not."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fpcal_bayes.analysis.cell_view import AxisView, CellView
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.axes import direction_words
+from fpcal_bayes.report.pages import BLUE, GREEN, ORANGE, VERMILION, drawable
+
+#: Where x, y and z of the world point on the page: x towards the reader, y to the right, z up.
+_PAGE = np.array([[-0.56, 0.93, 0.0], [-0.42, -0.17, 0.98]])
+_TOWARDS_READER = np.cross(_PAGE[0], _PAGE[1])
+#: Sizes on the page: between joints, half an axis, a turn's circle, the mirror, fibre and beam.
+_APART, _HALF, _TURN, _MIRROR, _FIBRE, _BEAM = 2.5, 0.85, 0.5, 0.95, 1.5, 2.3
+
+
+def cell_words(view: CellView) -> Iterator[str]:
+    """What the cell looks like, line by line."""
+    cell, seen = view.cell, view.sight
+    joints = enumerate(zip(_shown(view), cell.joints, strict=True), 1)
+    at = ", ".join(f"q{i} = {value:g} {joint.unit}" for i, (value, joint) in joints if value)
+    yield f"{cell.name}: {len(cell.joints)} axes, base to mirror, at {at or 'joint zero'} (nominal geometry)"
+    for axis in view.axes:
+        beam = abs(float(axis.direction @ seen.light)) > 0.95
+        note = (", along the beam" if axis.kind == "prismatic" else ", about the beam") if beam else ""
+        yield f"  {axis.name} {axis.words}{note}; {axis.limits}"
+    across = direction_words(seen.across)
+    yield f"mirror: its normal points along {direction_words(seen.normal)}, its x axis along {across}"
+    yield f"fibre: its end stands at {_place(seen.fibre)} um, its light leaves along {direction_words(seen.light)}"
+    yield from _facing(view)
+    yield f"path: {_PATHS[cell.opd]}; wavelength {1e3 * cell.wavelength:g} nm"
+    if view.reach.circle is None:
+        yield f"reach: no tasks ({view.reach.why_not})"
+    else:
+        found = zip("xz", (view.reach.tilt_x, view.reach.tilt_z), strict=True)
+        tilts = ", ".join(f"{_degrees(tilt or 0.0)} deg about {name}" for name, tilt in found)
+        yield f"reach within the limits: a circle of {view.reach.circle:.4g} um radius; tilts to {tilts}"
+    for text in view.odd:
+        yield f"odd: {text}"
+    for text in view.missing:
+        yield f"not stated: {text}"
+
+
+_PATHS = {"axis": "length along the optical axis", "perpendicular": "distance from the fibre to the mirror plane"}
+
+
+def _facing(view: CellView) -> Iterator[str]:
+    seen = view.sight
+    if not np.isfinite(seen.length):
+        yield "gap: none, the light runs along the mirror"
+        return
+    side = "the mirror stands behind the fibre" if seen.length < 0 else f"gap L = {seen.length:.5g} um"
+    faces = "faces the light" if seen.tilt < np.pi / 4 else "does not face the light"
+    yield f"{side}; the mirror {faces}, {_degrees(seen.tilt)} deg off"
+    where = " and ".join(f"{v:.4g}" for v in np.round(seen.point_on_mirror[:2], 6) + 0.0)
+    yield f"reflection point: {_place(seen.point)} um in the world, {where} um along x and y of the mirror"
+
+
+def cell_figure(view: CellView) -> Figure:
+    """The picture: axes drawn apart in their order, then mirror, beam and fibre, all in one view of the world."""
+    n = len(view.axes)
+    figure = Figure(figsize=(max(7.0, 1.4 * (n + 3)), 3.7))
+    axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axis.set_axis_off()
+    axis.set_aspect("equal")
+    places = [np.array([_APART * i, 0.0]) for i in range(n)]
+    if places:
+        axis.plot([-1.3, places[-1][0]], [0, 0], color="0.8", linewidth=6, solid_capstyle="butt", zorder=0)
+    axis.plot([-1.3, -1.3], [-0.5, 0.5], color="0.45", linewidth=4, solid_capstyle="butt")
+    axis.text(-1.3, 0.62, "base", ha="center", fontsize=9, color="0.3")
+    for place, joint in zip(places, view.axes, strict=True):
+        _draw_joint(axis, place, joint)
+    _draw_world(axis, np.array([-1.3, -2.35]))
+    end = np.array([_APART * n + 1.6, 0.1])
+    axis.plot([places[-1][0], end[0]], [0, end[1]], color="0.8", linewidth=6, solid_capstyle="butt", zorder=0)
+    _draw_optics(axis, end, view)
+    axis.text(-1.6, 2.3, _title(view), fontsize=11, va="top", parse_math=False)
+    note = "Directions are true; axes are drawn apart, lengths not to scale."
+    axis.text(-1.6, -3.15, note, fontsize=8, color="0.35", va="bottom")
+    axis.set_xlim(-2.1, end[0] + 4.6)
+    axis.set_ylim(-3.3, 2.5)
+    return figure
+
+
+def _title(view: CellView) -> str:
+    at = ", ".join(f"q{i}={v:g}" for i, v in enumerate(_shown(view), 1) if v)
+    return f"{drawable(view.cell.name)} at {at or 'joint zero'}" + ("  (refused)" if view.refused else "")
+
+
+def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
+    along = joint.direction
+    tip, tail = place + _HALF * _PAGE @ along, place - _HALF * _PAGE @ along
+    colour = BLUE if joint.kind == "prismatic" else VERMILION
+    if joint.kind == "prismatic":
+        _arrow(axis, tail, tip, colour, 2.6)
+    else:
+        axis.plot(*zip(tail, tip, strict=True), color=colour, linewidth=1.0, linestyle=(0, (5, 2)))
+        first, second = _across(along)
+        angle = np.radians(np.linspace(20.0, 320.0, 60))[:, None]
+        ring = place + (_TURN * (np.cos(angle) * first + np.sin(angle) * second)) @ _PAGE.T
+        axis.plot(*ring.T[:, :-3], color=colour, linewidth=2.4)
+        _arrow(axis, ring[-6], ring[-1], colour, 2.4)
+        _arrow(axis, place + 0.8 * (tip - place), tip, colour, 1.0)
+    axis.plot(*place, "o", color="black", markersize=4)
+    plus = tip + 0.22 * _unit(tip - place)
+    axis.text(plus[0], plus[1], "+", fontsize=11, color=colour, ha="center", va="center")
+    head, _, rest = joint.words.partition(", ")
+    text = f"{joint.name}\n{head.replace('moves along', 'moves')}"
+    axis.text(place[0], -1.35, text, ha="center", va="top", fontsize=9, fontweight="bold", linespacing=1.25)
+    if rest:
+        off = rest.replace(" towards", "\ntowards")
+        axis.text(place[0], -2.08, off, ha="center", va="top", fontsize=7.5, color=colour)
+
+
+def _draw_world(axis: Axes, place: Floats) -> None:
+    for name, direction in zip("xyz", np.eye(3), strict=True):
+        tip = place + 0.55 * _PAGE @ direction
+        _arrow(axis, place, tip, "black", 1.2)
+        beside = place + 0.75 * _PAGE @ direction
+        axis.text(beside[0], beside[1], name, fontsize=9, ha="center", va="center")
+
+
+def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
+    seen = view.sight
+    first, second = _across(seen.normal)
+    angle = np.radians(np.linspace(0.0, 360.0, 90))[:, None]
+    disc = place + (_MIRROR * (np.cos(angle) * first + np.sin(angle) * second)) @ _PAGE.T
+    back = disc - 0.16 * _PAGE @ seen.normal
+    # What lies behind is drawn first: the mirror's front hides its body, or the body its front.
+    front = float(_TOWARDS_READER @ seen.normal) >= 0
+    axis.fill(*back.T, facecolor="0.55", edgecolor="0.25", zorder=2 if front else 4)
+    axis.fill(*disc.T, facecolor="#dceefb", edgecolor="0.25", linewidth=1.2, zorder=3)
+    normal = place + 0.95 * _PAGE @ seen.normal
+    _arrow(axis, place, normal, GREEN, 2.0, zorder=6)
+    axis.text(normal[0], normal[1] + 0.12, "normal", color=GREEN, fontsize=9, ha="center", va="bottom", zorder=7)
+    # A fibre above or below has less room, and words beside it.
+    upright = abs(float((_PAGE @ seen.light)[1])) > 0.7
+    room = 0.6 if upright else 1.0
+    ahead = room * _BEAM * (1.0 if not np.isfinite(seen.length) else np.sign(seen.length))
+    fibre = place - ahead * _PAGE @ seen.light
+    root = fibre - room * _FIBRE * _PAGE @ seen.light
+    axis.plot(*zip(root, fibre, strict=True), color="0.5", linewidth=9, solid_capstyle="butt", zorder=5)
+    axis.plot(*zip(root, fibre, strict=True), color="white", linewidth=6, solid_capstyle="butt", zorder=5)
+    axis.plot(*zip(root, fibre, strict=True), color=ORANGE, linewidth=1.6, solid_capstyle="butt", zorder=5)
+    reach = fibre + (abs(ahead) if ahead > 0 else 1.2) * _PAGE @ seen.light
+    _arrow(axis, fibre, reach, ORANGE, 2.0, zorder=5.5)
+    middle = (root + fibre) / 2.0
+    label = middle + ([0.55, 0.0] if upright else [0.0, 0.32])
+    axis.text(label[0], label[1], "fibre", fontsize=9, ha="center", va="center", color="0.3")
+    wrong = bool(view.refused) or seen.length < 0 or not np.isfinite(seen.length)
+    gap = f"gap {seen.length:.4g} um" if np.isfinite(seen.length) else "no gap"
+    if seen.length < 0:
+        gap = f"mirror {-seen.length:.4g} um\nbehind the fibre"
+    text = f"{gap}\n{_degrees(seen.tilt)} deg off the light"
+    axis.text(
+        place[0] + (2.4 if upright else 0.9),
+        -1.35,
+        text,
+        fontsize=9,
+        ha="center",
+        va="top",
+        color=VERMILION if wrong else "black",
+    )
+
+
+def _arrow(axis: Axes, start: Floats, end: Floats, colour: str, width: float, zorder: float = 3) -> None:
+    style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "mutation_scale": 13, "shrinkA": 0, "shrinkB": 0}
+    axis.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style, zorder=zorder)
+
+
+def _across(direction: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors across a direction, right-handed with it."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    first = np.cross(helper, direction)
+    first /= np.linalg.norm(first)
+    return first, np.cross(direction, first)
+
+
+def _unit(vector: Floats) -> Floats:
+    unit: Floats = vector / max(float(np.linalg.norm(vector)), 1e-9)
+    return unit
+
+
+def _shown(view: CellView) -> list[float]:
+    return [float(x) for x in view.q / view.cell.joint_scales]
+
+
+def _place(point: Floats) -> str:
+    return f"({', '.join(f'{x:.4g}' for x in np.round(point, 6) + 0.0)})"
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(float(np.degrees(angle)), 6) + 0.0:.3g}"

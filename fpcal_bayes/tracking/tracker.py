@@ -174,7 +174,13 @@ def track(
         calibration.
     """
     if cell.mechanics is not None:
-        # The filter of the drift knows nothing of error motions; it says so.
+        # The filter of the drift knows nothing of error motions, and says so; it starts from a calibration that does.
+        drift = likely_drift(cell, sweeps) if drift is None else drift
+        if known is None and calibration is None and draws is None:
+            part = check_sessions(sweeps, now_h)[0]
+            found, _ = _identified(cell, drift, part)
+            _require_calibration(found, part, len(drift.parameters))
+            calibration = found.estimate
         ideal = track(
             cell.ideal,
             sweeps,
@@ -226,13 +232,7 @@ def calibrate(
     outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
-    free = len(drift.parameters)
-    if found.spectrum.rank < _CALIBRATED * free:
-        raise InputError(
-            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
-            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
-            "to be a full calibration"
-        )
+    _require_calibration(found, sweeps, len(drift.parameters))
     given = draws is not None
     measurement = None if given else _measurement(drift, found)
     draws = _draws_of(found) if draws is None else draws
@@ -258,6 +258,16 @@ def calibrate(
         status,
         tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
     )
+
+
+def _require_calibration(found: Identification, sweeps: Sweeps, free: int) -> None:
+    """Refuse a first session that determines too little."""
+    if found.spectrum.rank < _CALIBRATED * free:
+        raise InputError(
+            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
+            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
+            "to be a full calibration"
+        )
 
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:

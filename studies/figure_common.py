@@ -30,7 +30,7 @@ class Rig:
 
     @classmethod
     def of(cls, opd: str) -> "Rig":
-        cell = load_cell(opd=opd)
+        cell = load_cell(opd=opd, mechanics="none")
         return cls(cell, CavityModel.of(cell), paper_truth(cell).values[0])
 
     def calibrated(self, free: str = "all", hold: str = "consider", seed: int = 0) -> Estimate:

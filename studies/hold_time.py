@@ -26,7 +26,7 @@ TOLERANCE = 0.05
 SIGMA = 0.005
 STEP_H = 0.1
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 MODEL = CavityModel.of(CELL)
 DRIFT = DriftModel.of(CELL)
 TRUTH = paper_truth(CELL)

@@ -176,7 +176,7 @@ def drift_table(cell: Cell, out: Console) -> dict[str, list[str]]:
 def simulated(job: tuple[int, int, int]) -> list[tuple[np.ndarray, bool, bool]]:
     """Identify replicates `first` to `last`: errors in data space, whether converged, whether warned of a rival."""
     seed, first, last = job
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     model, plan = CavityModel.of(cell), paper_protocol(cell)
     values = paper_truth(cell).at(0.0)
     rows = model.rows(plan.q_start, plan.q_end)
@@ -259,7 +259,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     out = Console(width=150, highlight=False, record=True)
     readings_table(cell, out)
     verdicts = drift_table(cell, out)

@@ -131,7 +131,7 @@ def settings_of(options: argparse.Namespace) -> PlanSettings:
 
 def accuracy(options: argparse.Namespace) -> None:
     """Each way at each number of sweeps."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     grounds, paper = Grounds.of(cell, options), paper_protocol(cell)
     levels: Levels = {}
     for often, name in ((1, "paper, 69 end points"), (2, "paper, 69 with midpoints")):
@@ -239,7 +239,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
 
 def extrinsic(options: argparse.Namespace) -> None:
     """Best few sweeps some hours after a calibration at the paper's truth."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     calibration = simulate_um(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )

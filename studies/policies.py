@@ -37,7 +37,7 @@ from fpcal_bayes.study import (
 )
 from fpcal_bayes.tracking import DriftModel, SessionOutcome
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def main() -> int:
     parser.add_argument("-o", dest="output", type=Path, help="ranks as JSON; a figure stands beside it")
     options = parser.parse_args()
 
-    cell, out = load_cell(), Console(width=120, highlight=False)
+    cell, out = load_cell(mechanics="none"), Console(width=120, highlight=False)
     names, ranks, worst = quantities(cell), {}, {}
     numbers = range(options.first, options.first + options.replicates)
     settings = {"cell": cell, "seed": options.seed, "draws": options.draws, "steps": options.steps}

@@ -32,7 +32,7 @@ POINTS = {"circle": (1, 2), "tilt-x": (0, 4), "tilt-z": (0, 4), "spin": (0, 4)}
 @cache
 def protocol(name: str) -> Sweeps:
     """A protocol of the built-in cell, as a plan."""
-    return PROTOCOLS[name](load_cell())
+    return PROTOCOLS[name](load_cell(mechanics="none"))
 
 
 def session_times(hours: float, random: np.random.Generator, *, regular: bool) -> np.ndarray:
@@ -237,7 +237,7 @@ def _clustered(weeks: list[float]) -> str:
 
 def run(options: argparse.Namespace) -> Tally:
     """Simulate and follow the weeks."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     space, tally = TaskSpace(cell), Tally()
     for seed in range(options.weeks):
         week = simulate_week(cell, options, seed)

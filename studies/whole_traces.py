@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("-o", dest="output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args()
 
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     truth, plan, middle = paper_truth(cell), paper_protocol(cell), paper_protocol(cell, midpoints=True)
     at = cell.free.position("z_et")
     # Vibration alone: a photodiode whose noise is small beside it.

@@ -8,7 +8,7 @@ import numpy as np
 from measuring import Point, timed
 from scaling_inputs import SIGMA, drawn_near, measured, random_poses, random_sweeps, sessions, wide_cell
 
-from fpcal_bayes.fringes import ingest
+from fpcal_bayes import ingest
 from fpcal_bayes.infer import (
     Planner,
     PlanSettings,

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpcal_bayes.fringes import Ingested, Reading, ingest
+from fpcal_bayes import ingest
+from fpcal_bayes.fringes import Ingested, Reading
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import TraceIndex, Truth, paper_protocol, paper_truth
 from fpcal_bayes.model import CavityModel, Cell

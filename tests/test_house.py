@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import re
 import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -147,3 +148,14 @@ def test_report_computes_nothing():
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_files_are_short(name):
     assert len(MODULES[name].read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def test_studies_docs_and_benchmarks_know_the_faces_only():
+    """They import from the package or from a room; kernels' benchmarks time what has no public name."""
+    root, deep = PACKAGE.parent, []
+    places = [path for folder in ("studies", "benchmarks") for path in (root / folder).glob("**/*.py")]
+    for path in (*places, *(root / "docs").glob("**/*.md")):
+        named = re.findall(r"(?:from|import) (fpcal_bayes(?:\.\w+)+)", path.read_text(encoding="utf-8"))
+        far = [name for name in named if len(name.split(".")) > 2 and not re.search(r"\.kernels(\.|$)", name)]
+        deep += [f"{path.relative_to(root)}: {name}" for name in far]
+    assert deep == []

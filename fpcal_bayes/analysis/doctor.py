@@ -28,7 +28,7 @@ def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
     Parameters
     ----------
     sweeps
-        Of one session or several.
+        Sweeps of one session or several.
 
     Raises
     ------

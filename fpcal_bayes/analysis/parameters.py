@@ -30,7 +30,7 @@ class DrawnParameter:
 
 
 def sampled_parameters(posterior: Posterior) -> list[DrawnParameter]:
-    """Of a posterior in memory, with 90 % intervals."""
+    """Summary of a posterior in memory, with 90 % intervals."""
     free = posterior.identification.free
     keys = ("mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
     found = summarise(posterior).items()
@@ -38,7 +38,7 @@ def sampled_parameters(posterior: Posterior) -> list[DrawnParameter]:
 
 
 def saved_parameters(posterior: PosteriorSummary) -> list[DrawnParameter]:
-    """Of a posterior file, with 95 % intervals."""
+    """Summary of a posterior file, with 95 % intervals."""
     flat = posterior.draws.reshape(-1, len(posterior.parameters))
     found = []
     for i, parameter in enumerate(posterior.parameters):

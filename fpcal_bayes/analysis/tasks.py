@@ -37,7 +37,7 @@ class TaskNumbers:
 
     @classmethod
     def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
-        """Of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
+        """Numbers of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
         if not prediction.trust.usable:
             return cls._nothing(prediction, tolerance)
         low, high = 1e3 * prediction.band()

@@ -23,7 +23,7 @@ class CheckNumbers:
 
     @classmethod
     def of(cls, check: PathCheck, tolerance: float | None = None) -> "CheckNumbers":
-        """Of a check, with a tolerance in um."""
+        """Numbers of a check, with a tolerance in um."""
         measured, (low, high) = check.measured, check.predicted_band()
         sizes = np.ptp(measured.error[measured.places] + measured.draws, axis=1)
         return cls(
@@ -52,7 +52,7 @@ class FittedSweep:
 
     @classmethod
     def of(cls, reading: Reading, samples: Samples) -> "FittedSweep | None":
-        """Of a reading and its trace; None where the trace was refused."""
+        """The fitted curve of a reading and its trace; None where the trace was refused."""
         fit, phase_per_um = reading.fit, reading.phase_per_um
         if fit is None:
             return None

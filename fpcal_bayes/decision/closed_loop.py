@@ -50,7 +50,7 @@ Rule = Callable[[Sessions, float], tuple[float, Plan]]
 class ClosedLoop:
     """What a policy did."""
 
-    outcomes: tuple[SessionOutcome, ...]  # one a session, the calibration first
+    outcomes: tuple[SessionOutcome, ...]  # one per session, the calibration first
     sweeps: tuple[Sweeps, ...]  # measured, one set a session after the calibration
     decisions: tuple[Decision, ...]  # that ordered each of these sessions
 

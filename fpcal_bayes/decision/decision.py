@@ -33,7 +33,7 @@ class Costs:
     out_of_tolerance
         Minutes of measuring that an hour out of tolerance is worth, or None: then the goal's level holds.
     least_sweeps, most_sweeps
-        Of a session with few sweeps. One sweep looks at one direction of the tasks and trusts the drift sizes for the
+        Sweeps of a short session. One sweep looks at one direction of the tasks and trusts the drift sizes for the
         others; as many as the tasks have directions (two for a circle) trust them less and cost more.
     sigma_nm
         Standard deviation of each change of cavity length.

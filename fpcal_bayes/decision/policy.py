@@ -232,7 +232,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     track
         Up to its last session.
     sweeps
-        Of all its sessions; the first is the calibration that would be made again.
+        Sweeps of all its sessions; the first is the calibration that would be made again.
     now_h
         In hours since the campaign began.
 

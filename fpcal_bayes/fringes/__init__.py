@@ -6,7 +6,6 @@ from fpcal_bayes.core.lazy import lazy
 _PLACES = {
     "Ingested": "ingest",
     "Reading": "count",
-    "ingest": "ingest",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -74,7 +74,7 @@ class Alignment:
 
     @property
     def probability(self) -> float:
-        """Of a larger chi-square, if the amplitudes follow the model."""
+        """Probability of a larger chi-square, if the amplitudes follow the model."""
         return float(stats.chi2.sf(self.chi_square, self.freedom))
 
     def content(self) -> dict[str, Any]:
@@ -166,7 +166,7 @@ class _View:
 
     @property
     def steps(self) -> Floats:
-        """Of a difference, one an entry of the state."""
+        """Variance of a difference, one per entry of the state."""
         return _STEP * np.array([*(p.prior_sd for p in self.free), _RADIUS_SD])
 
     def shape(self, state: Floats) -> Floats:

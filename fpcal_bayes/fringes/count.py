@@ -95,7 +95,7 @@ class SignSource:
     source: str
 
     def log_likelihood(self, dl: Floats, sd: Floats) -> Floats:
-        """Of changes `dl` known to `sd`; both of shape (n,)."""
+        """Log likelihood of changes `dl` known to `sd`; both of shape (n,)."""
         spread = np.hypot(self.sd, sd)
         z = np.minimum(np.abs(dl - self.dl) / spread, 1e6)
         honest = np.log1p(-_WITNESS_LIES) - 0.5 * z**2 - np.log(spread * np.sqrt(2.0 * np.pi))

@@ -55,7 +55,7 @@ class PathError:
 
     @property
     def peak_to_peak(self) -> float:
-        """Of the error, in um."""
+        """Peak to peak of the error, in um."""
         return float(np.ptp(self.error[self.places]))
 
     @property
@@ -74,7 +74,7 @@ class PathCheck:
     """A measured path error against the prediction of an estimate."""
 
     measured: PathError  # from the trace
-    predicted: Floats  # peak to peak of the error by the estimate, one a draw, in um
+    predicted: Floats  # peak to peak of the error by the estimate, one per draw, in um
     expected: Floats  # the same with measurement noise: what this trace should show if the calibration holds
     probability: float  # of at least the measured peak to peak, if the calibration holds
     #: ``refuted`` if that probability is below the level; ``not evaluated`` if the trace could not be followed, or is
@@ -167,8 +167,8 @@ def check(
     trace
         The recording, with its reference scans.
     draws
-        Of the parameters from the posterior, shape (n_draws, n_free), in um and rad; by default the error is predicted
-        to first order from the covariance.
+        Draws of the parameters from the posterior, shape (n_draws, n_free), in um and rad; by default the error is
+        predicted to first order from the covariance.
     drift
         Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
     index
@@ -178,7 +178,7 @@ def check(
     level
         Probability below which the calibration is refuted.
     seed
-        Of numpy's default generator.
+        The seed of numpy's default generator.
 
     Raises
     ------

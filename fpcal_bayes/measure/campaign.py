@@ -61,7 +61,7 @@ class Campaign:
     Attributes
     ----------
     sweeps
-        Of all sessions, measured or planned.
+        Sweeps of all sessions, measured or planned.
     cell_name, cell_sha256, opd
         The cell that was measured; the hash is that of the cell with this path model.
     program_version, command, seed

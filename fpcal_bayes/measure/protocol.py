@@ -36,7 +36,7 @@ def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-
         Read each sweep at its middle too: two rows, start to middle (label ends in ``-mid``) and start to end, in
         one group named after the sweep.
     session, time_h
-        Of all rows.
+        Time of all rows.
 
     Returns
     -------

@@ -22,7 +22,7 @@ class TraceIndex:
     temperature_c: Floats
     pressure_hpa: Floats
     humidity_pct: Floats
-    traces: list[Trace]  # one a row; without samples in rows of kind ``absolute``, whose length is in `scans_after`
+    traces: list[Trace]  # one per row; without samples in rows of kind ``absolute``, whose length is in `scans_after`
     #: scans_before, scans_after: Wavelength scans at the start and at the end of each row, or None.
     scans_before: list[WavelengthScan | None]
     scans_after: list[WavelengthScan | None]

@@ -76,6 +76,30 @@ class Sweeps:
     rows: NDArray[np.int64]
 
     @classmethod
+    def of_um_deg(cls, cell: Cell, q_start: Floats, q_end: Floats, **columns: Any) -> "Sweeps":
+        """Build sweeps from joint vectors as files hold them.
+
+        Parameters
+        ----------
+        cell
+            Says which joints turn.
+        q_start, q_end
+            Joint vectors in um and deg, shape (n, n_joints).
+        **columns
+            Other fields, single values for all rows or one per row: ``session``, ``label``, ``time_h``, ``dl`` and
+            ``sigma`` in um, ``signed``, ``group``, ``kind``, ``utc``, ``temperature_c``.
+
+        Raises
+        ------
+        InputError
+            If a joint vector has another length than the cell has joints.
+        """
+        start, end = np.array(q_start, dtype=float), np.array(q_end, dtype=float)
+        if start.ndim != 2 or start.shape != end.shape or start.shape[1] != len(cell.joints):
+            raise InputError(f"joint vectors of shape {start.shape}: expected n rows of {len(cell.joints)} joints")
+        return cls.of_um_rad(start * cell.joint_scales, end * cell.joint_scales, **columns)
+
+    @classmethod
     def of_um_rad(
         cls,
         q_start: Floats,

@@ -34,7 +34,7 @@ class Estimate:
     covariance
         In um and rad, shape (n, n); zero rows where a parameter is held as exact.
     status
-        ``identified``, ``weak``, ``gauge`` or ``fixed``, one a parameter.
+        ``identified``, ``weak``, ``gauge`` or ``fixed``, one per parameter.
     time_h
         Hours since the campaign began.
     valid_until_h

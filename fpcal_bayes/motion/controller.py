@@ -27,7 +27,7 @@ class Controller:
     Parameters
     ----------
     estimate
-        Of a cell with six joints; from a file, a posterior or the tracker.
+        An estimate of a cell with six joints; from a file, a posterior or the tracker.
     q
         Where the joints stand, shape (n_joints,), in um and rad; by default at zero.
     now_h

@@ -22,7 +22,7 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
     reading, samples
         What the trace said, and the trace along the sweep.
     start, end, name
-        Of the joint that moves, as a person reads it; the name with its unit.
+        The joint that moves, as a person reads it; the name with its unit.
     reason
         Why the sweep is doubtful; part of the title.
     """

@@ -36,10 +36,10 @@ class Envelope(Protocol):
         Parameters
         ----------
         moves
-            Of each, joint vectors in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
+            Joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
             end. Between two of them each joint may be anywhere between its values.
         speed
-            Of the joints, in um/s and rad/s, shape (n_joints,).
+            Speeds of the joints, in um/s and rad/s, shape (n_joints,).
         """
 
 

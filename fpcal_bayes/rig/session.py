@@ -17,7 +17,7 @@ class Progress:
     done, total
         Orders.
     label, doubt
-        Of the order driven last; no doubt is empty.
+        Doubt about the order driven last; no doubt is empty.
     left_s
         Seconds of the cell that the rest will take.
     """

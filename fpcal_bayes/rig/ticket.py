@@ -36,7 +36,7 @@ class Ticket:
     name
         The ticket's own, or empty.
     sha256
-        Of the file.
+        Name of the file.
     """
 
     file: str
@@ -57,7 +57,7 @@ class Order:
     row
         Line of the ticket.
     session, label, time_h, group
-        Of the rows that come of it; `group` is empty where there is one.
+        The rows that come of it; `group` is empty where there is one.
     start
         Joint vector in um and rad, shape (n_joints,).
     targets, labels

@@ -75,10 +75,10 @@ def simulate_um(
     sweeps
         A plan; measurements in it are replaced. Rows that are not signed get the size of their change.
     sigma
-        Standard deviation of a row's noise in um: one, or one a row, shape (n,).
+        Standard deviation of a row's noise in um: one, or one per row, shape (n,).
     seed
-        Of numpy's default generator. Drawn as standard normals, whatever is used of them, one set a row: joints at
-        the start (n, n_joints), joints at the end (n, n_joints), reading at the start (n,), reading at the end (n,).
+        Seed of numpy's default generator. Drawn as standard normals, whatever is used of them, one set per row: joints
+        at the start (n, n_joints), joints at the end (n, n_joints), reading at the start (n,), reading at the end (n,).
         A group uses the start of its first row. Equal seeds thus give equal noise for any sigma and repeatability.
 
     Returns

@@ -14,7 +14,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
 
-#: Replicates, one a row, by the name of what they give: shape (n_replicates, *shape of the value).
+#: Replicates, one per row, by the name of what they give: shape (n_replicates, *shape of the value).
 Results = Mapping[str, Floats]
 
 

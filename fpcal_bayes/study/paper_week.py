@@ -41,7 +41,7 @@ class Circle:
 
     @property
     def peak_to_peak(self) -> float:
-        """Of the change, in um."""
+        """Peak to peak of the change, in um."""
         return float(np.ptp(self.change))
 
 

@@ -55,7 +55,7 @@ class StudyStore:
     Parameters
     ----------
     path
-        Of the file; made by `appending`.
+        Path of the file; made by `appending`.
     study
         Whose replicates the file holds.
     """

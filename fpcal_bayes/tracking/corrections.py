@@ -61,7 +61,7 @@ class FewRows:
 
     @classmethod
     def of(cls, whitening: Whitening, innovation: Innovation, half_wave: float) -> Self:
-        """Of an innovation that holds every row."""
+        """Corrections of an innovation that holds every row."""
         single = whitening.apply(np.eye(innovation.dof))
         units = linalg.solve_triangular(innovation.factor, single, lower=True)
         columns = units * half_wave
@@ -102,7 +102,7 @@ class ManyRows:
 
     @classmethod
     def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: float) -> Self:
-        """Of a linearisation of all rows.
+        """Corrections of a linearisation of all rows.
 
         `misfit` (n_rows,) and `jacobian` (n_rows, n_states) are whitened, `covariance` (n_states, n_states) is that of
         the predicted state, and `half_wave` half a wavelength in um.

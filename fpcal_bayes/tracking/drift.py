@@ -49,7 +49,7 @@ class DriftModel:
     """
 
     parameters: ParameterSet  # the parameters that are followed
-    sizes: tuple[DriftSize, ...]  # one a parameter, in the same order
+    sizes: tuple[DriftSize, ...]  # one per parameter, in the same order
     # variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None (see
     # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)

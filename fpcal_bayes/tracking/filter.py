@@ -27,7 +27,7 @@ _ROUNDING = 1e-9
 class Innovation:
     """What rows say beyond the prediction, linearised at it.
 
-    Of many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
+    For many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
     """
 
     # misfit, jacobian: whitened measurement minus prediction (n_equivalent,), and derivatives by the state

@@ -99,7 +99,7 @@ def fit_sizes(cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]] | None
     cell
         Its drift sizes are the starting values (see `likely_drift`).
     sweeps
-        Of all sessions; the first is the calibration. Rows without sign are left out.
+        Sweeps of all sessions; the first is the calibration. Rows without sign are left out.
     groups
         Names of the parameters that share a factor; by default those that drift of mirror and fibre, and of the robot.
     """

@@ -40,7 +40,7 @@ class Track:
     # cell, drift: what was followed, and how it drifts
     cell: Cell
     drift: DriftModel
-    outcomes: tuple[SessionOutcome, ...]  # one a session, in order of time; the first is the calibration
+    outcomes: tuple[SessionOutcome, ...]  # one per session, in order of time; the first is the calibration
     status: tuple[str, ...]  # of each parameter after the calibration
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
     solutions: int = 1  # how many the calibration has; see `tracking.solutions`
@@ -86,7 +86,7 @@ class Track:
 
     @property
     def log_likelihood(self) -> float:
-        """Of all sessions after the calibration, given it."""
+        """Log likelihood of all sessions after the calibration, given it."""
         return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
 
     @property
@@ -151,19 +151,19 @@ def track(
     cell
         With its drift sizes.
     sweeps
-        Of all sessions, measured. The first session is the full calibration.
+        Sweeps of all sessions, measured. The first session is the full calibration.
     drift
         In place of the cell's own, to which `likely_drift` adds terms if a temperature is logged.
     limits
-        Of the tests, by default `Limits()`.
+        Limits of the tests, by default `Limits()`.
     known
         An earlier track of the first sessions, which are not taken in again.
     calibration
         What the first session told, in place of its identification. Its rows are then not linearised again with those
         of later sessions.
     draws
-        Of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they are
-        made (see `linear_start`).
+        Draws of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they
+        are made (see `linear_start`).
     now_h
         Sessions after this time are refused.
 

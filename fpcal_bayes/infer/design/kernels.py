@@ -22,7 +22,7 @@ def add_gains(
     Parameters
     ----------
     rows
-        Of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
+        Rows of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
     products
         Rows times derivatives of the tasks, shape (n_candidates, k, n_points); overwritten.
     variances

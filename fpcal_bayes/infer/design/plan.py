@@ -303,7 +303,7 @@ def plan(
     sigma_nm
         Standard deviation of each change of cavity length.
     seed
-        Of numpy's default generator.
+        The seed of numpy's default generator.
 
     Raises
     ------

@@ -139,7 +139,7 @@ def identify(
         An earlier estimate whose values and covariance are the prior, jointly normal, of the free parameters that it
         holds (yesterday's posterior as today's prior); by default the priors of the cell.
     seed
-        Of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
+        Seed of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
     max_starts
         How many starting points to try at most.
 

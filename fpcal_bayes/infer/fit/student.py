@@ -70,7 +70,7 @@ class StudentTangent:
 class StudentProblem(Problem):
     """A problem whose whitened rows have Student-t errors.
 
-    Of rows that share a reading, what the rows before it do not explain of a row has them.
+    For rows that share a reading, what the rows before it do not explain of a row has them.
     """
 
     dof: float = DOF

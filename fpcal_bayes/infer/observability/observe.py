@@ -73,7 +73,7 @@ class Observability:
     spectrum: Spectrum
     indices: Indices
     covariance: Floats  # expected or found posterior covariance in prior-scaled units, shape (n, n)
-    status: tuple[Status, ...]  # one a parameter
+    status: tuple[Status, ...]  # one per parameter
     weak_share: float  # share of prior variance that makes a parameter weak
     gauges: tuple[Gauge, ...]
     base: tuple[BaseParameter, ...]
@@ -201,7 +201,8 @@ def observe(
     cell
         With its priors and its path model.
     sweeps
-        Of one session; measured ones are linearised at the maximum of the posterior, a plan over draws of the prior.
+        Sweeps of one session; measured ones are linearised at the maximum of the posterior, a plan over draws of
+        the prior.
     sigma
         Standard deviation supposed for a plan's rows that have none, in um.
     weak_share
@@ -211,7 +212,7 @@ def observe(
     candidates
         Further sweeps whose worth is wanted; by default the midpoints of the sweeps and one absolute length.
     seed
-        Of the prior draws.
+        Seed of the prior draws.
 
     Raises
     ------

@@ -351,7 +351,7 @@ def _evidence(machine: MechanicsFit) -> dict[str, float]:
 
 
 def _differences(models: Sequence[ModelResult]) -> tuple[Difference, ...]:
-    """Of the best sampled model to the others; a model that fits comes before one that does not."""
+    """Differences of the best sampled model to the others; a model that fits comes before one that does not."""
     ranked = sorted(
         ((model, model.loo) for model in models if model.loo is not None), key=lambda m: (not m[0].fits, -m[1].elpd)
     )

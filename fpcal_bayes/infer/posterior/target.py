@@ -189,7 +189,7 @@ class PosteriorTarget:
     def log_likelihoods(self, points: Floats) -> Floats:
         """Log likelihood of each row at points (n_points, n_unknowns), shape (n_points, n_rows); per um.
 
-        Of rows that share a reading, that of a row given those before it in its group.
+        For rows that share a reading, that of a row given those before it in its group.
         """
         standardised = self.standardised(points)
         result = -0.5 * self._bent(standardised) ** 2

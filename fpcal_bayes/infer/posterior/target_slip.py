@@ -79,7 +79,7 @@ class SlipTarget(PosteriorTarget):
     def log_likelihoods(self, points: Floats) -> Floats:
         """Log likelihood of each row, summed over the ways in which it may have slipped.
 
-        Of rows that share a reading, that of a row given those before it in its group.
+        For rows that share a reading, that of a row given those before it in its group.
         """
         standardised = self.standardised(points)
         result = np.empty_like(standardised)

@@ -200,6 +200,10 @@ def make_parameters(
     return ParameterSet(made)
 
 
+#: Turns from zero within which a joint without limits stands.
+_MOST_TURNS = 2
+
+
 def check_joints(
     cell: Cell, q: NDArray[np.float64], file: object, rows: Sequence[int] | None, columns: Sequence[str]
 ) -> None:
@@ -211,6 +215,18 @@ def check_joints(
     # The tolerance lets a limit written in degrees survive its conversion to radians.
     slack = 1e-9 * (1.0 + np.abs(q))
     outside = (q < cell.low - slack) | (q > cell.high + slack)
+    # An endless joint that stands many turns away is a value in another unit.
+    endless = cell.revolute & np.isinf(cell.low) & np.isinf(cell.high)
+    far = endless & (np.abs(q) > _MOST_TURNS * 2.0 * np.pi + slack)
+    if far.any():
+        row, column = (int(i) for i in np.argwhere(far)[0])
+        raise located(
+            file,
+            f"{q[row, column] / cell.joint_scales[column]:.6g} deg is more than two turns from zero, expected a value "
+            "in deg within them, or limits_deg in the cell",
+            row=rows[row] if rows is not None else row + 1,
+            column=columns[column],
+        )
     if not outside.any():
         return
     row, column = (int(i) for i in np.argwhere(outside)[0])

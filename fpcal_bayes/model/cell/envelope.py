@@ -14,9 +14,9 @@ class Envelope:
     least_gap
         Between mirror and fibre, where the edges of both come nearest.
     fibre_radius
-        Of the fibre's end, with its ferrule where that reaches as far.
+        Radius of the fibre's end, with its ferrule where that reaches as far.
     mirror_radius
-        Of the mirror around the origin of its frame.
+        Radius of the mirror around the origin of its frame.
     max_tilt
         Largest angle between the mirror's normal and the light turned round.
     max_fringe_rate

@@ -49,7 +49,7 @@ class Layout:
     Attributes
     ----------
     kinds
-        Of the joints, from base to tool.
+        One entry per joint, from base to tool.
     links
         beta, alpha, d, theta, r of each link, shape (n_joints, 5).
     free

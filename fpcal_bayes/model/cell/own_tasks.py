@@ -17,7 +17,7 @@ class OwnTask:
     kind
         One of `OWN_KINDS`.
     radius
-        Of a circle; 0 for other kinds.
+        Radius of a circle; 0 for other kinds.
     low, high
         Ends of a line, a tilt or a spin; 0 for a circle.
     centre

@@ -11,7 +11,7 @@ import pytest
 import fpcal_bayes as fp
 from fpcal_bayes.cli.main import main, make_parser
 
-CELL = fp.load_cell()
+CELL = fp.load_cell(mechanics="none")
 REASON = "poor fit"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpcal_bayes import TASKS, find_task, identify, load_cell, paper_truth, predict_from_covariance, simulate
-from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure import protocol_by_name
 
 PROTOCOLS = {"paper": "69 sweeps, end points", "paper-mid": "with midpoints"}
 POINTS = 31

@@ -15,21 +15,13 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.problem import Problem
-from fpcal_bayes.infer.mechanics.fit import fit_mechanics
-from fpcal_bayes.infer.mechanics.rows import RowNoise
-from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.drive import drive_of_sweeps
-from fpcal_bayes.measure.protocol import protocol_by_name
-from fpcal_bayes.measure.sweeps import Sweeps, join
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
-from fpcal_bayes.motion.tasks import TASKS, task_path
-from fpcal_bayes.simulator.machine import Machine, MachineSettings
+from fpcal_bayes import InputError
+from fpcal_bayes.infer import LOG_SD, LOG_SD_NOISE, PATH_POINTS, Problem, RowNoise, fit_mechanics, mechanics_task_errors
+from fpcal_bayes.io import load_cell
+from fpcal_bayes.measure import Sweeps, drive_of_sweeps, join, protocol_by_name
+from fpcal_bayes.model import CavityModel, Cell, JointMechanics, Mechanics, Terms, design
+from fpcal_bayes.motion import TASKS, task_path
+from fpcal_bayes.simulator import Machine, MachineSettings
 
 _SIGMA = 0.005
 

@@ -8,6 +8,7 @@ _PLACES = {
     "Sweeps": "sweeps",
     "TraceIndex": "recordings",
     "Truth": "truth",
+    "drive_of_sweeps": "drive",
     "join": "sweeps",
     "paper_protocol": "protocol",
     "paper_truth": "truth",

@@ -10,9 +10,13 @@ _PLACES = {
     "Estimate": "estimate",
     "InverseModel": "inverse",
     "Joint": "cell.joints",
+    "JointMechanics": "cell.error_motions",
     "LINK_SLOTS": "parameters",
+    "Mechanics": "cell.error_motions",
     "Rows": "cavity",
+    "Terms": "mechanics.terms",
     "UNITS": "parameters",
+    "design": "mechanics.design",
     "fringe": "interferometer",
     "make_parameters": "cell.cell",
 }

@@ -4,6 +4,8 @@ from fpcal_bayes.core.lazy import lazy
 
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
+    "Machine": "machine",
+    "MachineSettings": "machine",
     "RecorderSettings": "optics",
     "noise_free": "sweeps",
     "record_sweeps": "recorder",

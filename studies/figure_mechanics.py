@@ -44,7 +44,7 @@ def main() -> None:
             )
             print(f"{of}, {word}: theta_wf {theta:.3f} deg; nm: {shown}")
 
-    figure = Figure((8.0, 4.0), layout="constrained")
+    figure = Figure((8.0, 4.6), layout="constrained")
     axis = figure.subplots()
     place = np.arange(len(TASKS), dtype=float)
     for i, (word, bands) in enumerate(rows.items()):
@@ -57,7 +57,7 @@ def main() -> None:
     axis.set_xticks(place, list(TASKS))
     axis.set_ylabel("task error, peak to peak [nm], 95 %")
     axis.grid(axis="y", alpha=0.3)
-    axis.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(options.output, dpi=120)
 
 

@@ -15,8 +15,17 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from fpcal_bayes.core import InputError
-from fpcal_bayes.infer import LOG_SD, LOG_SD_NOISE, PATH_POINTS, Problem, RowNoise, fit_mechanics, mechanics_task_errors
+from fpcal_bayes import InputError
+from fpcal_bayes.infer import (
+    LOG_SD,
+    LOG_SD_NOISE,
+    PATH_POINTS,
+    Problem,
+    RowNoise,
+    doubts_of,
+    fit_mechanics,
+    mechanics_task_errors,
+)
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, drive_of_sweeps, join, protocol_by_name
 from fpcal_bayes.model import CavityModel, Cell, JointMechanics, Mechanics, Terms, design
@@ -147,7 +156,7 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
         "converged": fit.solution.converged,
         "z": ((truth - mean) / np.sqrt(np.diag(covariance))).tolist(),
         "scales": dict(zip(fit.scales.names, fit.scales.quantiles()[1].tolist(), strict=True)),
-        "doubts": [doubt.kind for doubt in getattr(fit, "doubts", ())],
+        "doubts": [doubt.kind for doubt in doubts_of(fit)],
     }
     for task_name in TASKS:
         try:

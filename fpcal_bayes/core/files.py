@@ -29,8 +29,8 @@ _TRIES, _BETWEEN_TRIES = 20, 0.05
 
 #: Key of a JSON file under which the hash of all the rest stands.
 CONTENT_HASH = "content_sha256"
-#: Lists of numbers stand on one line.
-_NUMBERS = re.compile(r"\[[-+0-9.eE,\s]+\]")
+#: Lists of numbers stand on one line; no text in JSON holds a line end.
+_NUMBERS = re.compile(r"\[\n[-+0-9.eE,\s]+\]")
 
 
 def require_readable(path: Path) -> None:

@@ -29,7 +29,7 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     vector = CavityModel.of(cell).vector(paper_truth(cell).values[0])
     inverse = InverseModel(cell)
     width = np.where(cell.revolute, np.radians(5.0), 150.0)

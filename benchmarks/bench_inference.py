@@ -15,7 +15,7 @@ from fpcal_bayes.simulator import simulate_um
 
 @pytest.fixture(scope="module")
 def cell() -> Cell:
-    return load_cell()
+    return load_cell(mechanics="none")
 
 
 @pytest.fixture(scope="module")

@@ -39,7 +39,7 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     with SWEEPS.open(newline="") as handle:
         rows = list(csv.DictReader(handle))
     ends = []

@@ -9,7 +9,7 @@ from fpcal_bayes.infer import Planner, PlanSettings, candidate_sweeps, choose_sw
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import paper_protocol
 
-CELL = load_cell()
+CELL = load_cell(mechanics="none")
 #: Processor seconds that a plan of ten may take; it runs on one core.
 MOST_SECONDS = 30.0
 

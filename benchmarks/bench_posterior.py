@@ -160,7 +160,7 @@ def check_model(found: Identification) -> None:
 
 def run_all(draws: int, nuts_draws: int, nuts_warm_up: int, steps: int) -> list[Run]:
     """All samplers on case A, ours first."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     found = identify(cell, read_sweeps(SWEEPS, cell))
     check_model(found)
     return [

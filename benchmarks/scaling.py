@@ -68,7 +68,7 @@ def up_to_most(sizes: list[int], most: int) -> list[int]:
 
 def measure(parts: list[str], most: int) -> tuple[list[Point], dict[str, str]]:
     """Measurements up to a size, and why peers that could not be measured were not."""
-    cell = load_cell()
+    cell = load_cell(mechanics="none")
     # Loads the kernels.
     identify(cell, measured(cell, 10))
     points: list[Point] = []

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from fpcal_bayes.cli.arguments import common as arguments
 from fpcal_bayes.cli.main import main, make_parser
 
 ROOT = Path(__file__).parent.parent
@@ -41,6 +42,8 @@ def commands_of(page: Path) -> list[list[str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RERUN)
 def test_commands_print_what_the_page_shows(name, tmp_path, monkeypatch):
+    # As a user types them.
+    monkeypatch.setattr(arguments, "MECHANICS", "stated")
     monkeypatch.chdir(tmp_path)
     ran = 0
     for command, shown, rerun in sessions((ROOT / "docs" / name).read_text(encoding="utf-8")):

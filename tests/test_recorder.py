@@ -207,7 +207,7 @@ def test_bad_input_is_refused(femto: Cell, truth: Truth) -> None:
         record_sweeps(femto, truth, single_sweep(femto, 1, 0.0, 1.0), seed=-1)
     with pytest.raises(InputError, match="expected two or more vectors"):
         record_path(femto, truth, np.zeros((1, 6)))
-    with pytest.raises(InputError, match="outside the limits"):
+    with pytest.raises(InputError, match="more than two turns"):
         record_path(femto, truth, np.full((2, 6), 1000.0))
     with pytest.raises(InputError, match="velocity_ripple = 1"):
         RecorderSettings(velocity_ripple=1.0)

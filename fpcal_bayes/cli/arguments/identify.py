@@ -98,7 +98,7 @@ without draws, to first order from its covariance. --budget prints the uncertain
 prior and the wavelength apart.
 
 Of bands of 95 % after the paper's end-point sweeps 94 to 95 % hold the true value in simulation, for every task; to
-first order from the covariance 91 % do for spin, 93 to 95 % for the others (studies/task_coverage.py).
+first order from the covariance 91 % do for spin, 93 to 95 % for the others (fpcal study coverage).
 """
 
 

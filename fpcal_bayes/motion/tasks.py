@@ -162,7 +162,8 @@ def half_tilt(cell: Cell) -> float:
     """Half the tilt in rad: 3 deg, or six tenths of the smallest turn to a side where that is less."""
     sides = [min(joint.high, -joint.low) for joint in cell.joints if joint.kind == "revolute"]
     smallest = 0.6 * min(sides, default=np.inf)
-    return float(smallest) if 0 < smallest < HALF_TILT else HALF_TILT
+    # Six tenths of 5 deg are 3 deg but for the last digit.
+    return float(smallest) if 0 < smallest < (1.0 - 1e-9) * HALF_TILT else HALF_TILT
 
 
 def default_radius(cell: Cell) -> float:

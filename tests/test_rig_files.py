@@ -9,11 +9,12 @@ from rig_fixtures import write_rig, write_ticket
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.sweeps import write_csv
+from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.rig.drivers.interface import Address
+from fpcal_bayes.rig.orders import orders_of
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice
-from fpcal_bayes.rig.ticket import orders_of, read_ticket
 
 
 @pytest.fixture

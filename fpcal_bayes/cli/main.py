@@ -28,6 +28,7 @@ _COMMANDS = (
     keep.plan,
     keep.track,
     keep.decide,
+    keep.append,
     live.measure,
     live.rig,
     keep.report,

@@ -17,7 +17,7 @@ from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, reverses, visible_ranges
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps, as_plan, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import HOURS_PER_WEEK, Limits
 from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel, State
@@ -269,17 +269,5 @@ def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:
 
 def _plain(sweeps: Sweeps) -> Sweeps:
     """Sweeps as a plan of single end points."""
-    n = len(sweeps)
-    empty, nothing = np.full(n, ""), np.full(n, np.nan)
-    return replace(
-        sweeps,
-        session=np.full(n, "next"),
-        time_h=np.zeros(n),
-        dl=nothing,
-        sigma=nothing,
-        signed=np.ones(n, dtype=bool),
-        group=empty,
-        trace=empty,
-        utc=empty,
-        temperature_c=nothing,
-    )
+    plan = as_plan(sweeps, session="next", time_h=0.0, file=sweeps.file)
+    return replace(plan, group=np.full(len(plan), ""))

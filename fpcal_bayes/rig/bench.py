@@ -26,9 +26,9 @@ from fpcal_bayes.rig.drivers.link import Link
 from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
 from fpcal_bayes.rig.drivers.pi import PIStage
 from fpcal_bayes.rig.drivers.smaract import SmarActStage
+from fpcal_bayes.rig.orders import Order
 from fpcal_bayes.rig.route import Guard
 from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice, Rig
-from fpcal_bayes.rig.ticket import Order
 
 #: Longest and shortest pause between two looks at the devices, in s of the wall.
 _LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005

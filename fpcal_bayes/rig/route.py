@@ -14,8 +14,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.rig.envelope import envelope_of
+from fpcal_bayes.rig.orders import Order
 from fpcal_bayes.rig.settings import Rig
-from fpcal_bayes.rig.ticket import Order
 
 #: Points of a straight line on which gap and length are looked at.
 _POINTS = 33

@@ -15,7 +15,8 @@ Without an estimate the plan is averaged over draws of the prior, so that it is 
 task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
 --after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
 
-SWEEPS holds whole sweeps. --rows writes the readings of each as rows of one group, for `fpcal simulate --protocol`.
+SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
+readings of each as rows of one group, for other programs.
 Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
 """
 
@@ -119,7 +120,25 @@ def decide(commands: Commands) -> None:
         "can show a change of the robot itself (default: 24)"
     )  # fmt: skip
     add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
-    add("-o", dest="output", metavar="SWEEPS.csv", type=Path, help="write the sweeps as a plan")
+    add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
+    add_json(parser)
+
+
+_APPEND = """\
+MEASURED holds sessions that CAMPAIGN does not hold yet, CSV or HDF5; what it holds stands where it was. With --ticket
+every row must be one that the ticket asks for, under the ticket's session name and before it expires. A ticket without
+rows asks for nothing, and nothing is done. A row that is there already, a session that begins before another one ends,
+or clock times that contradict `time_h` are refused, and CAMPAIGN stays as it was.
+"""
+
+
+def append(commands: Commands) -> None:
+    """Add ``fpcal append``."""
+    parser = add_command(commands, "append", "add a measured session to a campaign", _APPEND)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
+    add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
+    add("--ticket", metavar="TICKET.csv", help="what was to be measured, of fpcal decide")
     add_json(parser)
 
 

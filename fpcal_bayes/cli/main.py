@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from keyword import iskeyword
 from typing import Any, NoReturn
 
 from fpcal_bayes.cli.arguments import identify, keep, live, measure
@@ -29,6 +30,8 @@ _COMMANDS = (
     keep.track,
     keep.decide,
     keep.append,
+    keep.export,
+    keep.import_,
     live.measure,
     live.rig,
     keep.report,
@@ -123,7 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         options = make_parser().parse_args(arguments)
-        command = _load(f"fpcal_bayes.cli.{options.command.replace('-', '_')}")
+        name = options.command.replace("-", "_")
+        command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
         if arguments is None:
             gc.freeze()
         status: int = command.run(options)

@@ -13,10 +13,10 @@ from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
+from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.rig.orders import Order
 
 #: Columns that sweeps may have or not, by the version of the column engine.
 _FIELDS = {field.name for field in fields(Sweeps)}

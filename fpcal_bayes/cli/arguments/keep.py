@@ -142,6 +142,40 @@ def append(commands: Commands) -> None:
     add_json(parser)
 
 
+_EXPORT = """\
+MOVES has a row per axis and pose, in the controllers' own names, channels, units, signs and zeros as the cell states
+them: move, controller, channel, unit, position, and speed, dwell_s, reading. Rows of one move are driven in their order,
+in step where in_step is 1. `fpcal import` reads such a file, or a log with the columns
+move,controller,channel,unit,position,utc and, if the length was read there, length_um and sigma_um (of the
+change).
+"""
+
+
+def export(commands: Commands) -> None:
+    """Add ``fpcal export``."""
+    parser = add_command(commands, "export", "write a plan or joint path as moves of the controllers", _EXPORT)
+    add = parser.add_argument
+    add("file", metavar="PLAN|JOINTS", help="plan or ticket (CSV), or joint path of fpcal control -o (CSV)")
+    add("-o", dest="output", metavar="MOVES", type=Path, required=True, help="moves to write: .csv or .mat")
+
+
+_IMPORT = """\
+LOG has the columns move,controller,channel,unit,position and, if known, utc, reading, length_um, sigma_um, as `fpcal
+export` explains. Without `reading`, moves 1 and 2, 3 and 4 and so on are start and end of sweeps. Where lengths were
+read SWEEPS is measured, else a plan of what was driven.
+"""
+
+
+def import_(commands: Commands) -> None:
+    """Add ``fpcal import``."""
+    parser = add_command(commands, "import", "read what the controllers logged as sweeps", _IMPORT)
+    add = parser.add_argument
+    add("log", metavar="LOG", help="moves: .csv or .mat")
+    add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    add("--session", default="session-1", metavar="NAME", help="where the log does not say (default: session-1)")
+    add("--time-h", type=float, default=0.0, metavar="H", help="of the first move, likewise (default: 0)")
+
+
 _REPORT = """\
 The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
 with intervals, what the calibration can tell, residuals, drift with alarms, the log of all sessions, an uncertainty

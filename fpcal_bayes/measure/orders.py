@@ -59,7 +59,7 @@ def orders_of(ticket: Ticket) -> list[Order]:
     for group, places in members.items():
         first, row = places[0], int(plan.rows[places[0]])
         if (plan.kind[places] != "sweep").any():
-            raise located(ticket.file, f"a rig drives sweeps, found {plan.kind[first]!s}", row=row, column="kind")
+            raise located(ticket.file, f"only sweeps are driven, found {plan.kind[first]!s}", row=row, column="kind")
         label, n = str(plan.label[first]), int(ticket.readings[first])
         start, end = plan.q_start[first], plan.q_end[places[-1]]
         if len(places) > 1 or not group.startswith("\0"):

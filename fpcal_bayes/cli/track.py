@@ -16,7 +16,9 @@ from fpcal_bayes.core.files import exclusive, file_sha256
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.flat import check_flat, write_flat
 from fpcal_bayes.io.sweeps import is_campaign_file
+from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
 from fpcal_bayes.tracking.alarms import Limits
@@ -61,8 +63,9 @@ def _stamp(file: str) -> tuple[int, int] | None:
 def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
     cell = cell_of(options)
-    for output in (options.estimate, options.json):
+    for output in (options.estimate, options.json, options.flat):
         check_output(output, options.campaign, options.posterior, *(options.task or ()))
+    check_flat(options.flat)
     if options.estimate is not None and options.json is not None and options.estimate == options.json:
         raise InputError(f"{options.json}: expected two names for --estimate and --json")
     goal = goal_of(options)
@@ -113,6 +116,8 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
     if options.estimate is not None:
         said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
         write_result(options.estimate, "track", content | said | {"warnings": warnings})
+    if options.flat is not None:
+        write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
     write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
     return 0 if found.converged else 1
 

@@ -74,6 +74,10 @@ def track(commands: Commands) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
+    add(
+        "--flat", metavar="OUT", type=Path, help="write it flat for MATLAB or LabVIEW: .json or .mat, with fpcal_ik.m "
+        "and fpcal_fk.m beside it"
+    )  # fmt: skip
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
     add(
         "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
@@ -144,7 +148,7 @@ def append(commands: Commands) -> None:
 
 _EXPORT = """\
 MOVES has a row per axis and pose, in the controllers' own names, channels, units, signs and zeros as the cell states
-them: move, controller, channel, unit, position, and speed, dwell_s, reading. Rows of one move are driven in their order,
+them: move, controller, channel, unit, position, and speed, dwell_s, reading. Rows of one move are driven in order,
 in step where in_step is 1. `fpcal import` reads such a file, or a log with the columns
 move,controller,channel,unit,position,utc and, if the length was read there, length_um and sigma_um (of the
 change).

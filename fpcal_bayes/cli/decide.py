@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
         sigma_nm=sigma_nm,
         horizon_h=options.horizon_h,
         diagnosis_h=options.diagnose_every_h,
+        diagnosis_sweeps=min(Costs.diagnosis_sweeps, max(options.most_sweeps, options.least_sweeps)),
     )
     now_h = followed.now_h
     if now_h is None:

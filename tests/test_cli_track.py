@@ -146,7 +146,7 @@ def test_watching_takes_in_each_new_session(monkeypatch, capsys):
         if arrived == "s2":
             written("week.csv", "s1", "s2")
 
-    monkeypatch.setattr("fpcal_bayes.cli.track.time.sleep", sleep)
+    monkeypatch.setattr("fpcal_bayes.analysis.watch.time.sleep", sleep)
     assert main(["track", "week.csv", "--estimate", "estimate.json", "--watch", "5"]) == 0
     assert held == [8.0, 8.0, 8.0, 16.0]
     out, err = capsys.readouterr()

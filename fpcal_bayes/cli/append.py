@@ -3,13 +3,12 @@
 import argparse
 
 from fpcal_bayes.analysis.append import append
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.campaign, options.measured, options.ticket)
     done = append(options.campaign, options.measured, cell, ticket=options.ticket)
     warnings = []
     if done.n_missing:

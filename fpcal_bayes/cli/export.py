@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn
+from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.io.joint_paths import check_suffix, read_joint_path
@@ -16,7 +16,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     check_suffix(options.output)
-    check_output(options.output, options.file)
     header = read_records(Path(options.file), "a header and a plan or joint path").header
     if cell.joint_columns[0] in header:
         q = read_joint_path(options.file, cell)

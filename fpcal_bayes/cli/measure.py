@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn
+from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -34,7 +34,6 @@ def run(options: argparse.Namespace) -> int:
         console(options).say(f"{options.ticket}: no rows, nothing to measure")
         return 0
     rig = read_rig(options.rig, cell)
-    check_output(options.output, options.ticket, options.rig, options.campaign, options.estimate)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     warm_up(cell)
     guard = Guard(cell, rig, estimate)

@@ -8,7 +8,7 @@ from math import radians
 import numpy as np
 
 from fpcal_bayes.cli.arguments.common import positive
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
@@ -36,9 +36,6 @@ def run(options: argparse.Namespace) -> int:
     if options.n is None and options.reach is None:
         raise InputError("expected --n N or --reach TASK=NM,..")
     targets = _targets(options.reach)
-    outputs = [options.output, options.rows, options.json, options.figure]
-    for i, output in enumerate(outputs):
-        check_output(output, options.after, options.estimate, *outputs[:i])
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
@@ -71,18 +68,18 @@ def run(options: argparse.Namespace) -> int:
         write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, ordered), options.figure)
+    warnings += [reason.text for reason in trust.reasons]
+    content = plan_content(
+        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
+    )
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     if trust.usable:
         out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
-    warnings += [reason.text for reason in trust.reasons]
     warn(warnings)
-    content = plan_content(
-        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
-    )
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     return 0
 
 

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
@@ -31,7 +31,6 @@ def run(options: argparse.Namespace) -> int:
     _check_options(options)
     protocol = options.protocol or "paper"
     planned = protocol not in _PROTOCOLS
-    check_output(options.output, protocol if planned else None, options.truth, options.path)
     plan = None
     if options.path is None:
         plan = (

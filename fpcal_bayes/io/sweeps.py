@@ -95,7 +95,7 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[
     path = Path(path)
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
-    with exclusive(path) as require_same:
+    with exclusive(path):
         campaign = read_campaign(path, cell) if is_campaign_file(path) else None
         before = read_csv(path, cell) if campaign is None else campaign.sweeps
         for name in sweeps.sessions:
@@ -103,7 +103,6 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[
                 raise InputError(f"{path}: session {name!r} is there already, expected a new one")
         joined = join([before, sweeps], file=str(path))
         check(joined)
-        require_same()
         if campaign is None:
             write_csv(path, joined, cell)
         else:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -222,7 +222,7 @@ def week(commands: Commands) -> None:
     """Add ``fpcal week``."""
     parser = add_command(commands, "week", "run the paper's week on a simulated cell", _WEEK)
     add = parser.add_argument
-    add("-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)")
+    add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--seed", type=seed, default=0, help="of the noise (default: 0)")
     add(

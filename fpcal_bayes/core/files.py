@@ -160,8 +160,8 @@ def _temporary(folder: Path) -> Iterator[Path]:
     """A temporary file in a folder, where those of processes that have ended are removed."""
     for left in folder.glob(".fpcal-*.tmp"):
         with contextlib.suppress(OSError, ValueError):
-            ended = left.name.startswith(_TEMPORARY) and not _is_alive(int(left.name.split("-")[-2]))
-            if ended or time.time() - left.stat().st_mtime > _STALE_S:
+            here = _HAS_FLOCK and left.name.startswith(_TEMPORARY)
+            if time.time() - left.stat().st_mtime > _STALE_S or (here and not _is_alive(int(left.name.split("-")[-2]))):
                 left.unlink()
     path = folder / f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
     try:
@@ -172,14 +172,10 @@ def _temporary(folder: Path) -> Iterator[Path]:
 
 
 def _is_alive(process: int) -> bool:
-    """Whether a process runs; on Windows, where a signal is no question, every one may."""
     try:
-        if _HAS_FLOCK:
-            os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        pass
+        os.kill(process, 0)
+    except OSError as error:
+        return error.errno != errno.ESRCH
     return True
 
 

@@ -9,7 +9,8 @@ from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.policy import decide_track, valid_until
-from fpcal_bayes.io.sweeps import write_csv
+from fpcal_bayes.decision.ticket import ticket_of
+from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,
@@ -38,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
         sigma_nm=sigma_nm,
         horizon_h=options.horizon_h,
         diagnosis_h=options.diagnose_every_h,
+        diagnosis_sweeps=min(Costs.diagnosis_sweeps, max(options.most_sweeps, options.least_sweeps)),
     )
     now_h = followed.now_h
     if now_h is None:
@@ -53,9 +55,10 @@ def run(options: argparse.Namespace) -> int:
         warnings.append(
             f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
         )
-    if options.output is not None and decision.sweeps is not None:
-        write_csv(options.output, decision.sweeps, cell)
-    content = {"decision": decision_content(decision, goal, found), "warnings": warnings}
+    ticket = ticket_of(decision, sweeps, str(options.output))
+    if options.output is not None:
+        write_ticket(options.output, ticket, cell)
+    content = {"decision": decision_content(decision, goal, found), "ticket": ticket.content(), "warnings": warnings}
     write_result(options.json, "decide", estimate.content() | content)
     out = console(options)
     out.print(outlook_table(decision, goal, found))

@@ -13,6 +13,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
+from keyword import iskeyword
 from typing import Any, NoReturn
 
 from fpcal_bayes.cli.arguments import identify, keep, live, measure
@@ -35,6 +36,9 @@ _COMMANDS = (
     keep.plan,
     keep.track,
     keep.decide,
+    keep.append,
+    keep.export,
+    keep.import_,
     live.measure,
     live.rig,
     keep.report,
@@ -220,7 +224,8 @@ def _run(words: list[str], *, alone: bool) -> int:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")
     options = make_parser().parse_args(words)
-    command = _load(f"fpcal_bayes.cli.{options.command.replace('-', '_')}")
+    name = options.command.replace("-", "_")
+    command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
     if alone:
         gc.freeze()
         if not sys.warnoptions:

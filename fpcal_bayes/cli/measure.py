@@ -12,6 +12,9 @@ from fpcal_bayes.core.files import exclusive, make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.bench import Bench, is_recording
@@ -21,7 +24,6 @@ from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import Guard, Leg, dry_run, total_seconds
 from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
 from fpcal_bayes.rig.settings import Rig
-from fpcal_bayes.rig.ticket import Ticket, orders_of, read_ticket
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,11 +14,12 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_short_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
-from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
@@ -61,9 +62,10 @@ def run(options: argparse.Namespace) -> int:
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
 
-    write_sweeps(options.output, ordered, cell)
+    planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
+    write_plan(options.output, planned, cell)
     if options.rows is not None:
-        write_sweeps(options.rows, read_often(ordered, readings), cell)
+        write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, ordered), options.figure)
     warnings += [reason.text for reason in trust.reasons]

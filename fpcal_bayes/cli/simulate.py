@@ -33,7 +33,11 @@ def run(options: argparse.Namespace) -> int:
     planned = protocol not in _PROTOCOLS
     plan = None
     if options.path is None:
-        plan = read_sweeps(protocol, cell, plan=True) if planned else protocol_by_name(protocol, cell)
+        plan = (
+            read_sweeps(protocol, cell, plan=True, whole=options.traces)
+            if planned
+            else protocol_by_name(protocol, cell)
+        )
         plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
     if options.traces and cell.mechanics is not None:

@@ -15,9 +15,8 @@ from rich.progress import Progress as ProgressBar
 from fpcal_bayes.cli.common import Output, cell_of, check_outputs, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
+from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name, read_often
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
@@ -136,7 +135,7 @@ def _policy(options: argparse.Namespace, cell: Cell) -> Study:
 def _plan(options: argparse.Namespace, cell: Cell) -> Study:
     if options.plan is None:
         raise InputError("study plan: expected --plan SWEEPS, whole sweeps as fpcal plan -o writes them")
-    whole = _usable(read_sweeps(options.plan, cell, plan=True), options.plan)
+    whole = _usable(read_sweeps(options.plan, cell, plan=True, whole=True), options.plan)
     if (whole.group != "").any():
         raise InputError(f"{options.plan}: column group: expected whole sweeps without groups")
     rows = read_often(whole, options.readings)

@@ -15,8 +15,10 @@ from fpcal_bayes.core.files import exclusive, file_sha256
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.flat import check_flat, write_flat
 from fpcal_bayes.io.sweeps import is_campaign_file
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
 from fpcal_bayes.tracking.alarms import Limits
@@ -45,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
+    check_flat(options.flat)
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(options.campaign):
@@ -82,6 +85,8 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
     if options.estimate is not None:
         said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
         write_result(options.estimate, "track", content | said | {"warnings": warnings})
+    if options.flat is not None:
+        write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
     write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
 
     out = console(options)

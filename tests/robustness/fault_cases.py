@@ -53,6 +53,10 @@ QUICK = (
     Case.of("track campaign.h5 --estimate out.json", "campaign.h5", "out.json"),
     Case.of("cell cell.toml --figure out.svg --json out.json", "cell.toml", "out.svg out.json"),
     Case.of("cell --from-dh axes.csv -o out.toml", "axes.csv", "out.toml"),
+    Case.of("append campaign.h5 session.csv --json out.json", "campaign.h5 session.csv", "out.json"),
+    Case.of("export asked.csv -o out.csv", "asked.csv", "out.csv"),
+    Case.of("export asked.csv -o out.mat", "asked.csv", "out.mat"),
+    Case.of("import moves.csv -o out.h5", "moves.csv", "out.h5"),
 )
 SLOW = (
     Case.of("observe sweeps.csv --json out.json --html out.html", "sweeps.csv", "out.json out.html"),
@@ -64,7 +68,7 @@ SLOW = (
         "out.csv rows.h5 out.svg out.json",
     ),
     Case.of("sample sweeps.csv -o out.nc --draws 50 --json out.json", "sweeps.csv", "out.nc out.json"),
-    Case.of("track sessions.csv --json out.json", "sessions.csv", "out.json"),
+    Case.of("track sessions.csv --json out.json --flat flat.mat", "sessions.csv", "out.json flat.mat"),
     Case.of("decide campaign.h5 -o out.csv --json out.json", "campaign.h5", "out.json"),
     Case.of("task-error posterior.nc --task circle --json out.json", "posterior.nc", "out.json"),
     Case.of("doctor campaign.h5 --json out.json", "campaign.h5", "out.json"),
@@ -108,6 +112,12 @@ def make_inputs(folder: Path, *, quick: bool) -> None:
         ]
         Path("sessions.csv").write_text("\n".join([rows[0], *first, *later]) + "\n")
         in_process(["simulate", "--protocol", "sessions.csv", "-o", "campaign.h5"])
+        new = [rows[0], *(row.replace("full-T0,0", "d-day3,72") for row in rows[1:9])]
+        Path("session.csv").write_text("\n".join(new) + "\n")
+        # Without what is measured: session, hour, label, six joints at both ends.
+        asked = [",".join(row.split(",")[:15]) for row in new]
+        Path("asked.csv").write_text("\n".join(asked) + "\n")
+        in_process(["export", "asked.csv", "-o", "moves.csv"])
         if not quick:
             in_process(["simulate", "-o", "ends.csv"])
             ends = Path("ends.csv").read_text().splitlines()

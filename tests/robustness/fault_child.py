@@ -49,6 +49,8 @@ class Child:
     @staticmethod
     def _run(arguments: tuple[str, ...], folder: Path, prepare: Callable[[], None], writing: int) -> None:
         code = TRACEBACK
+        # What this program does about signals is not what the command does.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(writing, 2)

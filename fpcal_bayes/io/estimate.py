@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.validate import Tables, shown
@@ -17,8 +17,7 @@ from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge, knowledge_
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, Trust, trust_of
 
-#: Numbers of this size are no lengths or angles, and their squares still fit a double.
-_LARGEST = 1e100
+#: Variances below this are no uncertainties.
 _SMALLEST = 1e-100
 
 
@@ -81,10 +80,11 @@ class _Reader(Tables):
                 raise self.error(f"parameters.{p.name}.unit", f"expected {p.unit!r}")
             if entry.get("status") not in STATUSES:
                 raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
-            values.append(self.number(entry, f"parameters.{p.name}", "value", largest=_LARGEST) * p.scale)
+            most = largest(p.unit)
+            values.append(self.number(entry, f"parameters.{p.name}", "value", low=-most, high=most) * p.scale)
             status.append(entry["status"])
         known = self.mechanics(content.get("mechanics"), parameters)
-        time_h = self.number(content, "", "time_h", largest=_LARGEST, default=0.0)
+        time_h = self.number(content, "", "time_h", default=0.0)
         until = content.get("valid_until_h")
         return Estimate(
             cell=self.cell,
@@ -93,7 +93,7 @@ class _Reader(Tables):
             covariance=self.covariance(content.get("covariance"), parameters, status),
             status=tuple(status),
             time_h=time_h,
-            valid_until_h=None if until is None else self.number(content, "", "valid_until_h", largest=_LARGEST),
+            valid_until_h=None if until is None else self.number(content, "", "valid_until_h"),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
             trust=self.trust(content.get("trust"), known is not None),
             mechanics=known,
@@ -134,7 +134,7 @@ class _Reader(Tables):
             matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
-        if not np.isfinite(matrix).all() or not np.abs(matrix).max(initial=0.0) < _LARGEST:
+        if not np.abs(matrix).max(initial=0.0) <= largest("um") ** 2:
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")

@@ -37,6 +37,7 @@ _COMMANDS = (
     keep.track,
     keep.decide,
     keep.append,
+    keep.keep,
     keep.export,
     keep.import_,
     live.measure,

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from fpcal_bayes.core.errors import InputError, reason
+from fpcal_bayes.core.errors import HeldError, InputError, reason
 
 try:
     import fcntl
@@ -214,7 +214,7 @@ def exclusive(path: Path, *, in_place: bool = False) -> Iterator[Callable[[], No
     """
     name = os.path.realpath(path)
     if name in _HELD:
-        raise InputError(f"{path}: another fpcal is writing this file: wait until it has ended")
+        raise HeldError(f"{path}: another fpcal is writing this file: wait until it has ended")
     with _locked(path, in_place=in_place) as require_same:
         _HELD[name] = require_same
         try:
@@ -251,7 +251,7 @@ def _locked(path: Path, *, shared: bool = False, in_place: bool = False) -> Iter
             else:
                 held.enter_context(filelock.FileLock(path.with_name(f".{path.name}.lock"), timeout=0))
         except (BlockingIOError, TimeoutError) as error:
-            raise InputError(f"{path}: {_holder(before)}") from error
+            raise HeldError(f"{path}: {_holder(before)}") from error
         except OSError:
             # Some shared drives have no locks; that the file is still the same is checked all the same.
             pass

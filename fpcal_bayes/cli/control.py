@@ -8,6 +8,7 @@ from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_r
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import check_suffix, write_joints
+from fpcal_bayes.model.envelope import no_envelope_text, require_task_within_envelope
 from fpcal_bayes.motion.validity import judged_at, read_now
 from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, prediction_table, reach_warnings
 
@@ -21,6 +22,8 @@ def run(options: argparse.Namespace) -> int:
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    model, draws = knowledge.drawn(estimate)
+    require_task_within_envelope(model, draws, task.q[task.ok], name=task.name)
     estimate = judged_at(estimate, read_now(options.now, estimate))
     prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)
@@ -28,9 +31,11 @@ def run(options: argparse.Namespace) -> int:
         sd[task.ok] = prediction.sd
     write_joints(options.output, cell, task.q, task.status, sd, task=task.name)
 
-    warnings = reach_warnings(task) + [reason.text for reason in prediction.trust.reasons]
+    unguarded = no_envelope_text(model, draws)
+    warnings = [] if unguarded is None else [unguarded]
+    warnings += reach_warnings(task) + [reason.text for reason in prediction.trust.reasons]
     title = f"{options.output}: {task.ok.sum()} of {len(task)} points"
-    console(options).print(prediction_table([prediction], None, title))
+    console(options).print(prediction_table([prediction], [None], title))
     for line in mechanism_lines([prediction]):
         console(options).say(line)
     warn(warnings)

@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         check_output(output, options.campaign, *(options.task or ()))
     if options.output is not None and options.output == options.json:
         raise InputError(f"{options.json}: expected two names for -o and --json")
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps

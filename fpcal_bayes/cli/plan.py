@@ -12,7 +12,7 @@ from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console,
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_short_order, shortfalls
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_safe_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
 from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.io.estimate import read_estimate
@@ -20,6 +20,7 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import no_envelope_text
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
@@ -47,12 +48,13 @@ def run(options: argparse.Namespace) -> int:
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
     papers = _paper(cell)
-    warnings = []
+    warnings = [text for text in (no_envelope_text(ground.model, ground.draws),) if text is not None]
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference)
+    settings = planner.settings
     chosen = planner.fewest(most=options.n or 69, check=check) if targets else planner.best(options.n)
     chosen = replace(chosen, sweeps=_labelled(chosen.sweeps))
-    ordered = in_short_order(cell, chosen.sweeps, settings.limits)
+    ordered = in_safe_order(ground, chosen.sweeps, options.output)
 
     expected = {"before": check.expected_sd(None), "plan": check.expected_sd(ordered, readings=readings, sigma=sigma)}
     seconds = {"plan": duration(cell, ordered, readings, settings.limits)}

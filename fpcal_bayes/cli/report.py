@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
         check_output(output, options.campaign, options.posterior, *(options.task or ()))
     if options.output == options.json:
         raise InputError(f"{options.json}: expected two names for -o and --json")
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     _warm_up(cell)
     out = console(options)
     with out.status("working out the report"):

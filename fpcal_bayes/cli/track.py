@@ -65,7 +65,7 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
         check_output(output, options.campaign, options.posterior, *(options.task or ()))
     if options.estimate is not None and options.json is not None and options.estimate == options.json:
         raise InputError(f"{options.json}: expected two names for --estimate and --json")
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
         campaign_file = is_campaign_file(options.campaign)

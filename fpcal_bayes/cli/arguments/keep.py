@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import (
+    RADIUS_HELP,
+    Commands,
+    add_command,
+    add_goal,
+    add_json,
+    count,
+    positive,
+    seed,
+)
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -28,7 +37,7 @@ def plan(commands: Commands) -> None:
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    add("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
     add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")

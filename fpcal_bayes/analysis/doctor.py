@@ -159,18 +159,12 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             if len(set(part.dl[rows].tolist())) == len(rows) > 1:
                 squares += float(((weighed - weighed.mean()) ** 2).sum())
                 free += len(rows) - 1
-        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3 and cell.mechanics is not None:
+        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
             yield Finding(
-                "doubt", "return", name,
+                "problem" if cell.mechanics is None else "doubt", "return", name,
                 f"sweeps driven again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
                 "see that return_nm and return_urad of the joints that move cover it; sigma_um is for what readings "
                 "show that are repeated without any motion",
-            )  # fmt: skip
-        elif free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
-            yield Finding(
-                "problem", "sigma", name,
-                f"sweeps measured again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
-                "raise sigma_um by this factor, or find what moves between the repeats",
             )  # fmt: skip
         yield from _still_readings(name, sweeps.of_session(name))
     half_wave = 0.5 * cell.wavelength

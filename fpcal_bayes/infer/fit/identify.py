@@ -11,7 +11,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, goodness_of_fit
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,
@@ -20,10 +19,18 @@ from fpcal_bayes.infer.fit.minimise import (
     sign_images,
     solution_rank,
 )
+from fpcal_bayes.infer.fit.mistakes import axis_rivals
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.problem import Considered, Problem
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
-from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.fit.spectrum import (
+    GoodnessOfFit,
+    Spectrum,
+    Status,
+    goodness_of_fit,
+    spectrum_of,
+    statuses,
+)
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
@@ -32,7 +39,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import FitEvidence, Reason, Trust, judge_fit
+from fpcal_bayes.model.trust import LEAST_EXPECTED, FitEvidence, Reason, judge_fit
 
 Hold = Literal["consider", "exact"]
 
@@ -82,11 +89,15 @@ class Identification:
         """Labels of the rows whose sign may be the other one, with that probability, likeliest first."""
         return _doubtful(self.problem.sweeps, self.signs)
 
+    @property
+    def undetermined(self) -> list[str]:
+        """Names of the free parameters along which the estimate is the prior."""
+        status = dict(zip(self.estimate.parameters.names, self.estimate.status, strict=True))
+        return [name for name in self.free.names if status[name] == "gauge"]
+
     def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
         """Labels of the rows with the largest standardised residuals, largest first."""
-        standardised = self.fit.standardised
-        order = np.argsort(-np.abs(standardised), kind="stable")[:n]
-        return [(str(self.problem.sweeps.label[i]), float(standardised[i])) for i in order]
+        return self.fit.largest(self.problem.sweeps.label.tolist(), n)
 
     def content(self) -> dict[str, Any]:
         """What ``identify --json`` writes, without schema and command."""
@@ -99,6 +110,7 @@ class Identification:
                 "p_value": self.fit.p_value,
                 "n_sweeps": len(self.problem.sweeps),
                 "rank": self.spectrum.rank,
+                "undetermined": self.undetermined,
                 "converged": self.converged,
                 "starts": self.starts,
                 "seconds": self.seconds,
@@ -170,16 +182,26 @@ def identify(
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
     rival = _rival(chosen, solution, others)
-    machine, doubts = None, []
+    machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
-        machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
-        problem, solution = machine.problem, machine.solution
-        doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+        try:
+            machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
+        except np.linalg.LinAlgError:
+            lost = replace(solution, converged=False)
+        else:
+            problem, solution = machine.problem, machine.solution
+            doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+    solution = lost or solution
     unknowns = solution.unknowns
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
     status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
     fit = goodness_of_fit(problem, unknowns)
+    noise_only = fit
+    if machine is not None:
+        # A machine that is better than its sheet leaves the rows closer to the fit than expected; not so the readings.
+        ideal = replace(problem, model=replace(problem.model, cell=cell.ideal), log_scales=None)
+        noise_only = goodness_of_fit(ideal.relinearised(unknowns), unknowns)
 
     evidence = FitEvidence(
         converged=solution.converged,
@@ -191,21 +213,15 @@ def identify(
         sum_of_squares=solution.sum_of_squares,
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
+        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.label.tolist(), 3)),
+        chi2_noise=noise_only.chi2_data,
+        expected_noise=noise_only.expected,
+        p_noise=noise_only.p_value,
     )
-    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)))
-    if machine is not None:
-        # A machine that is better than its sheet says leaves the rows closer to the fit than they are expected.
-        trust = Trust(tuple(reason for reason in trust.reasons if reason.kind != "too-good-fit"))
-    said = {reason.kind: reason.text for reason in trust.reasons}
-    trust = trust.because(*doubts)
-    warnings += [said.pop("not-converged")] if "not-converged" in said else []
-    if 0 < spectrum.rank < len(chosen):
-        gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
-        warnings.append(
-            f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
-            f"prior: {gauges or 'no single parameter stands out'}"
-        )
-    warnings += [*said.values(), *(doubt.text for doubt in doubts)]
+    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)), *doubts)
+    if trust.usable and fit.expected > LEAST_EXPECTED:
+        trust = trust.because(*axis_rivals(problem, solution, RIVAL_EXCESS))
+    warnings += [reason.text for reason in trust.reasons]
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))

@@ -12,15 +12,18 @@ from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console,
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
+from fpcal_bayes.infer.design.commission import LABEL, commission_plan
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_safe_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
 from fpcal_bayes.infer.design.rows import read_often
+from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.envelope import no_envelope_text
+from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
+from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
@@ -33,8 +36,8 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    if options.n is None and options.reach is None:
-        raise InputError("expected --n N or --reach TASK=NM,..")
+    if options.commission == (options.n is not None or options.reach is not None):
+        raise InputError("expected one of --n N, --reach TASK=NM,.. and --commission")
     targets = _targets(options.reach)
     outputs = [options.output, options.rows, options.json, options.figure]
     for i, output in enumerate(outputs):
@@ -43,6 +46,8 @@ def run(options: argparse.Namespace) -> int:
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
     settings = _settings(options)
+    if options.commission:
+        return _commission(options, cell, settings)
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
@@ -83,6 +88,31 @@ def run(options: argparse.Namespace) -> int:
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
     )
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
+    return 0
+
+
+def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
+    """Write the sweeps that a new cell is commissioned with."""
+    warm_up(cell)
+    sweeps = commission_plan(cell)
+    model, draws = prior_draws(cell)
+    require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
+    plan = join([_absolute(cell), sweeps], LABEL) if options.absolute else sweeps
+    write_sweeps(options.output, replace(plan, sigma=np.full(len(plan), np.nan)), cell)
+    if options.rows is not None:
+        write_sweeps(options.rows, read_often(sweeps, settings.readings), cell)
+    if options.figure is not None:
+        save_figure(draw_plan(cell, sweeps), options.figure)
+    unguarded = no_envelope_text(model, draws)
+    warnings = [] if unguarded is None else [unguarded]
+    out, minutes = console(options), duration(cell, sweeps, settings.readings, settings.limits) / 60.0
+    out.print(sweeps_table(cell, sweeps, f"{options.output}: {len(sweeps)} sweeps"))
+    out.say(
+        f"time: {minutes:.1f} min; measure them, then fpcal doctor says what is connected otherwise than the cell says"
+    )
+    warn(warnings)
+    content = {"n_sweeps": len(sweeps), "seconds": {"plan": 60.0 * minutes}, "warnings": warnings}
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, Trust())
     return 0
 
 

@@ -258,7 +258,9 @@ def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats])
     expected = lengths[:n] + gain @ (np.concatenate([seen[1], stated[:, 0]]) - lengths[n:])
     variance = (rows[:n] ** 2).sum(axis=1) - (gain * (rows[:n] @ rows[n:].T)).sum(axis=1)
     _, facing, _, _ = Known.of(model, model.free.nominal).facing(q)
-    return (expected < -_LIKELY * np.sqrt(np.maximum(variance, 0.0))) | (facing[0] <= 0), expected
+    behind = (expected < -_LIKELY * np.sqrt(np.maximum(variance, 0.0))) | (facing[0] <= 0)
+    # The literal reading of the paper has the light run along the mirror.
+    return behind & (cell.optical_axis != "z"), expected
 
 
 def no_envelope_text(model: CavityModel, draws: Floats) -> str | None:

@@ -29,7 +29,8 @@ def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
         part = sweeps.of_session(name)
         values = truth.at(float(np.clip(part.time_h[0], truth.times_h[0], truth.times_h[-1])))
         rows, path = part.rows.tolist(), sweep_path(cell, part.q_start, part.q_end, ways=False)
-        require_in_front(model, values, path, file=part.file, rows=rows)
+        if cell.optical_axis != "z":
+            require_in_front(model, values, path, file=part.file, rows=rows)
         require_within_envelope(model, values, part.q_start, part.q_end, file=part.file, rows=rows, exact=True)
 
 

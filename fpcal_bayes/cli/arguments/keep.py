@@ -24,6 +24,10 @@ Without an estimate the plan is averaged over draws of the prior, so that it is 
 task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
 --after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
 
+--commission writes small safe moves around joint zero for a new cell: once they are measured, fpcal doctor says which
+axis counts the other way, is swapped with another, or stands in another unit, and what to look at: lengths cannot tell
+the cell from its mirror images. --absolute adds the gap as an absolute length, where the wavelength can be scanned.
+
 SWEEPS holds whole sweeps. --rows writes the readings of each as rows of one group, for `fpcal simulate --protocol`.
 Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
 """
@@ -36,6 +40,7 @@ def plan(commands: Commands) -> None:
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
     add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")

@@ -40,6 +40,8 @@ def run(options: argparse.Namespace) -> int:
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
         warnings += reach_warnings(task)
+        if options.task == "all" and not task.ok.any():
+            continue
         driven = task.driven()
         prediction = knowledge.predict(estimate, driven, draws=options.draws, seed=options.seed)
         predictions.append(prediction)
@@ -55,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
 
+    if not predictions:
+        raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
     out.print(prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"))
     for line in [*lines, *mechanism_lines(predictions)]:

@@ -10,7 +10,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Bools
 from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.tracking.drift import HOURS_PER_DAY
 from fpcal_bayes.tracking.sessions import check_sessions
@@ -117,8 +117,7 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         )  # fmt: skip
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
-        keys = [tuple(row) for row in np.column_stack([part.q_start, part.q_end, part.dl]).tolist()]
-        again = np.array([keys.index(key) < i and part.kind[i] == "sweep" for i, key in enumerate(keys)])
+        again = repeated_rows(part)
         if part.measured and again.any():
             yield Finding(
                 "problem", "duplicates", name, f"rows measured twice to the last digit: {row_names(part, again)}",

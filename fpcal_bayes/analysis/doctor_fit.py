@@ -9,8 +9,8 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import plain
 from fpcal_bayes.infer.design.commission import LABEL
-from fpcal_bayes.infer.fit.identify import RIVAL_EXCESS, Identification, identify
-from fpcal_bayes.infer.fit.mistakes import mend, mirror_sets
+from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps

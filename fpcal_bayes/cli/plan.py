@@ -8,19 +8,20 @@ from math import radians
 import numpy as np
 
 from fpcal_bayes.cli.arguments.common import positive
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
-from fpcal_bayes.infer.design.commission import LABEL, commission_plan
+from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_safe_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
-from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
 from fpcal_bayes.model.margin import prior_draws
@@ -39,9 +40,6 @@ def run(options: argparse.Namespace) -> int:
     if options.commission == (options.n is not None or options.reach is not None):
         raise InputError("expected one of --n N, --reach TASK=NM,.. and --commission")
     targets = _targets(options.reach)
-    outputs = [options.output, options.rows, options.json, options.figure]
-    for i, output in enumerate(outputs):
-        check_output(output, options.after, options.estimate, *outputs[:i])
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
@@ -53,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
     papers = _paper(cell)
-    warnings = [text for text in (no_envelope_text(ground.model, ground.draws),) if text is not None]
+    warnings = no_envelope_text(ground.model, ground.draws)
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference)
     settings = planner.settings
@@ -71,48 +69,46 @@ def run(options: argparse.Namespace) -> int:
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
 
-    write_sweeps(options.output, ordered, cell)
+    planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
+    write_plan(options.output, planned, cell)
     if options.rows is not None:
-        write_sweeps(options.rows, read_often(ordered, readings), cell)
+        write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, ordered), options.figure)
+    warnings += [reason.text for reason in trust.reasons]
+    content = plan_content(
+        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
+    )
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     if trust.usable:
         out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
-    warnings += [reason.text for reason in trust.reasons]
     warn(warnings)
-    content = plan_content(
-        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
-    )
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     return 0
 
 
 def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
     """Write the sweeps that a new cell is commissioned with."""
     warm_up(cell)
-    sweeps = commission_plan(cell)
-    model, draws = prior_draws(cell)
+    sweeps, (model, draws) = commission_plan(cell), prior_draws(cell)
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
-    plan = join([_absolute(cell), sweeps], LABEL) if options.absolute else sweeps
-    write_sweeps(options.output, replace(plan, sigma=np.full(len(plan), np.nan)), cell)
+    planned = Ticket(str(options.output), sweeps, np.full(len(sweeps), settings.readings))
+    write_plan(options.output, planned, cell)
     if options.rows is not None:
-        write_sweeps(options.rows, read_often(sweeps, settings.readings), cell)
+        write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, sweeps), options.figure)
-    unguarded = no_envelope_text(model, draws)
-    warnings = [] if unguarded is None else [unguarded]
-    out, minutes = console(options), duration(cell, sweeps, settings.readings, settings.limits) / 60.0
-    out.print(sweeps_table(cell, sweeps, f"{options.output}: {len(sweeps)} sweeps"))
-    out.say(
-        f"time: {minutes:.1f} min; measure them, then fpcal doctor says what is connected otherwise than the cell says"
-    )
-    warn(warnings)
-    content = {"n_sweeps": len(sweeps), "seconds": {"plan": 60.0 * minutes}, "warnings": warnings}
+    warnings = no_envelope_text(model, draws)
+    seconds = duration(cell, sweeps, settings.readings, settings.limits)
+    content = {"n_sweeps": len(sweeps), "seconds": {"plan": seconds}, "warnings": warnings}
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, Trust())
+    out = console(options)
+    out.print(sweeps_table(cell, sweeps, f"{options.output}: {len(sweeps)} sweeps"))
+    out.say(f"time: {seconds / 60.0:.1f} min; fpcal doctor then says what is connected otherwise than in the cell")
+    warn(warnings)
     return 0
 
 

@@ -263,14 +263,14 @@ def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats])
     return behind & (cell.optical_axis != "z"), expected
 
 
-def no_envelope_text(model: CavityModel, draws: Floats) -> str | None:
-    """One sentence for a cell without an envelope, or with one but no gap that draws could tell, else None."""
+def no_envelope_text(model: CavityModel, draws: Floats) -> list[str]:
+    """A sentence for a cell without an envelope, or with one but no gap that draws could tell."""
     name = repr(model.cell.name)
     if model.cell.envelope is None:
-        return f"cell {name} states no [envelope]: nothing keeps the mirror off the fibre"
+        return [f"cell {name} states no [envelope]: nothing keeps the mirror off the fibre"]
     if gap_is_known(model, draws):
-        return None
-    return f"cell {name}: the gap is not known, so that nothing moves along the beam: {_MEASURE_GAP}"
+        return []
+    return [f"cell {name}: the gap is not known, so that nothing moves along the beam: {_MEASURE_GAP}"]
 
 
 def _along_beam(model: CavityModel, draws: Floats) -> tuple[Ints, float]:

@@ -24,6 +24,7 @@ KINDS: dict[str, bool] = {
     "too-good-fit": False,
     "second-solution": False,
     "signs": False,
+    "duplicates": False,
     "nothing-determined": False,
     "mechanics": False,
     "residuals": False,
@@ -76,7 +77,9 @@ class Trust:
 
 
 #: What is held against a result of a program that kept no verdict.
-UNRECORDED = Reason("unrecorded", "the file is of an older program and holds no verdict on the fit")
+UNRECORDED = Reason(
+    "unrecorded", "the file holds no hash or no verdict of the program that made it: what it says cannot be checked"
+)
 
 
 #: What is held against a result that leaves out mechanics which the cell states.

@@ -28,8 +28,9 @@ def fit_lines(result: Identification, *, timed: bool = True) -> list[str]:
     fit = result.fit
     state = "converged" if result.converged else "NOT CONVERGED"
     unseen = ", ".join(result.undetermined) if result.spectrum.rank < len(result.free) else ""
+    rows = len(result.problem.sweeps)
     lines = [
-        f"fit: {state}, sum of squares {plain(result.solution.sum_of_squares, 2)} over {len(result.problem.sweeps)} rows "
+        f"fit: {state}, sum of squares {plain(result.solution.sum_of_squares, 2)} over {rows} rows "
         f"and the prior; chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} "
         f"(p = {fit.p_value:.2g})",
         f"rank: {result.spectrum.rank} of {len(result.free)} combinations of the free parameters are seen by the data"

@@ -4,8 +4,8 @@
 
 A cell whose true parameters are drawn from the prior is measured with `fpcal plan --commission`; then a mistake is put
 into the file: an axis that counts the other way (or several), two columns swapped, a column in another unit. The answer
-is right if the first mistake that the doctor names is it, or if the reader refuses the file and names the joint. Every sixth file
-has no mistake: then no problem may be found.
+is right if the first mistake that the doctor names is it, or if the reader refuses the file and names the joint. Some
+files have no mistake: then no problem may be found.
 """
 
 import sys

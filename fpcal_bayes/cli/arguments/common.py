@@ -14,6 +14,10 @@ MECHANICS = "stated"
 RADIUS_HELP = "of the circle (default: 100, less where the cell's limits are narrower)"
 
 
+class Folder(Path):
+    """A folder that a command fills."""
+
+
 def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(
@@ -80,8 +84,8 @@ def positive(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    if not 1e-9 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
     return value
 
 

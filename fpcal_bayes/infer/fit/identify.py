@@ -19,7 +19,7 @@ from fpcal_bayes.infer.fit.minimise import (
     sign_images,
     solution_rank,
 )
-from fpcal_bayes.infer.fit.mistakes import axis_rivals
+from fpcal_bayes.infer.fit.mistakes import axis_rivals, second_solution
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.problem import Considered, Problem
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
@@ -34,7 +34,7 @@ from fpcal_bayes.infer.fit.spectrum import (
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
@@ -45,8 +45,6 @@ Hold = Literal["consider", "exact"]
 
 #: Below this probability of a sum of squares as large as the one found, other starts are tried.
 RETRY_BELOW = 1e-3
-#: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
-RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
 
 
@@ -181,7 +179,7 @@ def identify(
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
-    rival = _rival(chosen, solution, others)
+    rival = second_solution(chosen.names, solution, others)
     machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
         try:
@@ -218,9 +216,9 @@ def identify(
         expected_noise=noise_only.expected,
         p_noise=noise_only.p_value,
     )
-    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)), *doubts)
+    trust = judge_fit(evidence, *rival, *_doubt(used, signs), *doubts)
     if trust.usable and fit.expected > LEAST_EXPECTED:
-        trust = trust.because(*axis_rivals(problem, solution, RIVAL_EXCESS))
+        trust = trust.because(*axis_rivals(problem, solution))
     warnings += [reason.text for reason in trust.reasons]
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
@@ -335,29 +333,19 @@ def _fit(
     return problem, best, found, len(found)
 
 
-def _rival(chosen: ParameterSet, solution: Solution, others: Sequence[Solution]) -> list[Reason]:
-    """The second solution, where it counts for the posterior."""
-    if not others or others[0].sum_of_squares - solution.sum_of_squares >= RIVAL_EXCESS:
-        return []
-    rival = others[0]
-    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
-    named = ", ".join(chosen.names[i] for i in sorted(apart))
-    text = (
-        f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
-        f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
-        "midpoints tell the two apart"
-    )
-    return [Reason("second-solution", text)]
-
-
-def _doubt(doubtful: Sequence[tuple[str, float]]) -> list[Reason]:
-    """The rows whose sign may be the other one."""
-    if not doubtful:
-        return []
-    named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
-    more = ", ..." if len(doubtful) > 5 else ""
-    text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
-    return [Reason("signs", text)]
+def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
+    """Rows whose sign may be the other one, and rows that stand twice."""
+    found, doubtful, again = [], _doubtful(used, signs), repeated_rows(used)
+    if doubtful:
+        named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
+        more = ", ..." if len(doubtful) > 5 else ""
+        text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
+        found.append(Reason("signs", text))
+    if again.any():
+        named = ", ".join(map(str, used.rows[again][:5]))
+        text = f"{again.sum()} rows stand twice, to the last digit ({named} ...): they count twice; delete the copies"
+        found.append(Reason("duplicates", text))
+    return found
 
 
 def _estimate(

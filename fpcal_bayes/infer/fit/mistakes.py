@@ -6,7 +6,7 @@ plane that holds the beam changes no cavity length, whatever is swept: sets of a
 are the same machine seen in a mirror, and are left out.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -23,6 +23,8 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import optical_axis
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason
 
+#: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
+RIVAL_EXCESS = 9.2
 #: Steps of the first look at a mistake, and how far above a fit that it is worth a second one its sum may still stand.
 _FEW_STEPS, _WORTH = 20, 100.0
 _LOOKED_AT = 10
@@ -181,7 +183,22 @@ def side_sets(cell: Cell) -> set[frozenset[int]]:
     return {flipped, *(flipped.symmetric_difference(one) for one in mirror_sets(cell))}
 
 
-def axis_rivals(problem: Problem, solution: Solution, excess: float) -> list[Reason]:
+def second_solution(names: Sequence[str], solution: Solution, others: Sequence[Solution]) -> list[Reason]:
+    """The second of the minima found, where it counts for the posterior; `names` are those of the unknowns."""
+    if not others or others[0].sum_of_squares - solution.sum_of_squares >= RIVAL_EXCESS:
+        return []
+    rival = others[0]
+    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(names)])[:3]
+    named = ", ".join(names[i] for i in sorted(apart))
+    text = (
+        f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
+        f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
+        "midpoints tell the two apart"
+    )
+    return [Reason("second-solution", text)]
+
+
+def axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
     """Sets of axes that fit a good fit as well the other way round, with the sweep that tells; none that do nothing."""
     sweeps, cell = problem.sweeps, problem.model.cell
     known = sweeps.signed | sweeps.absolute
@@ -198,7 +215,7 @@ def axis_rivals(problem: Problem, solution: Solution, excess: float) -> list[Rea
         if _quick(other).sum_of_squares > solution.sum_of_squares + _WORTH * len(sweeps):
             continue
         rival = minimise(other, np.zeros(other.n_unknowns))
-        if rival.converged and rival.sum_of_squares < solution.sum_of_squares + excess:
+        if rival.converged and rival.sum_of_squares < solution.sum_of_squares + RIVAL_EXCESS:
             told.append((axes, rival, _telling(problem, solution, rival, way)))
     named = [(axes, rival, sweep) for axes, rival, sweep in told if sweep]
     if not named:

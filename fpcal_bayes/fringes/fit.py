@@ -131,8 +131,9 @@ def fit_course(
     over_place, over_time = legendre(samples.s, max(degree, DEGREE)), legendre(samples.time)
     base = phase_per_um * (over_place[:, 1 : degree + 1] @ mean)
     modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1 : degree + 1] @ modes_um))
-    first = start if warm is None else warm.profile
-    z = np.linalg.lstsq(modes_um, np.pad(first, (0, degree - len(first))) - mean, rcond=None)[0]
+    first, off = start if warm is None else warm.profile, -mean
+    off[: len(first)] += first
+    z = np.linalg.lstsq(modes_um, off, rcond=None)[0]
     phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
@@ -185,8 +186,8 @@ def _modes(profile: DisplacementProfile) -> tuple[Floats, Floats]:
 def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tuple[float, float]:
     """Phase at the sweep's middle and mean amplitude of the fringes for a profile's phase `f` (n,)."""
     root = np.sqrt(samples.count)
-    columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)])
-    solution = np.linalg.lstsq(columns * root[:, None], samples.signal * root, rcond=1e-6)[0]
+    columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)]) * root[:, None]
+    solution = np.linalg.lstsq(columns.T @ columns, columns.T @ (samples.signal * root), rcond=1e-12)[0]
     c, s = solution[3], solution[4]
     widest = float(np.ptp(samples.signal))
     return float(np.arctan2(-s, c)), float(np.clip(np.hypot(c, s), 0.05 * widest, 2.0 * widest))

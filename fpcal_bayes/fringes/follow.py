@@ -6,6 +6,7 @@ one number each, an uneven course is a profile of more polynomials. The evidence
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -41,10 +42,16 @@ class Followed:
     """What a mirror did that left its joint's course."""
 
     solution: FringeSolution
+    phase_per_um: float
     #: set_out, lag: Place at which the mirror set out, and how long it lags, as a share of half the trace.
     set_out: float = -1.0
     lag: float = 0.0
     uneven: bool = False  # whether the course has polynomials that no joint makes
+
+    @cached_property
+    def errors(self) -> PhaseErrors:
+        """What the best fit leaves."""
+        return PhaseErrors.of(self.solution.best, self.solution.samples, self.phase_per_um)
 
     @property
     def astray(self) -> bool:
@@ -92,20 +99,19 @@ def follow(
             warm=warm,
         )
 
-    tries = [Followed(FringeSolution((fit(used, None, profile, start),), used))]
+    tries = [Followed(FringeSolution((fit(used, None, profile, start),), used), phase_per_um)]
     fringes = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(lengths_at(start, _PLACES))))]) * phase_per_um / 2 / np.pi
     places = np.interp(np.arange(_LATE_STEP, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP), fringes, _PLACES)
     smoothest = tries[0].solution.best
     if len(places) > 2:
         found, at = _scanned(used, _late, places, smoothest, profile, phase_per_um, fit)
-        tries.append(Followed(FringeSolution((found,), _late(used, at)), set_out=at))
+        tries.append(Followed(FringeSolution((found,), _late(used, at)), phase_per_um, set_out=at))
     found, at = _scanned(used, _lagging, _LAGS, smoothest, profile, phase_per_um, fit)
-    tries.append(Followed(FringeSolution((found,), _lagging(used, at)), lag=at))
-    tries += _uneven(tries[0], phase_per_um, profile, fit)
+    tries.append(Followed(FringeSolution((found,), _lagging(used, at)), phase_per_um, lag=at))
+    tries += _uneven(tries[0], profile, fit)
     best = max(tries, key=lambda each: each.solution.best.evidence)
     if best.set_out > -1.0 or best.lag > 0.0:
-        errors = PhaseErrors.of(best.solution.best, best.solution.samples, phase_per_um)
-        tries += _uneven(best, phase_per_um, profile, fit) if errors.probability < UNLIKELY else []
+        tries += _uneven(best, profile, fit) if best.errors.probability < UNLIKELY else []
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.solution.best.evidence)
     noise = noise_of(best.solution.best, noise)
@@ -209,10 +215,10 @@ def _loose(profile: DisplacementProfile, degree: int) -> DisplacementProfile:
     return loosened(profile, degree, dict(_COURSES)[degree])
 
 
-def _uneven(base: Followed, phase_per_um: float, profile: DisplacementProfile, fit: _Fitter) -> list[Followed]:
+def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[Followed]:
     """Fits of courses with more and more polynomials, along the places of `base`."""
     old, moved = base.solution.best, base.solution.samples
-    begin = _demodulated(old, moved, phase_per_um)
+    begin = _demodulated(old, moved, base.phase_per_um)
     tried = []
     for degree, _ in _COURSES:
         if len(moved) > 6 * degree:

@@ -49,7 +49,7 @@ class PhaseErrors:
             weight = np.add.reduceat(slope**2, edges[:-1]) + 1e-12
             found = np.clip(np.add.reduceat(left * slope, edges[:-1]) / weight, -1.0, 1.0)
             total, turn = total + found, turn + np.repeat(found, sizes)
-            if np.abs(found).max() < _SMALL:
+            if (np.abs(found) < _SMALL + 3.0 * np.sqrt(np.mean(left**2) / weight)).all():
                 break
         noise = max(float(np.sqrt(np.mean(np.diff(left) ** 2) / 2.0)), 1e-9 * fit.amplitude)
         # At the tops alone a block tells nothing of its phase.

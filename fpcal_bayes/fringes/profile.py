@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.kernels import legendre_table
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -47,7 +48,7 @@ class DisplacementProfile:
 
 def legendre(s: Floats, degree: int = DEGREE) -> Floats:
     """Legendre polynomials P_0 .. P_degree at `s` (n,), shape (n, degree + 1)."""
-    return np.asarray(np.polynomial.legendre.legvander(s, degree), dtype=float)
+    return legendre_table(np.asarray(s, dtype=float), degree)
 
 
 def end_weights(degree: int = DEGREE, ends: tuple[float, float] = (-1.0, 1.0)) -> Floats:

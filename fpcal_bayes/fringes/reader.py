@@ -9,7 +9,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
 from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow
-from fpcal_bayes.fringes.misfit import PhaseErrors, fringes_seen
+from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
 from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, rescaled, solve, with_noise
@@ -105,22 +105,20 @@ def _followed(
     each: Recorded, solution: FringeSolution | None, noise: float | None, mirror_light: float
 ) -> Followed | None:
     """The course of the mirror: the joint's where that explains the trace."""
-    if solution is not None and not _faint(solution.best, each.samples):
-        if PhaseErrors.of(solution.best, solution.samples, each.phase_per_um).probability > UNLIKELY:
-            return Followed(solution)
-        nuisance, smooth = solution.best.nuisance, solution
-    else:
-        nuisance, smooth = CALM, None
+    smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
+    if smooth is not None and smooth.errors.probability > UNLIKELY:
+        return smooth
+    nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
-    found = follow(each.samples, each.profile, each.phase_per_um, smooth, nuisance, sd, mirror_light)
+    course = None if smooth is None else smooth.solution
+    found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light)
     if smooth is not None and (found is None or not found.astray):
-        found = Followed(smooth)
+        found = smooth
     if found is None:
         return None
     # What is left beyond noise counts as slow noise.
-    solution = found.solution
-    errors = PhaseErrors.of(solution.best, solution.samples, each.phase_per_um)
-    return replace(found, solution=rescaled(solution, max(1.0, errors.excess) ** 0.5 * solution.best.noise))
+    slow = max(1.0, found.errors.excess) ** 0.5
+    return replace(found, solution=rescaled(found.solution, slow * found.solution.best.noise))
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:
@@ -266,7 +264,7 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     """Why a reading is not relied on by what the mirror did."""
     late, missing = found.missed()
     fringe = 2.0 * np.pi / each.phase_per_um
-    errors = PhaseErrors.of(verdict.fit, found.solution.samples, each.phase_per_um)
+    errors = found.errors
     if np.sqrt(np.mean(errors.phase**2)) > _OFF_PHASE or errors.excess > _OFF_SQUARE:
         return f"the signal does not follow a smooth sweep (phase errors {errors.excess**0.5:.1f} times the noise)"
     if late > _ASTRAY * fringe:

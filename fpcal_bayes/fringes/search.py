@@ -83,9 +83,9 @@ def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: 
 
 def _levelled(samples: Samples, basis: Floats) -> Floats:
     """The signal without its mean, slope and bow."""
-    root = np.sqrt(samples.count)
     low = basis[:, :3]
-    level = np.linalg.lstsq(low * root[:, None], samples.signal * root, rcond=None)[0]
+    weighted = low.T * samples.count
+    level = np.linalg.solve(weighted @ low, weighted @ samples.signal)
     return np.asarray(samples.signal - low @ level)
 
 

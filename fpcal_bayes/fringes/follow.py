@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from fpcal_bayes.core.typing import Floats
@@ -23,8 +22,8 @@ from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fring
 
 #: Fringes that a mirror may have missed at the start, steps of a fringe tried and the best of them looked at closely;
 #: lags tried, in half traces.
-_MOST_LATE, _LATE_STEP, _FINER, _PEAKS, _ROUNDS = 3.2, 1.0 / 6.0, 8, 4, 6
-_LAGS = np.geomspace(1e-3, 0.3, 14)
+_MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 3, 6, 200.0
+_LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with the size in um of the first; sizes of the others fall as one over their number.
 _COURSES = ((10, 0.15), (20, 0.3), (40, 1.0))
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
@@ -101,28 +100,33 @@ def follow(
 
     tries = [Followed(FringeSolution((fit(used, None, profile, start),), used), phase_per_um)]
     fringes = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(lengths_at(start, _PLACES))))]) * phase_per_um / 2 / np.pi
-    places = np.interp(np.arange(_LATE_STEP, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP), fringes, _PLACES)
-    smoothest = tries[0].solution.best
+    places = np.interp(np.arange(0.0, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP), fringes, _PLACES)
     if len(places) > 2:
-        found, at = _scanned(used, _late, places, smoothest, profile, phase_per_um, fit)
-        tries.append(Followed(FringeSolution((found,), _late(used, at)), phase_per_um, set_out=at))
-    found, at = _scanned(used, _lagging, _LAGS, smoothest, profile, phase_per_um, fit)
-    tries.append(Followed(FringeSolution((found,), _lagging(used, at)), phase_per_um, lag=at))
-    tries += _uneven(tries[0], profile, fit)
+        found, at = _scanned(samples, _late, places, tries[0], profile, fit)
+        tries.append(Followed(found, phase_per_um, set_out=at))
+    found, at = _scanned(samples, _lagging, _LAGS, tries[0], profile, fit)
+    tries.append(Followed(found, phase_per_um, lag=at))
     best = max(tries, key=lambda each: each.solution.best.evidence)
-    if best.set_out > -1.0 or best.lag > 0.0:
-        tries += _uneven(best, profile, fit) if best.errors.probability < UNLIKELY else []
+    if best.errors.probability < UNLIKELY:
+        tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.solution.best.evidence)
     noise = noise_of(best.solution.best, noise)
     weighed = []
-    for each in tries:
+    ranked = sorted(tries, key=lambda each: -each.solution.best.evidence)[:3]
+    for each in {id(each): each for each in (tries[0], *ranked)}.values():
         old, moved = each.solution.best, each.solution.samples
         prior = profile if len(old.profile) == DEGREE else _loose(profile, len(old.profile))
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends)
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
-    return max(weighed, key=lambda each: each.solution.best.evidence)
+    best = max(weighed, key=lambda each: each.solution.best.evidence)
+    # Courses that do about as well may end elsewhere.
+    chosen, fits = best.solution.best, [each.solution.best for each in weighed]
+    share = np.exp(np.array([each.evidence for each in fits]) - chosen.evidence)
+    apart = np.array([each.change[0] - chosen.change[0] for each in fits])
+    wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
+    return replace(best, solution=replace(best.solution, fits=(wide,)))
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)
@@ -154,61 +158,70 @@ def _lagging(samples: Samples, lag: float) -> Samples:
 
 
 def _scanned(
-    used: Samples,
+    whole: Samples,
     warp: _Warp,
     grid: Floats,
-    smooth: Fit,
+    smooth: Followed,
     profile: DisplacementProfile,
-    phase_per_um: float,
     fit: _Fitter,
-) -> tuple[Fit, float]:
+) -> tuple[FringeSolution, float]:
     """The best fit of a warped trace and its number; how little a trace tells of it goes to the change's variance."""
+    used, first = smooth.solution.samples, smooth.solution.best
 
-    def at(value: float, warm: Fit) -> Fit:
-        moved = warp(used, value)
-        return replace(fit(moved, warm, profile, warm.profile), ends=(float(moved.s[0]), float(moved.s[-1])))
+    def at(value: float, warm: Fit) -> FringeSolution:
+        moved = warp(whole, value)
+        # A late mirror reaches the end with its joint; one that lags does not.
+        ends = (max(-1.0, value), 1.0) if warp is _late else (float(moved.s[0]), float(moved.s[-1]))
+        moved = _chunked(moved, len(used))
+        return FringeSolution((replace(fit(moved, warm, profile, warm.profile), ends=ends),), moved)
 
-    fits = [smooth]
-    for value in grid:
-        fits.append(at(float(value), fits[-1]))
-    fits = fits[1:]
-    screen = max(fits, key=lambda each: each.evidence)
-    told = used
+    least = -np.inf if warp is _late else 0.0
     if warp is _late:
-        # A phase and its mirror image at the nearest extreme make the same signal: the first samples part them.
-        grid = np.linspace(grid[0], grid[-1], _FINER * len(grid))
-        early = used.s <= grid[-1]
-        told = Samples(used.s[early], used.time[early], used.signal[early], used.count[early])
-
-    def costs_of(values: Floats, held: Fit) -> Floats:
-        return np.array([held.misses(warp(told, float(value)), phase_per_um) for value in values])
-
-    costs = costs_of(grid, screen) if warp is _late else -np.array([each.evidence for each in fits])
+        # Only the first samples tell a late start, and in a fit of the others they take no part.
+        early = used.part(used.s <= grid[-1])
+        held = fit(used.part(used.s > grid[-1]), first, profile, first.profile)
+        for _ in range(2):
+            costs = np.array([held.misses(warp(early, float(v)), smooth.phase_per_um) for v in grid]) / held.noise**2
+            held = at(float(grid[np.argmin(costs)]), held).best
+    else:
+        fits = [at(float(grid[0]), first).best]
+        for value in grid[1:]:
+            fits.append(at(float(value), fits[-1]).best)
+        costs = -2.0 * np.array([each.evidence for each in fits])
+        held = fits[int(np.argmin(costs))]
+    # A phase and its mirror image at the nearest extreme make nearly the same signal, and each is looked at closely.
     beside = np.pad(costs, 1, constant_values=np.inf)
     lows = np.flatnonzero((costs <= beside[:-2]) & (costs <= beside[2:]))
-    refined = []
-    for i in lows[np.argsort(costs[lows])][:_PEAKS]:
-        low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-        width = 0.25 * (high - low)
-        found = minimize_scalar(
-            lambda value: -at(value, screen).evidence,
-            bounds=(low - (i == 0) * 0.5 * width, high),
-            method="bounded",
-            options={"xatol": 0.01 * width},
-        )
-        refined.append((at(found.x, screen), float(found.x), width))
-    best, value, width = max(refined, key=lambda each: each[0].evidence)
-    # Near an extreme the number's posterior is flat or has two tops, so it is laid out and not taken for normal.
+    # Between two steps of the grid a low may lie deeper, by less than it rises to its neighbours.
+    depth = costs[lows] - np.minimum(beside[:-2], beside[2:])[lows]
+    likely = costs[lows] + np.where(np.isfinite(depth), depth, 0.0) < costs.min() + _CLOSE
+    laid: list[tuple[FringeSolution, float, float]] = []
+    for i in lows[likely][np.argsort(costs[lows[likely]])][:_PEAKS]:
+        value = float(grid[i])
+        laid += _laid(at, held, value, least, 0.5 * float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
+    best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
+    share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
+    change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
+    known = replace(best.best, ends_variance=float(share @ change**2 / share.sum()))
+    return replace(best, fits=(known,)), value
+
+
+def _laid(
+    at: Callable[[float, Fit], FringeSolution], held: Fit, value: float, least: float, width: float
+) -> list[tuple[FringeSolution, float, float]]:
+    """Fits around a number, which need not be normal, with the numbers and the width that each stands for."""
     for _ in range(_ROUNDS):
-        near = value + width * np.linspace(-1.0, 1.0, 13)
-        laid = [at(float(each), best) for each in near if each > 0.0 or warp is _late]
-        share = np.exp([each.evidence - max(other.evidence for other in laid) for each in laid])
-        best, value = laid[int(np.argmax(share))], float(near[-len(laid) :][int(np.argmax(share))])
-        if (share > 0.05).sum() >= 4 and share[[0, -1]].max() < 0.05:
+        near = value + width * np.linspace(-1.0, 1.0, 9)
+        near = near[near > least]
+        found = [at(float(each), held) for each in near]
+        evidence = np.array([each.best.evidence for each in found])
+        share = np.exp(evidence - evidence.max())
+        held, value = found[int(np.argmax(share))].best, float(near[int(np.argmax(share))])
+        outside = share[[0, -1]].max() >= 0.05
+        if (share > 0.05).sum() >= 3 and not outside:
             break
-        width *= 2.0 if share[[0, -1]].max() >= 0.05 else 0.3
-    change = np.array([each.change[0] for each in laid])
-    return replace(best, ends_variance=float(share @ (change - best.change[0]) ** 2 / share.sum())), value
+        width *= 1.5 if outside else 0.35
+    return [(each, float(v), 0.25 * width) for each, v in zip(found, near, strict=True)]
 
 
 def _loose(profile: DisplacementProfile, degree: int) -> DisplacementProfile:
@@ -223,9 +236,7 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
     for degree, _ in _COURSES:
         if len(moved) > 6 * degree:
             prior = _loose(profile, degree)
-            fits = [fit(moved, None, prior, first) for first in (old.profile, begin[:degree])]
-            best = max(fits, key=lambda each: each.evidence)
-            best = replace(best, ends=old.ends, ends_variance=old.ends_variance)
+            best = replace(fit(moved, None, prior, begin[:degree]), ends=old.ends, ends_variance=old.ends_variance)
             tried.append(replace(base, solution=FringeSolution((best,), moved), uneven=True))
     return tried
 

@@ -238,7 +238,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
         turns=tuple(turns.tolist()),
         reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
         set_out=found.set_out,
-        late=(found.set_out + 1.0) / 2.0 * (each.end - each.start),
+        late=(found.set_out + 1.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
         doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),

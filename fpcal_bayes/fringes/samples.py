@@ -35,6 +35,10 @@ class Samples:
     def __len__(self) -> int:
         return len(self.signal)
 
+    def part(self, kept: NDArray[np.bool_]) -> "Samples":
+        """Those samples that are kept."""
+        return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept])
+
     def binned(self, n_bins: int) -> "Samples":
         """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""
         if len(self) <= 1.5 * n_bins:

@@ -22,7 +22,7 @@ from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fring
 
 #: Fringes that a mirror may have missed at the start, steps of a fringe tried and the best of them looked at closely;
 #: lags tried, in half traces.
-_MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 3, 6, 200.0
+_MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 2, 6, 200.0
 _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with the size in um of the first; sizes of the others fall as one over their number.
 _COURSES = ((10, 0.15), (20, 0.3), (40, 1.0))
@@ -199,7 +199,12 @@ def _scanned(
     for i in lows[likely][np.argsort(costs[lows[likely]])][:_PEAKS]:
         value = float(grid[i])
         laid += _laid(at, held, value, least, 0.5 * float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
-    best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
+    best, value, width = max(laid, key=lambda each: each[0].best.evidence)
+    if warp is _late:
+        phase, further = best.best.phase(np.array([value, value + 1e-6]), smooth.phase_per_um)
+        image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
+        laid += _laid(at, best.best, float(image), least, 4.0 * width)
+        best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
     share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
     known = replace(best.best, ends_variance=float(share @ change**2 / share.sum()))

@@ -14,6 +14,7 @@ _PLACES = {
     "paper_protocol": "protocol",
     "paper_truth": "truth",
     "protocol_by_name": "protocol",
+    "read_often": "protocol",
     "single_sweep": "protocol",
 }
 

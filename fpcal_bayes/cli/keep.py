@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     often = clock.wall(60.0 * options.every_min)
     try:
         watch(options.campaign, options.look_s, take_in, lambda text: warn([text]), at_least=often)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         return 0
 
 

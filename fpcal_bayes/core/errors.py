@@ -25,6 +25,10 @@ class UnreachableError(InputError):
     """A pose that the cell cannot take by this estimate."""
 
 
+class HeldError(InputError):
+    """A file that another program holds: it may be used later."""
+
+
 def reason(error: BaseException) -> str:
     """Why something failed, as one line: what the system says of it, else the kind of the error and its words."""
     if isinstance(error, InputError):

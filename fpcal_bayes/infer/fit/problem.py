@@ -152,12 +152,13 @@ class Problem:
 
         The `points` are scaled unknowns, shape (n_points, n_unknowns).
         """
-        change, scaled = self._unwhitened_batch(points)
+        change, scaled = self.unwhitened_batch(points)
         if self.whitening.only_scales:
             return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
         return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 
-    def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+    def unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Predicted minus measured rows (n_points, n_rows) and their derivatives by the unknowns, in um."""
         predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)
         scaled = self.prior.by_scores(jacobian, points[:, : self.n_free])
         change = predicted - self.target
@@ -173,7 +174,7 @@ class Problem:
         block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
-            change, scaled = self._unwhitened_batch(part)
+            change, scaled = self.unwhitened_batch(part)
             weighed = np.array([self.whitening.weigh(row) for row in change])
             result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result

@@ -89,6 +89,15 @@ class MechanicsFit:
         return _draw(self, _FEW_PER_SCALE)
 
     @cached_property
+    def whole_density(self) -> ScaleDensity:
+        """Density of the scales by every row, however many they are."""
+        if len(self.rows.target) == len(self.problem.target):
+            return self.density
+        at = self.solution.unknowns
+        rows = _linear_rows(self.problem, self.design, self.noise, at, self.scales.mode, whole=True)
+        return ScaleDensity(rows, self.terms.scales)
+
+    @cached_property
     def factors(self) -> list[Floats]:
         """Lower Cholesky factor of the rows' covariance at each draw of the scales, geometry and weights included."""
         return [self.density.factor(log) for log in self.scales.log]
@@ -161,15 +170,17 @@ def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) ->
     return made, RowNoise.of(problem.sweeps, made)
 
 
-def _linear_rows(problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats) -> LinearRows:
-    """The problem linearised at `unknowns`."""
+def _linear_rows(
+    problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats, *, whole: bool = False
+) -> LinearRows:
+    """The problem linearised at `unknowns`; many rows are compressed unless the `whole` is wanted."""
     predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
     geometry = problem.prior.by_scores(jacobian, unknowns[: problem.n_free])
     if problem.sensitivity is not None:
         predicted = predicted + problem.sensitivity @ unknowns[problem.n_free :]
         geometry = np.hstack([geometry, problem.sensitivity])
     target = problem.target - predicted + geometry @ unknowns
-    if len(target) <= DENSE_ROWS:
+    if whole or len(target) <= DENSE_ROWS:
         return LinearRows(target, geometry, made.matrix, made.scale, *noise.dense())
     return _compressed(target, geometry, made, noise, log, unknowns)
 

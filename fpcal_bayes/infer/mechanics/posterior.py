@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import lapack
 
-from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.infer.fit.problem import Problem
 
 _ITERATIONS, _SOLVED = 14, 1e-7
@@ -112,14 +112,14 @@ class ScaleCharts:
             points[active] -= np.linalg.solve(slopes[going], miss[going][:, :, None])[:, :, 0]
         return points, log_density, log_proposal
 
-    def _at(self, charts: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    def _at(self, charts: Ints, points: Floats) -> tuple[Floats, Floats, Floats]:
         """Coordinates and their derivatives of `points` (n, n_unknowns) in `charts` (n,), and the rows' residuals."""
         residuals, jacobian = self.problem.unwhitened_batch(points)
         on_data, on_prior = self.on_data[charts], self.on_prior[charts]
         h: Floats = (on_data @ residuals[:, :, None] + on_prior @ points[:, :, None])[:, :, 0]
         return h, on_data @ jacobian + on_prior, residuals
 
-    def _log_density(self, charts: Floats, points: Floats, residuals: Floats) -> Floats:
+    def _log_density(self, charts: Ints, points: Floats, residuals: Floats) -> Floats:
         white = [lapack.dtrtrs(self.factors[k], r, lower=1)[0] for k, r in zip(charts, residuals, strict=True)]
         squares = np.array([float(w @ w) for w in white])
         result: Floats = -0.5 * (squares + (points**2).sum(axis=1)) - self.log_determinant[charts]

@@ -1,6 +1,6 @@
 """The posterior of a machine: geometry and scales of the mechanics, exactly, by emcee.
 
-A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First a few Metropolis steps of
+A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First Metropolis steps of
 the scales alone on what the linearised rows say of them, p(s): from s to s'. Then a geometry v' by randomise-then-
 optimise under the covariance of s', and one Metropolis step with the exact density:
 
@@ -111,7 +111,7 @@ class MachineCharts:
 
         Returns the scales and what was learnt on the way, as `charts` takes it.
         """
-        log_scales, made = log_scales.copy(), {}
+        log_scales, made = log_scales.copy(), dict[bytes, tuple[float, Floats]]()
         level = self.charts(log_scales)[0] - self.proposal.log_density(log_scales)
         for _ in range(_STEPS):
             drawn, log_drawn = self.proposal.draw(len(log_scales), random)

@@ -41,6 +41,8 @@ RETRY_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
+#: With mechanics the minima of longer files are looked for with so many rows.
+_THINNED = 1000
 
 
 @dataclass(frozen=True)
@@ -167,13 +169,21 @@ def identify(
         first = signs.solution.unknowns
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
+    whole, problem = problem, _thinned(problem)
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
     rival = _rival(chosen, solution, others)
     machine, doubts = None, []
     if cell.mechanics is not None:
+        many = len(whole.target) > len(problem.target)
+        if many:
+            problem = whole if whole.considered is None else whole.relinearised(solution.unknowns)
         machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
         problem, solution = machine.problem, machine.solution
+        if many:
+            # Second solutions of the thinned rows, as all rows see them.
+            others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
+            rival = _rival(chosen, solution, others)
         doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
     unknowns = solution.unknowns
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
@@ -246,7 +256,23 @@ def _set_up(
     if hold == "consider" and len(held):
         considered = Considered.of(held, covariance)
     before = None if prior is None else Prior.joint(chosen, prior)
-    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
+    make = Problem.raw if _many(cell, sweeps) else Problem.of
+    return make(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
+
+
+def _many(cell: Cell, sweeps: Sweeps) -> bool:
+    """Whether the minima are looked for with some of the rows: with mechanics marginalised all cost too much."""
+    return cell.mechanics is not None and len(sweeps) > _THINNED and bool((sweeps.signed | sweeps.absolute).all())
+
+
+def _thinned(problem: Problem) -> Problem:
+    """The problem of rows spread over all of them, where they are many."""
+    sweeps = problem.sweeps
+    if not _many(problem.model.cell, sweeps):
+        return problem
+    chosen = np.zeros(len(sweeps), dtype=bool)
+    chosen[np.linspace(0, len(sweeps) - 1, _THINNED).astype(np.int64)] = True
+    return problem.take(chosen)
 
 
 def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:

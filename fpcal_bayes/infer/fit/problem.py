@@ -66,7 +66,19 @@ class Problem:
         prior: Prior | None = None,
     ) -> "Problem":
         """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
-        problem = cls(
+        return cls.raw(model, sweeps, considered, target, prior).relinearised(np.zeros(len(model.free)))
+
+    @classmethod
+    def raw(
+        cls,
+        model: CavityModel,
+        sweeps: Sweeps,
+        considered: Considered | None = None,
+        target: Floats | None = None,
+        prior: Prior | None = None,
+    ) -> "Problem":
+        """The same before it is linearised anywhere: rows stand by themselves, with their sigma alone."""
+        return cls(
             model=model,
             sweeps=sweeps,
             rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
@@ -75,7 +87,6 @@ class Problem:
             prior=Prior.of(model.free) if prior is None else prior,
             considered=considered,
         )
-        return problem.relinearised(np.zeros(len(model.free)))
 
     @property
     def n_free(self) -> int:
@@ -171,11 +182,11 @@ class Problem:
     def gradients(self, points: Floats) -> Floats:
         """Gradients J'r of half the sum of squares at many points (n_points, n_unknowns); same shape."""
         result = np.empty_like(points)
-        block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
+        block = max(1, 8_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
             change, scaled = self.unwhitened_batch(part)
-            weighed = np.array([self.whitening.weigh(row) for row in change])
+            weighed = self.whitening.weigh_each(change)
             result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result
 

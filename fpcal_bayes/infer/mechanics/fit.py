@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.minimise import Solution, descended, minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
@@ -140,7 +140,7 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     made, noise = _designed(problem, terms, drive, unknowns)
     for _ in range(2):
         problem = replace(problem, whitening=scaled_whitening(noise, made, log), log_scales=log)
-        unknowns = minimise(problem, unknowns).unknowns
+        unknowns = descended(problem, unknowns)
         made, noise = _designed(problem, terms, drive, unknowns)
         rows = _linear_rows(problem, made, noise, unknowns, log)
         density = ScaleDensity(rows, terms.scales)

@@ -71,7 +71,8 @@ class MarginalWhitening(Whitening):
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance."""
-        return self.weigh_each(rows[None])[0]
+        weighed: Floats = self.weigh_each(rows[None])[0]
+        return weighed
 
     def weigh_each(self, rows: Floats) -> Floats:
         """Multiply each of many vectors (n_vectors, n_rows) by the inverse covariance."""

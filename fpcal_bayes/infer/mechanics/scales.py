@@ -102,11 +102,12 @@ class ScaleDensity:
         self.prior_sd = np.full(n_scales, LOG_SD)
         self.prior_sd[-1] = LOG_SD_NOISE
         self._parts = np.empty((n_scales, n, n))
-        self.columns = [np.flatnonzero(rows.scale == k) for k in range(n_scales - 2)]
+        self.columns = [np.flatnonzero(rows.scale == k) for k in range(n_scales)]
         for k, columns in enumerate(self.columns):
             part = rows.weights[:, columns]
             self._parts[k] = part @ part.T
-        self._parts[-2], self._parts[-1] = rows.returns, rows.noise
+        self._parts[-2] += rows.returns
+        self._parts[-1] += rows.noise
         self._fixed = rows.geometry @ rows.geometry.T
         self._linear = np.asfortranarray(np.column_stack([rows.geometry, rows.target]))
         # A scale that no row feels stays out of the search; its draws come from the prior.
@@ -176,7 +177,7 @@ class ScaleDensity:
         """Expected curvature (Fisher) of minus the log posterior, shape (n_scales, n_scales)."""
         lower = self.factor(log)
         white = []
-        for columns in self.columns:
+        for columns in self.columns[:-2]:
             part = self.rows.weights[:, columns]
             white.append(linalg.solve_triangular(lower, part, lower=True, check_finite=False))
         for part in self._parts[-2:]:

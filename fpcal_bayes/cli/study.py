@@ -37,8 +37,9 @@ _BETWEEN_LINES = 30.0
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    stated = cell_of(options)
     # A study draws its truths from the priors of the parameters: its mechanism is perfect, whatever the cell states.
-    cell = cell_of(options).ideal
+    cell = stated.ideal
     output: Path = options.output or Path(f"study-{options.study}.h5")
     for path in (output, options.json):
         check_output(path, options.protocol, options.plan, *(options.task or ()))
@@ -65,6 +66,11 @@ def run(options: argparse.Namespace) -> int:
     _print(summary, out)
     known = options.replicates - state.came
     out.say(f"{state.came} replicates in {state.seconds:.1f} s, {known} were there before -> {output}")
+    if stated.mechanics is not None:
+        summary.warnings.append(
+            "the truths of this study move on a perfect mechanism: it says nothing of the error motions that the cell "
+            "states (studies/mechanics_coverage.py draws machines); --mechanics none leaves this sentence out"
+        )
     warn(summary.warnings)
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},

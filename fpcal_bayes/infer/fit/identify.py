@@ -24,7 +24,7 @@ from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.problem import Considered, Problem
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
-from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -41,8 +41,6 @@ RETRY_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
-#: With mechanics the minima of longer files are looked for with so many rows.
-_THINNED = 1000
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,7 @@ def identify(
         first = signs.solution.unknowns
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
-    whole, problem = problem, _thinned(problem)
+    whole, problem = problem, thinned(problem)
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
     rival = _rival(chosen, solution, others)
@@ -256,23 +254,8 @@ def _set_up(
     if hold == "consider" and len(held):
         considered = Considered.of(held, covariance)
     before = None if prior is None else Prior.joint(chosen, prior)
-    make = Problem.raw if _many(cell, sweeps) else Problem.of
+    make = Problem.raw if many_rows(cell, sweeps) else Problem.of
     return make(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
-
-
-def _many(cell: Cell, sweeps: Sweeps) -> bool:
-    """Whether the minima are looked for with some of the rows: with mechanics marginalised all cost too much."""
-    return cell.mechanics is not None and len(sweeps) > _THINNED and bool((sweeps.signed | sweeps.absolute).all())
-
-
-def _thinned(problem: Problem) -> Problem:
-    """The problem of rows spread over all of them, where they are many."""
-    sweeps = problem.sweeps
-    if not _many(problem.model.cell, sweeps):
-        return problem
-    chosen = np.zeros(len(sweeps), dtype=bool)
-    chosen[np.linspace(0, len(sweeps) - 1, _THINNED).astype(np.int64)] = True
-    return problem.take(chosen)
 
 
 def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:

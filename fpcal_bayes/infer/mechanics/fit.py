@@ -13,10 +13,14 @@ from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
 from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
 
 #: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
 DENSE_ROWS = 320
+#: The minima of longer files are looked for with so many rows.
+_THINNED = 1000
 _DRAWS_PER_SCALE, _FEW_PER_SCALE = 20, 4
 
 
@@ -162,6 +166,21 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
         seed=seed,
         seconds=time.perf_counter() - began,
     )
+
+
+def many_rows(cell: Cell, sweeps: Sweeps) -> bool:
+    """Whether the minima are looked for with some of the rows: with mechanics marginalised all cost too much."""
+    return cell.mechanics is not None and len(sweeps) > _THINNED and bool((sweeps.signed | sweeps.absolute).all())
+
+
+def thinned(problem: Problem) -> Problem:
+    """The problem of rows spread over all of them, where they are many."""
+    sweeps = problem.sweeps
+    if not many_rows(problem.model.cell, sweeps):
+        return problem
+    chosen = np.zeros(len(sweeps), dtype=bool)
+    chosen[np.linspace(0, len(sweeps) - 1, _THINNED).astype(np.int64)] = True
+    return problem.take(chosen)
 
 
 def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) -> tuple[Design, RowNoise]:

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import linalg, stats
 
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.fit import fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of, term_tests
+from fpcal_bayes.infer.mechanics.known import covariance_of
 from fpcal_bayes.infer.mechanics.posterior import ScaleCharts
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.posterior.sample import sample
@@ -104,6 +105,35 @@ def test_draws_are_the_conditional_normal(fitted):
     drawn, sd = fit.draws.scores, np.sqrt(np.diag(covariance))
     assert np.abs((drawn.mean(axis=0) - mean) / sd).max() < 0.12
     assert np.abs(np.log(drawn.std(axis=0) / sd)).max() < 0.12
+
+
+def test_held_parameters_keep_their_covariance(cell):
+    machine = _machine(cell, 9)
+    plan = protocol_by_name("paper-mid", cell)
+    measured = plan.with_measurement(machine.sweep(drive_of_sweeps(plan, 1.0), SIGMA), SIGMA)
+    extrinsic = [name for name in cell.free.names if name.endswith(("_et", "_wf"))]
+    found = identify(replace(cell, mechanics=SIZES), measured, free=extrinsic)
+    fit, n = found.machine, len(extrinsic)
+    covariance = covariance_of(fit)
+    held = fit.problem.considered.parameters
+    np.testing.assert_allclose(covariance[n:, n:], np.diag(held.prior_sd**2), atol=1e-12)
+    # Schmidt's at the typical scales, by the problem's own way, differs by the spread of the scales only.
+    sd = np.sqrt(np.diag(covariance))
+    # Schmidt's update written out (Joseph's form, which holds for any gain), over the mixture of scales.
+    rows, centres, spread = fit.rows.geometry, [], np.zeros((len(sd), len(sd)))
+    for log in fit.scales.log:
+        noise, gain = _dense(fit, log), np.zeros(rows.T.shape)
+        gain[:n] = np.linalg.solve(noise + rows @ rows.T, rows[:, :n]).T
+        left = np.eye(len(sd)) - gain @ rows
+        spread += (left @ left.T + gain @ noise @ gain.T) / len(fit.scales.log)
+        centres.append(gain @ fit.rows.target)
+    scale = linalg.block_diag(fit.problem.prior.slopes(fit.solution.unknowns[:n]), fit.problem.considered.factor)
+    expected = scale @ (spread + np.cov(np.array(centres).T, bias=True)) @ scale.T
+    np.testing.assert_allclose(covariance / np.outer(sd, sd), expected / np.outer(sd, sd), atol=1e-6)
+    # What is handed on draws the same.
+    slopes = fit.problem.prior.slopes(fit.solution.unknowns[:n])
+    drawn = np.hstack([fit.draws.scores[:, :n] @ slopes.T, fit.draws.scores[:, n:] @ fit.problem.considered.factor.T])
+    assert np.abs((np.cov(drawn.T) - covariance) / np.outer(sd, sd)).max() < 0.15
 
 
 def test_bands_hold_where_white_noise_does_not(cell, fitted):

@@ -107,7 +107,11 @@ class MechanicsFit:
         return [self.density.factor(log) for log in self.scales.log]
 
     def moments(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""
+        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n).
+
+        Parameters that are held and considered keep their own (Schmidt): the rows do not move them.
+        """
+        n_free = self.problem.n_free
         means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
         geometry = self.rows.geometry
         for lower in self.factors:
@@ -116,6 +120,8 @@ class MechanicsFit:
             means.append(white.T @ target)
             spread += np.eye(len(spread)) - white.T @ white
         centres = np.array(means)
+        centres[:, n_free:] = 0.0
+        spread[n_free:, n_free:] = len(centres) * np.eye(len(spread) - n_free)
         mean = centres.mean(axis=0)
         around = centres - mean
         return mean, (spread + around.T @ around) / len(centres)
@@ -245,6 +251,8 @@ def _draw(fit: MechanicsFit, count: int) -> MechanicsDraws:
             error = factors[:, 1:] * rng.standard_normal((count, len(rows.target)))
         miss = rows.target - v @ rows.geometry.T - w @ rows.weights.T - error
         pull = linalg.cho_solve((lower, True), miss.T, check_finite=False)
-        scores.append(v + pull.T @ rows.geometry)
+        # What is held and considered stays as it was drawn.
+        v[:, : fit.problem.n_free] += pull.T @ rows.geometry[:, : fit.problem.n_free]
+        scores.append(v)
         weights.append(w + sd**2 * (pull.T @ rows.weights))
     return MechanicsDraws(np.concatenate(scores), np.concatenate(weights), np.repeat(fit.scales.log, count, axis=0))

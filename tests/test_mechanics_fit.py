@@ -23,7 +23,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.machine import Machine
+from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, linearity=45, reversal=10, return_sd=2)
 TURN = JointMechanics(
@@ -260,6 +260,19 @@ def test_a_motion_beyond_the_sheet_is_named(cell):
     machine = _machine(cell, 5, replace(SIZES, joints=tuple(loud)))
     fit = fit_mechanics(_problem(cell, machine), SIZES)
     assert any("rotary, along the beam" in doubt.text or "q6" in doubt.text for doubt in doubts_of(fit))
+
+
+def test_a_return_is_not_blamed_for_a_few_wide_readings(cell):
+    gentle = SIZES.scaled(0.2)
+    machine = _machine(cell, 26, gentle)
+    machine.settings = MachineSettings(student=3.0)
+    fit = fit_mechanics(_problem(cell, machine), gentle)
+    assert fit.scales.quantiles()[0][-2] > 3.0
+    assert doubts_of(fit) == ()
+    # A return that spoils all rows is named.
+    joints = tuple(replace(joint, return_sd=20.0 * joint.return_sd) for joint in SIZES.joints)
+    loud = _machine(cell, 5, replace(SIZES, joints=joints))
+    assert any(doubt.text.startswith("return") for doubt in doubts_of(fit_mechanics(_problem(cell, loud), SIZES)))
 
 
 def test_good_machines_are_not_doubted(fitted):

@@ -16,6 +16,7 @@ from scipy import special
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
+from fpcal_bayes.infer.mechanics.scales import LOG_SD_NOISE
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
 
@@ -86,7 +87,7 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
     found = []
     low, middle, high = fit.scales.quantiles()
     for name, lower, median, upper in zip(fit.scales.names, low, middle, high, strict=True):
-        if lower > _BEYOND:
+        if lower > _BEYOND and (name != "return" or _white_beyond(fit)):
             found.append(
                 Doubt(
                     "mechanics",
@@ -100,6 +101,20 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
         if test.p_value < _LEVEL / len(tests)
     ]
     return tuple(found)
+
+
+def _white_beyond(fit: MechanicsFit) -> bool:
+    """Whether the rows' own errors lie beyond what readings and return errors may be together.
+
+    The return takes white excess of the readings too, which is then in the bands: a return far below the noise is not
+    to be blamed for a few wide readings.
+    """
+    returned = fit.design.matrix[:, fit.design.scale == fit.terms.scales.index("return")]
+    parts = (returned, fit.design.returned, fit.design.reached_start, fit.design.reached_end)
+    sizes = sum(float((part**2).sum()) for part in parts) / len(returned)
+    noise = float((fit.noise.sigma**2).mean())
+    found = np.exp(2.0 * fit.scales.log[:, -2:]) @ [sizes, noise]
+    return bool(np.quantile(found, 0.025) > _BEYOND**2 * sizes + np.exp(2.0 * LOG_SD_NOISE) * noise)
 
 
 def _p_value(white: Floats, columns: Floats) -> float:

@@ -18,8 +18,9 @@ PROGRAMS = (
     (("faults.py", "--faults", "400"), 0.25),
     (("../rig_faults.py", "250"), 0.2),
     (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.15),
-    (("determinism.py",), 0.2),
-    (("soak.py", "--weeks", "2", "--kills", "1"), 0.2),
+    (("determinism.py",), 0.15),
+    (("soak.py", "--weeks", "2", "--kills", "1"), 0.15),
+    (("loop.py", "--hours", "48", "--kills", "30"), 0.1),
 )
 
 

@@ -80,8 +80,8 @@ def positive(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    if not 1e-9 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
     return value
 
 

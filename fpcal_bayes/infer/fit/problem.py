@@ -64,21 +64,14 @@ class Problem:
         considered: Considered | None = None,
         target: Floats | None = None,
         prior: Prior | None = None,
+        *,
+        linearised: bool = True,
     ) -> "Problem":
-        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
-        return cls.raw(model, sweeps, considered, target, prior).relinearised(np.zeros(len(model.free)))
+        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters.
 
-    @classmethod
-    def raw(
-        cls,
-        model: CavityModel,
-        sweeps: Sweeps,
-        considered: Considered | None = None,
-        target: Floats | None = None,
-        prior: Prior | None = None,
-    ) -> "Problem":
-        """The same before it is linearised anywhere: rows stand by themselves, with their sigma alone."""
-        return cls(
+        Without `linearised` it still has to be: rows stand by themselves, with their sigma alone.
+        """
+        problem = cls(
             model=model,
             sweeps=sweeps,
             rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
@@ -87,6 +80,7 @@ class Problem:
             prior=Prior.of(model.free) if prior is None else prior,
             considered=considered,
         )
+        return problem.relinearised(np.zeros(len(model.free))) if linearised else problem
 
     @property
     def n_free(self) -> int:

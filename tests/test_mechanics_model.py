@@ -290,3 +290,16 @@ def test_encoders_of_unknown_period_err_alike_at_the_same_position():
     drawn = at_end * error(drive.q_end) - ~drive.absolute * at_start * error(drive.q_start)
     expected = _covariance(made, blocks)
     assert np.abs(np.cov(drawn.T) - expected).max() < 0.08 * expected.max()
+
+
+def test_a_machine_adds_to_one_pose_what_it_adds_to_rows():
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(13)
+    machine = Machine.draw(cell, SIZES, _vector(cell, rng), rng)
+    poses, side = _poses(rng), np.array([1.0, -1.0, 1.0, 0.0, 1.0, -1.0])
+    told = np.where(side == 0, machine.side, side)
+    lengths = machine.lengths(poses, machine.half_reversal * told + machine.periodic(poses), np.zeros(len(poses)))
+    model = CavityModel.of(cell)
+    ideal = model.predict(machine.vector[cell.free.slots], model.pose_rows(poses))
+    added = [machine.length_change(pose, side, 100.0) for pose in poses]
+    np.testing.assert_allclose(added, lengths - ideal, atol=1e-9)
+    assert np.abs(added).max() > 0.02

@@ -62,8 +62,7 @@ def run(options: argparse.Namespace) -> int:
     summary = study.summary(store.results(options.replicates))
     if stated.mechanics is not None:
         summary.warnings.append(
-            "the truths of this study move on a perfect mechanism: it says nothing of the error motions that the cell "
-            "states (studies/mechanics_coverage.py draws machines); --mechanics none leaves this sentence out"
+            "the mechanism of this study is perfect, whatever the cell states (studies/mechanics_coverage.py draws others)"
         )
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},

@@ -5,7 +5,7 @@ Fourier features with kinks, moved through the whole chain, so that no study fla
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -191,6 +191,18 @@ class Machine:
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
         changed: Floats = lengths[1:] - lengths[0]
         return changed
+
+    def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
+        """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
+
+        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Drift and
+        return are the emulated cell's own.
+        """
+        side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
+        still = replace(self, motions=[[np.zeros_like] * 6] * len(q))
+        errors = self.half_reversal * side + self.periodic(q)
+        added = self.lengths(q[None], errors[None], now) - still.lengths(q[None], np.zeros((1, len(q))), now)
+        return float(added[0])
 
     def _noise(self, n: int) -> Floats:
         dof = self.settings.student

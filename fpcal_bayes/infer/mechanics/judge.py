@@ -104,11 +104,7 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
 
 
 def _white_beyond(fit: MechanicsFit) -> bool:
-    """Whether the rows' own errors lie beyond what readings and return errors may be together.
-
-    The return takes white excess of the readings too, which is then in the bands: a return far below the noise is not
-    to be blamed for a few wide readings.
-    """
+    """Whether the rows' own errors lie beyond what readings and return, which takes their excess, may be together."""
     returned = fit.design.matrix[:, fit.design.scale == fit.terms.scales.index("return")]
     parts = (returned, fit.design.returned, fit.design.reached_start, fit.design.reached_end)
     sizes = sum(float((part**2).sum()) for part in parts) / len(returned)

@@ -248,8 +248,7 @@ class ScaleProposal:
 
     def draw(self, count: int, rng: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draws (count, n_scales) and their log densities (count,)."""
-        normal = rng.standard_normal((count, len(self.centre))) @ self.factor.T
-        drawn = self.centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
+        drawn = _draw_t(self.centre, self.factor, count, rng)
         return drawn, self.log_density(drawn)
 
     def log_density(self, points: Floats) -> Floats:
@@ -298,7 +297,7 @@ class _Pool:
         return found
 
 
-def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator) -> Floats:
+def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator | np.random.RandomState) -> Floats:
     normal = rng.standard_normal((count, len(centre))) @ factor.T
     drawn: Floats = centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
     return drawn

@@ -1,6 +1,6 @@
 """The posterior of a machine: geometry and scales of the mechanics, exactly, by emcee.
 
-A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First Metropolis steps of
+A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First a Metropolis step of
 the scales alone on what the linearised rows say of them, p(s): from s to s'. Then a geometry v' by randomise-then-
 optimise under the covariance of s', and one Metropolis step with the exact density:
 
@@ -27,8 +27,8 @@ from fpcal_bayes.infer.mechanics.scales import ScaleProposal
 from fpcal_bayes.infer.posterior.moves import SCALES
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
-#: Steps of the scales before each geometry, and numbers in the factors that are kept with their charts.
-_STEPS, _NUMBERS_KEPT = 1, 2e7
+#: Numbers in the factors that are kept with their charts.
+_NUMBERS_KEPT = 2e7
 
 
 class MachineTarget(PosteriorTarget):
@@ -107,20 +107,14 @@ class MachineCharts:
         return np.array([value for value, _ in found]), joined
 
     def move_scales(self, log_scales: Floats, random: Any) -> tuple[Floats, dict[bytes, tuple[float, Floats]]]:
-        """Metropolis steps of scales (n_points, n_scales) on what the linearised rows say of them.
-
-        Returns the scales and what was learnt on the way, as `charts` takes it.
-        """
-        log_scales, made = log_scales.copy(), dict[bytes, tuple[float, Floats]]()
+        """A Metropolis step of scales (n_points, n_scales) on the linearised rows, and what `charts` takes."""
         level = self.charts(log_scales)[0] - self.proposal.log_density(log_scales)
-        for _ in range(_STEPS):
-            drawn, log_drawn = self.proposal.draw(len(log_scales), random)
-            found = list(self.density.at(drawn))
-            there = np.array([value for value, _ in found]) - log_drawn
-            moved = np.log(random.random_sample(len(drawn))) < there - level
-            log_scales[moved], level[moved] = drawn[moved], there[moved]
-            made |= {drawn[i].tobytes(): found[i] for i in np.flatnonzero(moved)}
-        return log_scales, made
+        drawn, log_drawn = self.proposal.draw(len(log_scales), random)
+        found = list(self.density.at(drawn))
+        there = np.array([value for value, _ in found]) - log_drawn
+        moved = np.log(random.random_sample(len(drawn))) < there - level
+        made = {drawn[i].tobytes(): found[i] for i in np.flatnonzero(moved)}
+        return np.where(moved[:, None], drawn, log_scales), made
 
     def log_density(self, points: Floats) -> Floats:
         """The log posterior of geometry and scales at points (n_points, n_unknowns), unnormalised."""
@@ -168,7 +162,7 @@ class MachineCharts:
 
 
 class MachineMove(Move):  # type: ignore[misc]
-    """Scales by a few steps on their linearised posterior, then a geometry, then the exact step."""
+    """Scales by a step on their linearised posterior, then a geometry, then the exact step."""
 
     def __init__(self, charts: MachineCharts) -> None:
         self.charts = charts

@@ -216,21 +216,9 @@ def _unknown_encoder(terms: Terms) -> Floats:
 
 
 def _shared(effects: Floats, places: Ints, users: Ints, sigma: Floats) -> tuple[list[tuple[int, Floats]], Floats]:
-    """Errors of positions that several users share, as weights of their own.
+    """Errors of positions (`places`) that several `users`, one per row, share: joint and column of each, and the rest.
 
-    Parameters
-    ----------
-    effects
-        Of a unit error at the start and end of each row, shape (2, n, n_joints).
-    places
-        Number of each joint's position, same shape.
-    users
-        Of each row, shape (n,).
-
-    Returns
-    -------
-    tuple
-        Joint and column (n,) of each weight, at most the largest; and the effects that are left, as `effects`.
+    The `effects` are those of unit errors at the start and end of each row; all but users are (2, n, n_joints).
     """
     left, found = effects.copy(), []
     least = _FELT * float(np.median(sigma)) if 0 < len(sigma) <= _LONG else np.inf

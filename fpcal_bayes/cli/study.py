@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     summary = study.summary(store.results(options.replicates))
     if stated.mechanics is not None:
         summary.warnings.append(
-            "the mechanism of this study is perfect, whatever the cell states; studies/mechanics_coverage.py draws real ones"
+            "the mechanism of this study is perfect whatever the cell states: studies/mechanics_coverage.py has others"
         )
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},

@@ -16,6 +16,7 @@ CASE_A = HERE.parent / "data" / "case_a.csv"
 #: Each program with its options, and its share of the time.
 PROGRAMS = (
     (("faults.py", "--faults", "400"), 0.25),
+    (("semantic.py", "--draws", "2"), 0.1),
     (("../rig_faults.py", "250"), 0.2),
     (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.15),
     (("determinism.py",), 0.15),

@@ -2,8 +2,8 @@
 
     python tests/robustness/semantic.py [--draws 25] [--kinds NAME ...] [--seed 0]
 
-Of each kind so many worlds are drawn: a cell from the prior, its sweeps with 5 nm of noise (end points or midpoints), and
-the fault. It is *told* where a command refuses it or says something that it does not say without the fault. It is
+Of each kind so many worlds are drawn: a cell from the prior, its sweeps with 5 nm of noise (end points or midpoints),
+and the fault. It is *told* where a command refuses it or says something that it does not say without the fault. It is
 *harmless* where no task moves by more than one standard deviation or 1 nm against the same data without the fault. The
 rest is counted as silent, kind by kind.
 """

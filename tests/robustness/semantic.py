@@ -231,7 +231,6 @@ SWEEP_FAULTS: dict[str, Callable[[Sweeps, Rng], Sweeps]] = {
     "another cell's rows": mixed,
     "the other path model": other_path,
     "rows twice": lambda s, r: join([s, s.take(r.choice(len(s), 10, replace=False))]),
-    "the last third lost": lambda s, r: s.take(np.arange(len(s)) < 2 * len(s) // 3),
     "groups lost": lambda s, r: replace(s, group=np.full(len(s), "")),
 }
 

@@ -6,14 +6,9 @@ from fpcal_bayes.io.sweeps import write_csv
 
 #: A few that take no time; the program draws 25 of each kind.
 FEW = (
-    "axis negated",
-    "columns swapped",
-    "dl and sigma in mm",
     "sigma in nm",
     "one sigma of 1,000 um",
-    "rows twice",
     "time_h in minutes",
-    "summer time in utc",
     "a session resent",
     "a session's name in capitals",
     "estimate: a value + 5 um",

@@ -85,7 +85,8 @@ def positive(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 1e-9 <= value <= 1e9:
-        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
+        limit = ", 1e-9 to 1e9" if value > 0 else ""
+        raise argparse.ArgumentTypeError(f"expected a number above zero{limit}, found {text[:40]!r}")
     return value
 
 

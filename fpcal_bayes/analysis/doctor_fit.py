@@ -55,7 +55,7 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             )  # fmt: skip
             continue
         found = identify(cell, used)
-        if number == 0:
+        if number == 0 and found.estimate.trust.usable:
             yield from _rank(cell, used)
         yield from _fit(cell, name, used, found)
     if len(sweeps.sessions) > 1:

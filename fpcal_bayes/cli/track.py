@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         watch(options.campaign, options.watch, take_in, lambda text: warn([text]))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         return status
 
 

@@ -60,6 +60,7 @@ class Mended:
     """How the rows fit once a mistake is mended."""
 
     name: str
+    joints: int  # how many it speaks of; the fewer, the likelier
     sum_of_squares: float
     p_value: float
 
@@ -84,15 +85,16 @@ def mend(problem: Problem, solution: Solution, worst: Floats) -> list[Mended]:
     told = sorted(mistakes(cell, sweeps), key=lambda one: -max((blame[j] for j in one.joints), default=0.0))
     tried = [(_seen(problem, one.sweeps).sum_of_squares, one) for one in told]
     found = []
-    for _, one in sorted(tried, key=lambda entry: entry[0])[:_LOOKED_AT]:
-        other = _problem(problem, one.sweeps)
-        best = minimise(other, np.zeros(other.n_unknowns)).sum_of_squares
-        found.append(Mended(one.name, best, chi2_tail(best, len(sweeps))))
+    for total, one in sorted(tried, key=lambda entry: entry[0])[:_LOOKED_AT]:
+        if total < _MENDS * before + _WORTH * len(sweeps):
+            other = _problem(problem, one.sweeps)
+            best = minimise(other, np.zeros(other.n_unknowns)).sum_of_squares
+            found.append(Mended(one.name, len(one.joints), best, chi2_tail(best, len(sweeps))))
     # Rows that are squeezed together fit anything: what fits far too well comes last.
     found.sort(key=lambda one: (one.p_value > 1.0 - 1e-9, one.sum_of_squares))
     good = [one for one in found if one.p_value >= POOR_FIT_BELOW or one.sum_of_squares < _MENDS * before]
     near = good[0].sum_of_squares * 1.2 + 10.0 if good else 0.0
-    return [one for one in good if one.sum_of_squares < near]
+    return sorted((one for one in good if one.sum_of_squares < near), key=lambda one: one.joints)
 
 
 def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:

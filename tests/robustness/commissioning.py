@@ -83,7 +83,7 @@ def verdict(cell: Cell, seed: int) -> tuple[str, bool, str]:
     images = [{f"q{j + 1}" for j in one} for one in mirror_sets(cell)]
     alike = [names, *(names ^ image for image in images)] if kind == "sign" else [names]
     # Mistakes that are the same, such as lengths and all translations negated, fit the same and are named together.
-    best = [one.name.split(", that is")[0] for one in mended if one.sum_of_squares < mended[0].sum_of_squares + 0.1]
+    best = [one.name.split(", that is")[0] for one in mended]
     told = [words in name and {f"q{j + 1}" for j in range(6) if f"q{j + 1}" in name} in alike for name in best]
     return kind, any(told), said
 

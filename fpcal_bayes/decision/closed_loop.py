@@ -21,9 +21,8 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.session import SessionOutcome, take_in
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift, take_in
 from fpcal_bayes.tracking.smoother import looked_at_again
-from fpcal_bayes.tracking.start import with_hidden_noise
 
 #: Measures a plan at a time in hours.
 Measure = Callable[[Sweeps, float], Sweeps]
@@ -68,7 +67,7 @@ def run_rule(
 ) -> Sessions:
     """Let a rule say when to measure what, from a calibration until `end_h`, and take in what is measured.
 
-    Sessions begin on multiples of `step_h`, at most one on each. The drift is that of the filter (`with_hidden_noise`).
+    Sessions begin on multiples of `step_h`, at most one on each. The drift is that of the filter (`followed_drift`).
     """
     done, now = Sessions([start], []), start.time_h
     while True:
@@ -91,7 +90,7 @@ def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: f
     Each session is planned for the last step at which the tolerance is still expected to hold; `InputError` if the
     tolerance cannot be met.
     """
-    drift, model, limits = with_hidden_noise(policy.drift, policy.model, start.state), policy.model, policy.limits
+    drift, model, limits = followed_drift(policy.drift, policy.model, start), policy.model, policy.limits
     policy = replace(policy, drift=drift)
     decisions: list[Decision] = []
     diagnosed = start.time_h

@@ -13,7 +13,9 @@ from fpcal_bayes.tracking.corrections import correct_slips, with_signs
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import Innovation, Update, inflate, kelvin_between, predict, update
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.sessions import mean_temperature
+from fpcal_bayes.tracking.start import with_hidden_noise
 
 #: Sizes of a knock that are tried, in units of `Limits.jump`.
 _STEP_SIZES = (1.0, 3.0, 10.0)
@@ -47,6 +49,7 @@ class SessionOutcome:
     # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
     trust: Trust = field(default_factory=Trust)  # what is held against the fit of a calibration
+    motions: MotionStates | None = field(default=None, compare=False, repr=False)  # of a machine, from its calibration
 
 
 def take_in(
@@ -173,6 +176,11 @@ class _Judge:
         result = np.zeros(self.drift.n_states)
         result[: self.drift.n_parameters] = parameters
         return result
+
+
+def followed_drift(drift: DriftModel, model: CavityModel, first: SessionOutcome) -> DriftModel:
+    """The drift as the filter has it after the calibration `first`: with its error motions and its `hidden` noise."""
+    return with_hidden_noise(replace(drift, motions=first.motions), model, first.state)
 
 
 def _gain(predicted: State, innovation: Innovation) -> Floats:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy import special
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -21,11 +22,12 @@ from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, 
 from fpcal_bayes.tracking.alarms import Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
-from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.motions import MotionStates
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
 from fpcal_bayes.tracking.smoother import Smoothed, follow_sessions, smooth, with_measurements
 from fpcal_bayes.tracking.solutions import likeliest, solutions_of
-from fpcal_bayes.tracking.start import linear_start, with_hidden_noise
+from fpcal_bayes.tracking.start import linear_start
 
 #: Posterior draws whose moments the filter starts from.
 _DRAWS = 2000
@@ -45,7 +47,6 @@ class Track:
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
     solutions: int = 1  # how many the calibration has; see `tracking.solutions`
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
-    mechanics_left_out: bool = False  # whether the cell states error motions, of which the filter knows nothing
 
     def __repr__(self) -> str:
         return (
@@ -93,7 +94,7 @@ class Track:
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
         found = self.outcomes[0].trust
-        if self.mechanics_left_out:
+        if self.cell.mechanics is not None and self.outcomes[0].motions is None:
             found = found.because(MECHANICS_LEFT_OUT)
         stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
         if stalled:
@@ -173,25 +174,6 @@ def track(
         If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
         calibration.
     """
-    if cell.mechanics is not None:
-        # The filter of the drift knows nothing of error motions, and says so; it starts from a calibration that does.
-        drift = likely_drift(cell, sweeps) if drift is None else drift
-        if known is None and calibration is None and draws is None:
-            part = check_sessions(sweeps, now_h)[0]
-            found, _ = _identified(cell, drift, part)
-            _require_calibration(found, part, len(drift.parameters))
-            calibration = found.estimate
-        ideal = track(
-            cell.ideal,
-            sweeps,
-            drift=drift,
-            limits=limits,
-            known=known,
-            calibration=calibration,
-            draws=draws,
-            now_h=now_h,
-        )
-        return replace(ideal, mechanics_left_out=True)
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
@@ -207,11 +189,11 @@ def track(
     else:
         known = replace(known, resumed=len(known.outcomes))
     first = known.outcomes[0]
-    hidden = with_hidden_noise(drift, model, first.state)
+    hidden = followed_drift(drift, model, first)
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
         course = likeliest(drift, model, limits, outcomes, starts, parts)
-        hidden = with_hidden_noise(drift, model, course[0].state)
+        hidden = followed_drift(drift, model, course[0])
         outcomes = follow_sessions(hidden, model, limits, course, parts)
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
@@ -233,6 +215,8 @@ def calibrate(
     """
     found, warnings = _identified(cell, drift, sweeps)
     _require_calibration(found, sweeps, len(drift.parameters))
+    if found.machine is not None and draws is None:
+        return _machine_outcome(drift, found, sweeps, warnings), found.estimate.status, ()
     given = draws is not None
     measurement = None if given else _measurement(drift, found)
     draws = _draws_of(found) if draws is None else draws
@@ -257,6 +241,33 @@ def calibrate(
         first,
         status,
         tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
+    )
+
+
+def _machine_outcome(
+    drift: DriftModel, found: Identification, sweeps: Sweeps, warnings: tuple[str, ...]
+) -> SessionOutcome:
+    """The outcome of a calibration that knows geometry and error motions together."""
+    assert found.machine is not None
+    motions, n = MotionStates.of(found.machine), drift.n_parameters
+    drift = replace(drift, motions=motions)
+    first, rows = start(drift, found.estimate, sweeps, found.converged), len(found.problem.sweeps)
+    mean, covariance = first.state.mean.copy(), first.state.covariance.copy()
+    scores, spread = motions.start(found.machine)
+    turn = np.eye(len(scores))
+    turn[:n, :n] = found.problem.prior.slopes(found.solution.unknowns[:n]) / drift.scale[:, None]
+    mean[:n] += turn[:n, :n] @ (scores[:n] - found.solution.unknowns[:n])
+    mean[n : drift.n_lengths] = scores[n:]
+    covariance[: drift.n_lengths, : drift.n_lengths] = turn @ spread @ turn.T
+    return replace(
+        first,
+        n_sweeps=rows,
+        nis=found.solution.sum_of_squares,
+        dof=rows,
+        warnings=warnings + found.warnings,
+        state=replace(first.state, mean=mean, covariance=symmetric(covariance)),
+        trust=found.estimate.trust,
+        motions=motions,
     )
 
 

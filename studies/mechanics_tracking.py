@@ -12,9 +12,8 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from mechanics_coverage import REALISTIC
+from mechanics_coverage import REALISTIC, reachable
 from mechanics_coverage import protocol as calibration_plan
-from mechanics_coverage import reachable
 from tracking import change_of, diagnosis_plan, session_plan
 
 from fpcal_bayes.io import load_cell
@@ -46,7 +45,7 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> tuple[S
     changed, other = None, machine
     if options.change != "none":
         changed = int(rng.integers(3, len(times) - 4))
-        other = Machine.draw(cell, REALISTIC, vector, rng, settings)
+        other = Machine.draw(cell, REALISTIC.scaled(5.0), vector, rng, settings)
     if options.change in ("beta_4", "knock"):
         values[changed:] += change_of(cell, options.change, rng)
     look = None

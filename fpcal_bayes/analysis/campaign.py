@@ -68,7 +68,7 @@ class _Measured:
         draws = None if posterior is None else _draws(posterior, cell, drift)
         known, note = None, ""
         if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
-            known, note = resume(self.campaign.track, cell.ideal, drift, limits, self.parts, str(self.file))
+            known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
         found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=self.now_h)
         return replace(found, data=self.data | {"session": found.last.session}), [note] if note else []
 

@@ -19,7 +19,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.session import SessionOutcome, followed_drift, take_in
 from fpcal_bayes.tracking.smoother import looked_at_again
@@ -101,7 +101,7 @@ def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: f
         if done.sweeps and is_diagnosis(drift, model, done.outcomes[-2], last, done.sweeps[-1], limits):
             diagnosed = now
         forecast = Forecaster.of(drift, model, policy.goal, last.state.mean)
-        due = f"the robot itself moved before session {last.session}" if last.verdict == "intrinsics-moved" else None
+        due = f"the robot itself moved before session {last.session}" if last.verdict in ROBOT_MOVED else None
         state = forecast.ahead(last.state, now - last.time_h)
 
         def plan_at(time_h: float) -> Sweeps:

@@ -16,7 +16,12 @@ from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track
 
 #: How good the verdict of a session is.
-VERDICT_STYLES = {"as-modelled": "good", "extrinsics-moved": "caution", "intrinsics-moved": "bad"}
+VERDICT_STYLES = {
+    "as-modelled": "good",
+    "extrinsics-moved": "caution",
+    "intrinsics-moved": "bad",
+    "mechanics-moved": "bad",
+}
 
 
 def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:

@@ -9,21 +9,26 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-from fpcal_bayes.infer.mechanics.known import random_poses
+from fpcal_bayes.infer.mechanics.known import numbered, random_poses
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.mechanics import Terms, design, path_design
+from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
+from fpcal_bayes.model.parameters import ParameterSet
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
 _NEGLIGIBLE = 1.5e-3
 _MOST_STATES = 36
+#: Draws of a state that travel with an estimate.
+_DRAWS = 400
 
 
 @dataclass(frozen=True)
@@ -55,13 +60,16 @@ class MotionStates:
         return np.exp(self.log_scales.mean(axis=0))
 
     @cached_property
+    def _any_row(self) -> Design:
+        """Names and scales of the weights: they are the same for any rows."""
+        n = len(self.terms.cell.joints)
+        row = Sweeps.of_um_rad(np.zeros((1, n)), np.eye(n)[:1])
+        return design(self.terms, self.terms.cell.parameters.nominal, drive_of_sweeps(row, 1.0), np.ones(1))
+
+    @cached_property
     def sizes(self) -> Floats:
         """Standard deviations of the weights in units of their stated sizes, shape (n_weights,)."""
-        cell, n = self.terms.cell, len(self.terms.cell.joints)
-        # Which scale a weight has does not depend on rows.
-        row = Sweeps.of_um_rad(np.zeros((1, n)), np.where(np.arange(n) == 0, 1.0, 0.0)[None])
-        made = design(self.terms, cell.parameters.nominal, drive_of_sweeps(row, 1.0), np.ones(1))
-        return np.asarray(self.factors[made.scale[: made.motion_count]])
+        return np.asarray(self.factors[self._any_row.scale[: self._any_row.motion_count]])
 
     @cached_property
     def directions(self) -> Floats:
@@ -75,7 +83,7 @@ class MotionStates:
     @property
     def n_states(self) -> int:
         """Number of states."""
-        return self.directions.shape[1]
+        return int(self.directions.shape[1])
 
     @property
     def basis(self) -> Floats:
@@ -96,14 +104,31 @@ class MotionStates:
         noise = RowNoise.of(sweeps, made).whitening(float(self.factors[-1]), float(self.factors[-2]))
         return MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
 
-    def start(self, fit: MechanicsFit) -> tuple[Floats, Floats]:
-        """Mean and covariance of geometry and states after the calibration, in units of the prior, over all scales."""
-        along = np.zeros((len(fit.rows.scale), self.n_states))
-        along[: len(self.sizes)] = self.directions / self.sizes[:, None]
-        return fit.moments(along)
+    def knowledge(
+        self, parameters: ParameterSet, scale: Floats, mean: Floats, covariance: Floats
+    ) -> MechanicsKnowledge:
+        """What a state says of `parameters` in units of `scale`, and of the weights.
 
-
-def cell_terms(cell: Cell) -> Terms:
-    """The weights of a cell whose free parameters are all followed."""
-    assert cell.mechanics is not None
-    return Terms.of(cell, cell.mechanics, cell.free.names)
+        `mean` (n,) and `covariance` (n, n) are those of the states that cavity lengths depend on.
+        """
+        made, n = self._any_row, len(parameters)
+        drifting = [i for i, name in enumerate(made.names) if name.startswith("drift along")]
+        root, count = covariance_root(covariance), len(drifting)
+        to_names = linalg.block_diag(np.diag(scale), self.basis, np.diag(self.factors[made.scale[drifting]]))
+        factor = to_names @ linalg.block_diag(root, np.eye(count))
+        at = np.concatenate([np.zeros(n), mean[n:], np.zeros(count)])
+        draws = np.random.default_rng(5).standard_normal((_DRAWS, factor.shape[1]))
+        return MechanicsKnowledge(
+            sizes=self.terms.sizes,
+            free=self.terms.free,
+            names=(
+                *parameters.names,
+                *numbered([*made.names[: made.motion_count], *(made.names[i] for i in drifting)]),
+            ),
+            mean=to_names @ at,
+            factor=factor,
+            draws=draws,
+            scales=self.terms.scales,
+            log_scales=self.log_scales[np.arange(_DRAWS) % len(self.log_scales)],
+            session_min=self.session_min,
+        )

@@ -19,9 +19,10 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
-from fpcal_bayes.tracking.alarms import Limits, Monitor
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
-from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.filter import kalman
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
@@ -81,7 +82,7 @@ class Track:
         for outcome in self.outcomes:
             if outcome.dof >= len(self.drift.parameters):
                 due = None
-            elif outcome.verdict == "intrinsics-moved":
+            elif outcome.verdict in ROBOT_MOVED:
                 due = outcome.session
         return due
 
@@ -129,8 +130,13 @@ def estimate_of(
     now = tuple(
         s if s == "gauge" else "weak" if v > WEAK_SHARE else "identified" for s, v in zip(status, left, strict=True)
     )
+    known = None
+    if drift.motions is not None:
+        n = drift.n_lengths
+        known = drift.motions.knowledge(drift.parameters, drift.scale, state.mean[:n], state.covariance[:n, :n])
+    values = drift.values(state.mean)
     return Estimate(
-        cell, drift.parameters, drift.values(state.mean), covariance, now, state.time_h, valid_until_h, data or {}
+        cell, drift.parameters, values, covariance, now, state.time_h, valid_until_h, data or {}, mechanics=known
     )
 
 
@@ -247,27 +253,29 @@ def calibrate(
 def _machine_outcome(
     drift: DriftModel, found: Identification, sweeps: Sweeps, warnings: tuple[str, ...]
 ) -> SessionOutcome:
-    """The outcome of a calibration that knows geometry and error motions together."""
+    """The outcome of a calibration that knows geometry and error motions together, the sizes being the typical ones."""
     assert found.machine is not None
-    motions, n = MotionStates.of(found.machine), drift.n_parameters
-    drift = replace(drift, motions=motions)
-    first, rows = start(drift, found.estimate, sweeps, found.converged), len(found.problem.sweeps)
-    mean, covariance = first.state.mean.copy(), first.state.covariance.copy()
-    scores, spread = motions.start(found.machine)
-    turn = np.eye(len(scores))
-    turn[:n, :n] = found.problem.prior.slopes(found.solution.unknowns[:n]) / drift.scale[:, None]
-    mean[:n] += turn[:n, :n] @ (scores[:n] - found.solution.unknowns[:n])
-    mean[n : drift.n_lengths] = scores[n:]
-    covariance[: drift.n_lengths, : drift.n_lengths] = turn @ spread @ turn.T
+    problem = found.problem
+    drift = replace(drift, motions=MotionStates.of(found.machine))
+    first = start(drift, found.estimate, sweeps, found.converged)
+    taken = SweepMeasurement.of(drift, problem.model, problem.sweeps, first.state.mean)
+    misfit, jacobian = replace(taken, target=problem.target).linearise(first.state.mean)
+    rows, derivatives = equivalent_rows(misfit + jacobian @ first.state.mean, jacobian)
+    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)), 1)
+    filtered.dim_z = len(rows)
+    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+    measurement = replace(SweepMeasurement.of(drift, problem.model, problem.sweeps, filtered.x), target=problem.target)
+    normal = found.converged and not problem.prior.others
     return replace(
         first,
-        n_sweeps=rows,
+        n_sweeps=len(problem.sweeps),
         nis=found.solution.sum_of_squares,
-        dof=rows,
+        dof=len(problem.sweeps),
         warnings=warnings + found.warnings,
-        state=replace(first.state, mean=mean, covariance=symmetric(covariance)),
+        state=replace(first.state, mean=filtered.x, covariance=symmetric(filtered.P)),
         trust=found.estimate.trust,
-        motions=motions,
+        motions=drift.motions,
+        measurement=measurement if normal else None,
     )
 
 
@@ -283,7 +291,10 @@ def _require_calibration(found: Identification, sweeps: Sweeps, free: int) -> No
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:
     """The rows of a calibration as `calibrate` takes them in, for its outcome."""
-    return _measurement(drift, _identified(cell, drift, sweeps)[0])
+    found, warnings = _identified(cell, drift, sweeps)
+    if found.machine is not None:
+        return _machine_outcome(drift, found, sweeps, warnings).measurement
+    return _measurement(drift, found)
 
 
 def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:

@@ -93,24 +93,15 @@ class MechanicsFit:
         """Lower Cholesky factor of the rows' covariance at each draw of the scales, geometry and weights included."""
         return [self.density.factor(log) for log in self.scales.log]
 
-    def moments(self, motions: Floats | None = None) -> tuple[Floats, Floats]:
-        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n).
-
-        With `motions` (n_weights, n_motions) of combinations of weights too, behind the scores.
-        """
-        n = self.problem.n_unknowns
-        along = np.zeros((len(self.rows.scale), 0)) if motions is None else motions
-        size = n + along.shape[1]
-        means, spread = [], np.zeros((size, size))
-        for log, lower in zip(self.scales.log, self.factors, strict=True):
-            prior = np.eye(size)
-            sized = np.exp(2.0 * log)[self.rows.scale][:, None] * along
-            prior[n:, n:] = along.T @ sized
-            seen = np.hstack([self.rows.geometry, self.rows.weights @ sized])
-            white = linalg.solve_triangular(lower, seen, lower=True, check_finite=False)
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""
+        means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
+        geometry = self.rows.geometry
+        for lower in self.factors:
+            white = linalg.solve_triangular(lower, geometry, lower=True, check_finite=False)
             target = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
             means.append(white.T @ target)
-            spread += prior - white.T @ white
+            spread += np.eye(len(spread)) - white.T @ white
         centres = np.array(means)
         mean = centres.mean(axis=0)
         around = centres - mean

@@ -32,7 +32,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKn
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
     kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
-    names = _numbered([fit.design.names[i] for i in kept])
+    names = numbered([fit.design.names[i] for i in kept])
     geometry, known = _deviations(fit, draws.scores)
     changes = np.hstack([geometry, draws.weights[:, kept]])
     mean = changes.mean(axis=0)
@@ -104,11 +104,11 @@ def _drifts(name: str) -> bool:
     return name.startswith("drift along")
 
 
-def _numbered(names: list[str]) -> list[str]:
+def numbered(names: list[str]) -> list[str]:
     """Names with the number of the weight within its term, in brackets."""
     met: Counter[str] = Counter()
-    numbered = []
+    result = []
     for name in names:
         met[name] += 1
-        numbered.append(f"{name} [{met[name]}]")
-    return numbered
+        result.append(f"{name} [{met[name]}]")
+    return result

@@ -16,6 +16,8 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.inverse_few import LEVER
+from fpcal_bayes.model.mechanics.compensation import compensated_path
+from fpcal_bayes.model.mechanics.terms import Terms
 from fpcal_bayes.motion.placement import Placement
 
 TASKS: tuple[str, ...] = ("circle", "line-x", "line-z", "tilt-x", "tilt-z", "spin")
@@ -51,6 +53,9 @@ class Task:
     start: Floats
     along: Floats  # where each point stands on the path, shape (n_points,), in `unit`
     unit: str  # ``um`` or ``deg``, or ``point`` for a user's path
+    #: What `q` adds to the change of cavity length that the geometry expects of the commanded path, shape (n_points,),
+    #: in um: see `compensated`.
+    added: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -80,7 +85,17 @@ class Task:
             q=self.q[chosen],
             status=self.status[chosen],
             along=self.along[chosen],
+            added=None if self.added is None else self.added[chosen],
         )
+
+    def compensated(self, terms: Terms, vector: Floats, weights: Floats, return_factor: float = 1.0) -> "Task":
+        """The task on a joint path that makes up for error motions, where that gains; see `compensated_path`."""
+        ok = self.ok
+        if not ok.any():
+            return self
+        q, added = self.q.copy(), np.zeros(len(self))
+        q[ok], added[ok] = compensated_path(terms, vector, weights, self.start, q[ok], return_factor)
+        return replace(self, q=q, added=added) if added.any() else self
 
 
 def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n_points: int = 61) -> Task:

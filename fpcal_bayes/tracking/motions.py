@@ -1,11 +1,11 @@
 """The error motions of a machine as states that stay from session to session.
 
-The weights of a cell's error motions are some two hundred; a cavity length feels a few tens of their combinations. Those
-are the states: w = basis z + rest, z of unit prior variance at the sizes that the calibration found. What a combination
-beyond them adds to a row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
+A cell's error motions have some two hundred weights; a cavity length feels a few tens of their combinations. Those are
+the states: w = basis z + rest, z of unit prior variance at the sizes that the calibration found. What the rest adds to a
+row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.known import numbered, random_poses
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
@@ -21,8 +22,11 @@ from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
+from fpcal_bayes.model.mechanics.errors import approached, drifted, returned_errors
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.tasks import Task
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
 _NEGLIGIBLE = 1.5e-3
@@ -73,7 +77,7 @@ class MotionStates:
 
     @cached_property
     def directions(self) -> Floats:
-        """Orthonormal combinations of weights of unit variance, the most felt ones first, shape (n_weights, n_states)."""
+        """Orthonormal combinations of weights of unit variance, the most felt first, shape (n_weights, n_states)."""
         middle, poses = random_poses(self.terms.cell, np.random.default_rng(4))
         felt = path_design(self.terms, self.terms.cell.parameters.nominal, middle, poses).motions * self.sizes
         _, effect, vectors = np.linalg.svd(felt, full_matrices=False)
@@ -95,6 +99,17 @@ class MotionStates:
 
         Both at free parameters `values` (n,).
         """
+        noise, own, felt = self._columns(model, sweeps, values)
+        return MarginalWhitening.around(noise, own), felt
+
+    def single_rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[Floats, Floats]:
+        """Variance of the rows of a plan, each driven by itself, in um^2, and their derivatives, as in `rows`."""
+        at_once = replace(sweeps, t_start_h=np.zeros(len(sweeps)), t_end_h=np.zeros(len(sweeps)))
+        noise, own, felt = self._columns(model, at_once, values)
+        return noise.variance + (own**2).sum(axis=1), felt
+
+    def _columns(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[Whitening, Floats, Floats]:
+        """Of rows: whitening of their noise, columns of what is their own, derivatives by the states."""
         drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
         made = design(self.terms, model.vector(values), drive, sweeps.sigma)
         n = made.motion_count
@@ -102,7 +117,32 @@ class MotionStates:
         felt = shared @ self.directions
         own = made.matrix[:, n:] * self.factors[made.scale[n:]]
         noise = RowNoise.of(sweeps, made).whitening(float(self.factors[-1]), float(self.factors[-2]))
-        return MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
+        return noise, np.hstack([own, shared - felt @ self.directions.T]), felt
+
+    def path(
+        self, vector: Floats, mean: Floats, task: Task, n_draws: int, compensate: bool
+    ) -> tuple[Task, Floats, Floats]:
+        """A task as it is driven at the states' `mean` (n_states,), and what the states and all else add along it.
+
+        Derivatives by the states, shape (n_points, n_states), and draws of what is new each time beside what stays of
+        the mean, shape (n_points, n_draws), both in um.
+        """
+        if compensate:
+            task = task.compensated(self.terms, vector, self.basis @ mean, float(self.factors[-2]))
+        path = path_design(self.terms, vector, task.start, task.q)
+        felt = path.motions * self.sizes
+        states = felt @ self.directions
+        rng, log = np.random.default_rng(6), np.repeat(np.log(self.factors)[None], n_draws, axis=0)
+        drift = self.factors[self.terms.scales.index("drift")] * rng.standard_normal((n_draws, 3 * DRIFT_ORDER))
+        new = drifted(self.terms, path, drift, self.session_min, rng)
+        for part in (
+            *approached(self.terms, path, log, rng).values(),
+            *returned_errors(self.terms, path, log, rng).values(),
+        ):
+            new += part
+        rest = felt - states @ self.directions.T
+        new += states @ mean + (0.0 if task.added is None else task.added)
+        return task, states, (new + rng.standard_normal((n_draws, rest.shape[1])) @ rest.T).T
 
     def knowledge(
         self, parameters: ParameterSet, scale: Floats, mean: Floats, covariance: Floats

@@ -215,7 +215,7 @@ class _Judge:
         odds = likely(moved) - geometry
         if odds <= 0.0:
             return "intrinsics-moved", found, every
-        text = f"the error motions of the joints changed: that explains the session better than the geometry (e^{odds:.0f})"
+        text = f"the error motions of the joints changed: that is likelier than a change of the geometry (e^{odds:.0f})"
         finding = replace(found[0], verdict="mechanics-moved", evidence=text)
         return "mechanics-moved", [finding, *found], np.maximum(every, moved)
 

@@ -116,7 +116,7 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
 
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
     task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
-    made, change, _ = known_task_errors(estimate, task.start, task.q, draws=draws, seed=seed)
+    made, change, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = np.sqrt((made.total**2).mean(axis=0))

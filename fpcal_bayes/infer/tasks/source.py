@@ -54,6 +54,15 @@ def path_points(estimate: Estimate) -> int:
     return IDEAL_POINTS if estimate.mechanics is None else PATH_POINTS
 
 
+def compensated(estimate: Estimate, task: Task) -> Task:
+    """A task that makes up for the error motions that its estimate knows, where that gains."""
+    if estimate.mechanics is None:
+        return task
+    return task.compensated(
+        estimate.mechanics.terms(estimate.cell), estimate.vector(), *estimate.mechanics.known_motions
+    )
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """What is known of a cell's parameters when a task is planned."""
@@ -82,14 +91,18 @@ class Knowledge:
         trust = self.draws.trust.because(*estimate.trust.reasons)
         return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
-    def plan(self, task: str, *, radius: float = 100.0, n_points: int | None = None) -> tuple[Estimate, Task]:
+    def plan(
+        self, task: str, *, radius: float = 100.0, n_points: int | None = None, compensate: bool = True
+    ) -> tuple[Estimate, Task]:
         """The estimate that the controller holds for a task, and the joint path it makes with it.
 
-        With mechanics a path has 31 points by default, since return errors make a peak to peak grow with their number.
+        With `compensate` the path makes up for what is known of error motions, where that gains. With mechanics a path
+        has 31 points by default, since return errors make a peak to peak grow with their number.
         """
         estimate = self.held(task, radius=radius)
         n_points = n_points or path_points(estimate)
-        return estimate, find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
+        found = find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
+        return estimate, compensated(estimate, found) if compensate and self.draws is None else found
 
 
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:

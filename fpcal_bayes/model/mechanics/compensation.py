@@ -1,0 +1,66 @@
+"""Joint values that cancel what is known of the error motions along a path.
+
+A path is driven so that the cavity length changes by what the geometry expects: the joint that travels along the beam
+makes up for the posterior mean of the repeatable motions, reversal by the direction of approach included. Making up moves
+that joint at every point, which turns its own direction of approach and brings a new return error each time: where that
+costs more than it gains, the path stays as it is.
+"""
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.mechanics.design import PathDesign, path_design
+from fpcal_bayes.model.mechanics.response import responses
+from fpcal_bayes.model.mechanics.terms import Terms
+
+#: A joint that moves the cavity length by less than this share of its own travel does not make up for anything.
+_LEAST_SLOPE = 0.5
+#: The directions of approach follow from the path that they change.
+_ROUNDS = 3
+
+
+def compensated_path(
+    terms: Terms, vector: Floats, weights: Floats, start: Floats, q: Floats, return_factor: float = 1.0
+) -> tuple[Floats, Floats]:
+    """A path that makes up for the mean of the error motions, or the path itself where that gains nothing.
+
+    Parameters
+    ----------
+    vector
+        Model vector that the controller holds, shape (model size,).
+    weights
+        Posterior mean of the weights in units of their stated sizes, shape (n_weights,).
+    start, q
+        The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
+    return_factor
+        On the stated return errors.
+
+    Returns
+    -------
+    tuple of ndarray
+        The joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry expects
+        of `q`, in um, shape (n_points,).
+    """
+    cell = terms.cell
+    drive = responses(cell, vector, terms.told, q).drive
+    slopes = np.where(cell.revolute, 0.0, np.abs(drive).min(axis=0, initial=np.inf))
+    joint = int(np.argmax(slopes))
+    as_it_is = q, np.zeros(len(q))
+    if not len(q) or slopes[joint] < _LEAST_SLOPE:
+        return as_it_is
+    before = path = path_design(terms, vector, start, q)
+    moved = q.copy()
+    for _ in range(_ROUNDS):
+        wanted = q[:, joint] - path.motions @ weights / drive[:, joint]
+        moved[:, joint] = np.clip(wanted, cell.low[joint], cell.high[joint])
+        path = path_design(terms, vector, start, moved)
+    added = (moved - q)[:, joint] * drive[:, joint]
+    without = float(np.var(before.motions @ weights)) + return_factor**2 * _new_each_time(before)
+    left = float(np.var(path.motions @ weights + added)) + return_factor**2 * _new_each_time(path)
+    return (moved, added) if left < without else as_it_is
+
+
+def _new_each_time(path: PathDesign) -> float:
+    """Mean variance along a path of return errors of joints that move on it, in um^2."""
+    moving = path.steps.max(axis=0, initial=0) > path.steps.min(axis=0, initial=0)
+    return float((path.returned_point[:, moving] ** 2).sum(axis=1).mean())

@@ -88,13 +88,22 @@ class Task:
             added=None if self.added is None else self.added[chosen],
         )
 
-    def compensated(self, terms: Terms, vector: Floats, weights: Floats, return_factor: float = 1.0) -> "Task":
-        """The task on a joint path that makes up for error motions, where that gains; see `compensated_path`."""
-        ok = self.ok
-        if not ok.any():
-            return self
-        q, added = self.q.copy(), np.zeros(len(self))
-        q[ok], added[ok] = compensated_path(terms, vector, weights, self.start, q[ok], return_factor)
+    def compensated(
+        self,
+        terms: Terms,
+        vector: Floats,
+        weights: Floats,
+        *,
+        geometry: Floats | float = 0.0,
+        return_factor: float = 1.0,
+    ) -> "Task":
+        """The task, all points of which can be driven to, on a joint path that makes up for error motions.
+
+        The same path where that gains nothing; arguments as in `compensated_path`.
+        """
+        q, added = compensated_path(
+            terms, vector, weights, self.start, self.q, geometry=geometry, return_factor=return_factor
+        )
         return replace(self, q=q, added=added) if added.any() else self
 
 

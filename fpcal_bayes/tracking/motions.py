@@ -128,7 +128,7 @@ class MotionStates:
         the mean, shape (n_points, n_draws), both in um.
         """
         if compensate:
-            task = task.compensated(self.terms, vector, self.basis @ mean, float(self.factors[-2]))
+            task = task.compensated(self.terms, vector, self.basis @ mean, return_factor=float(self.factors[-2]))
         path = path_design(self.terms, vector, task.start, task.q)
         felt = path.motions * self.sizes
         states = felt @ self.directions

@@ -20,7 +20,14 @@ _ROUNDS = 3
 
 
 def compensated_path(
-    terms: Terms, vector: Floats, weights: Floats, start: Floats, q: Floats, return_factor: float = 1.0
+    terms: Terms,
+    vector: Floats,
+    weights: Floats,
+    start: Floats,
+    q: Floats,
+    *,
+    geometry: Floats | float = 0.0,
+    return_factor: float = 1.0,
 ) -> tuple[Floats, Floats]:
     """A path that makes up for the mean of the error motions, or the path itself where that gains nothing.
 
@@ -32,6 +39,8 @@ def compensated_path(
         Posterior mean of the weights in units of their stated sizes, shape (n_weights,).
     start, q
         The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
+    geometry
+        What the geometry is expected to add beyond `vector`, shape (n_points,), in um.
     return_factor
         On the stated return errors.
 
@@ -51,12 +60,12 @@ def compensated_path(
     before = path = path_design(terms, vector, start, q)
     moved = q.copy()
     for _ in range(_ROUNDS):
-        wanted = q[:, joint] - path.motions @ weights / drive[:, joint]
+        wanted = q[:, joint] - (geometry + path.motions @ weights) / drive[:, joint]
         moved[:, joint] = np.clip(wanted, cell.low[joint], cell.high[joint])
         path = path_design(terms, vector, start, moved)
     added = (moved - q)[:, joint] * drive[:, joint]
-    without = float(np.var(before.motions @ weights)) + return_factor**2 * _new_each_time(before)
-    left = float(np.var(path.motions @ weights + added)) + return_factor**2 * _new_each_time(path)
+    without = float(np.var(geometry + before.motions @ weights)) + return_factor**2 * _new_each_time(before)
+    left = float(np.var(geometry + path.motions @ weights + added)) + return_factor**2 * _new_each_time(path)
     return (moved, added) if left < without else as_it_is
 
 

@@ -2,9 +2,9 @@
 
 python studies/mechanics_compensation.py [--mixture realistic ...] [--readings 8] [--truths 40]
 
-Each simulated machine is calibrated by the paper's sweeps, read so many times each, and driven along the tasks, 31 points
-each, with and without compensation: medians over machines of the true peak to peak, in a single pass and without what is
-new each time.
+Each simulated machine is calibrated by the paper's sweeps, read so many times each, and driven along the tasks, 31
+points each, with and without compensation: medians over machines of the true peak to peak, in a single pass and without
+what is new each time.
 """
 
 import argparse
@@ -14,11 +14,11 @@ import numpy as np
 from mechanics_coverage import MIXTURES, reachable, sheet_of
 
 from fpcal_bayes import InputError, identify, predict_from_covariance
-from fpcal_bayes.infer import PATH_POINTS, compensated, read_often
+from fpcal_bayes.infer import PATH_POINTS, read_often
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import drive_of_sweeps, protocol_by_name
 from fpcal_bayes.model import CavityModel
-from fpcal_bayes.motion import TASKS, Task, task_path
+from fpcal_bayes.motion import TASKS, Task, compensated, task_path
 from fpcal_bayes.simulator import Machine
 
 SIGMA = 0.005
@@ -80,7 +80,7 @@ def main() -> None:
             of_task = np.array([found[task] for found in machines if task in found])
             if not len(of_task):
                 continue
-            single, better, calm, calmer, said, promised, used = np.median(of_task, axis=0)
+            single, better, calm, calmer, said, promised, _ = np.median(of_task, axis=0)
             print(
                 f"{name} {task}: {single:.1f} -> {better:.1f} nm ({single / better:.2f}x), repeatable {calm:.1f} -> "
                 f"{calmer:.1f} ({calm / max(calmer, 1e-9):.2f}x), predicted {said:.1f} -> {promised:.1f}, "

@@ -20,7 +20,9 @@ def run(options: argparse.Namespace) -> int:
     check_output(options.json, options.estimate, options.task, options.output)
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
-    estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    estimate, task = knowledge.plan(
+        options.task, radius=options.radius_um, n_points=options.points, compensate=options.compensate
+    )
     estimate = judged_at(estimate, read_now(options.now, estimate))
     prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)

@@ -14,7 +14,7 @@ from fpcal_bayes.model.kernels.inverse import batch_inverse
 def goal_of(options: argparse.Namespace) -> Goal:
     """The goal that the options name."""
     tasks = tuple(dict.fromkeys(options.task or ["circle"]))
-    return Goal(options.tolerance_nm, tasks, options.level, options.radius_um)
+    return Goal(options.tolerance_nm, tasks, options.level, options.radius_um, options.compensate)
 
 
 def warm_up_inverse(cell: Cell) -> None:

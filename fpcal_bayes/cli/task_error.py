@@ -35,7 +35,9 @@ def run(options: argparse.Namespace) -> int:
     tolerance = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
     out, content, predictions, budgets, warnings = console(options), {}, [], [], []
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
-        estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
+        estimate, task = knowledge.plan(
+            name, radius=options.radius_um, n_points=options.points, compensate=options.compensate
+        )
         warnings += reach_warnings(task)
         driven = task.driven()
         prediction = knowledge.predict(estimate, driven, draws=options.draws, seed=options.seed)

@@ -23,7 +23,6 @@ _PLACES = {
     "candidate_sweeps": "design.candidates",
     "choose_sweeps": "design.exchange",
     "compare": "posterior.compare",
-    "compensated": "tasks.source",
     "doubts_of": "mechanics.judge",
     "estimate_ground": "design.problem",
     "fit_mechanics": "mechanics.fit",

@@ -16,8 +16,6 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.inverse_few import LEVER
-from fpcal_bayes.model.mechanics.compensation import compensated_path
-from fpcal_bayes.model.mechanics.terms import Terms
 from fpcal_bayes.motion.placement import Placement
 
 TASKS: tuple[str, ...] = ("circle", "line-x", "line-z", "tilt-x", "tilt-z", "spin")
@@ -53,9 +51,10 @@ class Task:
     start: Floats
     along: Floats  # where each point stands on the path, shape (n_points,), in `unit`
     unit: str  # ``um`` or ``deg``, or ``point`` for a user's path
-    #: What `q` adds to the change of cavity length that the geometry expects of the commanded path, shape (n_points,),
-    #: in um: see `compensated`.
+    #: Where the joint path makes up for error motions: what that adds to the change of cavity length that the geometry
+    #: expects, in um, shape (n_points,), and the joint path without it, shape (n_points, n_joints).
     added: Floats | None = None
+    plain: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -86,25 +85,8 @@ class Task:
             status=self.status[chosen],
             along=self.along[chosen],
             added=None if self.added is None else self.added[chosen],
+            plain=None if self.plain is None else self.plain[chosen],
         )
-
-    def compensated(
-        self,
-        terms: Terms,
-        vector: Floats,
-        weights: Floats,
-        *,
-        geometry: Floats | float = 0.0,
-        return_factor: float = 1.0,
-    ) -> "Task":
-        """The task, all points of which can be driven to, on a joint path that makes up for error motions.
-
-        The same path where that gains nothing; arguments as in `compensated_path`.
-        """
-        q, added = compensated_path(
-            terms, vector, weights, self.start, self.q, geometry=geometry, return_factor=return_factor
-        )
-        return replace(self, q=q, added=added) if added.any() else self
 
 
 def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n_points: int = 61) -> Task:

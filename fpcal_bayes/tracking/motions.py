@@ -1,8 +1,8 @@
 """The error motions of a machine as states that stay from session to session.
 
 A cell's error motions have some two hundred weights; a cavity length feels a few tens of their combinations. Those are
-the states: w = basis z + rest, z of unit prior variance at the sizes that the calibration found. What the rest adds to a
-row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
+the states: w = basis z + rest, z of unit prior variance at the sizes that the calibration found. What the rest adds to
+a row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
 """
 
 from dataclasses import dataclass, replace
@@ -22,6 +22,7 @@ from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
+from fpcal_bayes.model.mechanics.compensation import compensated_path
 from fpcal_bayes.model.mechanics.errors import approached, drifted, returned_errors
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
@@ -128,7 +129,9 @@ class MotionStates:
         the mean, shape (n_points, n_draws), both in um.
         """
         if compensate:
-            task = task.compensated(self.terms, vector, self.basis @ mean, return_factor=float(self.factors[-2]))
+            factor = float(self.factors[-2])
+            q, added = compensated_path(self.terms, vector, self.basis @ mean, task.start, task.q, return_factor=factor)
+            task = replace(task, q=q, added=added)
         path = path_design(self.terms, vector, task.start, task.q)
         felt = path.motions * self.sizes
         states = felt @ self.directions

@@ -9,7 +9,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
 from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
-from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
@@ -23,6 +22,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task
 
 
@@ -53,28 +53,6 @@ _MOST_DRAWS = 20_000
 def path_points(estimate: Estimate) -> int:
     """Points of a path where nobody asks for another number."""
     return IDEAL_POINTS if estimate.mechanics is None else PATH_POINTS
-
-
-def compensated(estimate: Estimate, task: Task) -> Task:
-    """A task that makes up for the error motions that its estimate knows, where that gains.
-
-    Points that cannot be driven to stay as they are.
-    """
-    known = estimate.mechanics
-    if known is None or not task.ok.any():
-        return task
-    driven = task.driven()
-    model = CavityModel.of(estimate.cell, estimate.parameters)
-    geometry = task_jacobian(model, estimate.values, driven) @ known.geometry(estimate.parameters.names)[0]
-    weights, factor = known.known_motions
-    better = driven.compensated(
-        known.terms(estimate.cell), estimate.vector(), weights, geometry=geometry, return_factor=factor
-    )
-    if better.added is None:
-        return task
-    q, added = task.q.copy(), np.zeros(len(task))
-    q[task.ok], added[task.ok] = better.q, better.added
-    return replace(task, q=q, added=added)
 
 
 @dataclass(frozen=True)

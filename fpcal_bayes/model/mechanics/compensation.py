@@ -1,9 +1,9 @@
 """Joint values that cancel what is known of the error motions along a path.
 
 A path is driven so that the cavity length changes by what the geometry expects: the joint that travels along the beam
-makes up for the posterior mean of the repeatable motions, reversal by the direction of approach included. Making up moves
-that joint at every point, which turns its own direction of approach and brings a new return error each time: where that
-costs more than it gains, the path stays as it is.
+makes up for the posterior mean of the repeatable motions, reversal by the direction of approach included. That moves
+the joint at every point, which turns its own direction of approach and brings a new return error each time: where it costs
+more than it gains, the path stays as it is.
 """
 
 import numpy as np
@@ -26,6 +26,7 @@ def compensated_path(
     start: Floats,
     q: Floats,
     *,
+    before: Floats | None = None,
     geometry: Floats | float = 0.0,
     return_factor: float = 1.0,
 ) -> tuple[Floats, Floats]:
@@ -39,6 +40,8 @@ def compensated_path(
         Posterior mean of the weights in units of their stated sizes, shape (n_weights,).
     start, q
         The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
+    before
+        Where the joints stand before the first point, shape (n_joints,); by default at `start`.
     geometry
         What the geometry is expected to add beyond `vector`, shape (n_points,), in um.
     return_factor
@@ -57,16 +60,24 @@ def compensated_path(
     as_it_is = q, np.zeros(len(q))
     if not len(q) or slopes[joint] < _LEAST_SLOPE:
         return as_it_is
-    before = path = path_design(terms, vector, start, q)
-    moved = q.copy()
+    first = np.zeros((0, len(start))) if before is None else before[None]
+
+    def driven(path: Floats) -> tuple[Floats, float]:
+        made = path_design(terms, vector, start, np.vstack([first, path]))
+        return geometry + made.motions[len(first) :] @ weights, return_factor**2 * _new_each_time(made)
+
+    plain, new = driven(q)
+    moved, error, again = q.copy(), plain, new
     for _ in range(_ROUNDS):
-        wanted = q[:, joint] - (geometry + path.motions @ weights) / drive[:, joint]
-        moved[:, joint] = np.clip(wanted, cell.low[joint], cell.high[joint])
-        path = path_design(terms, vector, start, moved)
+        moved[:, joint] = np.clip(q[:, joint] - error / drive[:, joint], cell.low[joint], cell.high[joint])
+        error, again = driven(moved)
     added = (moved - q)[:, joint] * drive[:, joint]
-    without = float(np.var(geometry + before.motions @ weights)) + return_factor**2 * _new_each_time(before)
-    left = float(np.var(geometry + path.motions @ weights + added)) + return_factor**2 * _new_each_time(path)
-    return (moved, added) if left < without else as_it_is
+    return (moved, added) if _spread(error + added) + again < _spread(plain) + new else as_it_is
+
+
+def _spread(errors: Floats) -> float:
+    """Variance along a path; of one point alone its square, in um^2."""
+    return float(np.var(errors) if len(errors) > 1 else (errors**2).sum())
 
 
 def _new_each_time(path: PathDesign) -> float:

@@ -3,7 +3,7 @@
 python studies/mechanics_tracking.py [--weeks 20] [--noise gaussian|student] [--change none|beta_4|knock|motions]
 
 Each machine is drawn from the realistic sizes, with functions of another family than those that are fitted, its
-geometry from the prior. It drifts as the cell's sizes say; a full calibration comes first, then sessions of a few sweeps.
+geometry from the prior. It drifts as the cell's sizes say; a full calibration comes first, then sessions of few sweeps.
 """
 
 import argparse

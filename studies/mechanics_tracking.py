@@ -24,7 +24,7 @@ from fpcal_bayes.tracking import DriftModel, Track, track
 
 HOURS = 168.0
 SIGMA = 0.005
-_SETTINGS = MachineSettings(slow_nm=4.0, mirror_radius_m=50.0, scale_ppm=5.0)
+SETTINGS = MachineSettings(slow_nm=4.0, mirror_radius_m=50.0, scale_ppm=5.0)
 
 
 def machine_cell() -> Cell:
@@ -35,7 +35,7 @@ def machine_cell() -> Cell:
 def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> tuple[Sweeps, int | None]:
     """Sweeps of one week, and the number of the first session after the change."""
     rng = np.random.default_rng([options.seed, seed])
-    settings = replace(_SETTINGS, student=3.0 if options.noise == "student" else None)
+    settings = replace(SETTINGS, student=3.0 if options.noise == "student" else None)
     vector = reachable(cell, rng)
     machine = Machine.draw(cell, REALISTIC, vector, rng, settings)
     drift, slots = DriftModel.of(cell), cell.free.slots

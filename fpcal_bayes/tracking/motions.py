@@ -30,8 +30,8 @@ from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
-_NEGLIGIBLE = 1.5e-3
-_MOST_STATES = 36
+_NEGLIGIBLE = 0.7e-3
+_MOST_STATES = 42
 #: Draws of a state that travel with an estimate.
 _DRAWS = 400
 
@@ -57,7 +57,7 @@ class MotionStates:
     @classmethod
     def of(cls, fit: MechanicsFit) -> "MotionStates":
         """As a calibration found them."""
-        return cls(fit.terms, fit.scales.log, float(fit.drive.end_min.max()))
+        return cls(fit.terms, np.round(fit.scales.log, 3), float(fit.drive.end_min.max()))
 
     @cached_property
     def factors(self) -> Floats:

@@ -203,7 +203,7 @@ class _Judge:
         if self.drift.motions is None:
             return "intrinsics-moved", found, every
         n, m = self.drift.n_parameters, self.drift.n_lengths
-        moved = step.copy()
+        moved = np.zeros(len(step))
         # The old motions and the new ones differ by twice the variance, less what was known of the old ones.
         moved[n:m] = np.sqrt(1.0 + np.clip(1.0 - np.diag(predicted.covariance)[n:m], 0.0, None))
         singles = [np.maximum(step, np.where(np.arange(len(step)) == i, every, 0.0)) for i in range(n)]
@@ -212,6 +212,7 @@ class _Judge:
             return innovation.under(predicted.covariance + np.diag(jump**2)).log_likelihood
 
         geometry = max(*(likely(jump) for jump in singles), likely(every))
+        moved = max((np.maximum(step, size * moved) for size in _STEP_SIZES), key=likely)
         odds = likely(moved) - geometry
         if odds <= 0.0:
             return "intrinsics-moved", found, every

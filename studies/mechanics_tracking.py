@@ -16,6 +16,7 @@ from mechanics_coverage import REALISTIC, reachable
 from mechanics_coverage import protocol as calibration_plan
 from tracking import change_of, diagnosis_plan, session_plan
 
+from fpcal_bayes import InputError
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, drive_of_sweeps, join
 from fpcal_bayes.model import Cell
@@ -50,7 +51,11 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> tuple[S
         values[changed:] += change_of(cell, options.change, rng)
     look = None
     if options.sweeps == "diagnosis":
-        look = diagnosis_plan(cell.ideal, vector[slots], options.count, options.hours, int(rng.integers(2**31)))
+        try:
+            look = diagnosis_plan(cell.ideal, vector[slots], options.count, options.hours, int(rng.integers(2**31)))
+        except InputError:
+            # The mirror is out of sight at zero: another machine.
+            return simulate_week(cell, options, seed + 100_000)
     parts = []
     for number, hour in enumerate(times):
         if number == 0:

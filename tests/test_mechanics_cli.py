@@ -121,10 +121,32 @@ def test_observe_and_doctor_name_terms_and_leave_sigma_alone(folder):
     assert "sigma" not in kinds
 
 
-def test_a_track_says_what_it_leaves_out(folder):
-    run("track", folder / "sweeps.csv", "--json", folder / "track.json")
+def test_a_track_knows_the_error_motions(folder):
+    run("track", folder / "sweeps.csv", "--json", folder / "track.json", "--estimate", folder / "now.json")
     trust = json.loads((folder / "track.json").read_text())["trust"]
-    assert "mechanics-left-out" in {reason["kind"] for reason in trust["reasons"]}
+    assert "mechanics-left-out" not in {reason["kind"] for reason in trust["reasons"]}
+    assert (folder / "now.json").stat().st_size <= 500_000
+    assert read_estimate(folder / "now.json", CELL).mechanics is not None
+    tasks = []
+    for name in ("estimate", "now"):
+        run("task-error", folder / f"{name}.json", "--json", folder / "te.json", "--task", "circle")
+        tasks.append(json.loads((folder / "te.json").read_text())["tasks"]["circle"]["peak_to_peak_nm"])
+    # The track takes the sizes at their typical values, an identification draws them.
+    assert tasks[1]["median"] == pytest.approx(tasks[0]["median"], rel=0.35)
+
+
+def test_joints_make_up_for_the_known_motions_where_that_gains(folder):
+    found = {}
+    for options in ((), ("--no-compensation",)):
+        run("control", "--estimate", folder / "estimate.json", "--task", "tilt-x", "-o", folder / "j.csv", *options,
+            "--json", folder / "c.json")  # fmt: skip
+        found[options] = json.loads((folder / "c.json").read_text())["tasks"]["tilt-x"]
+    better, plain = found[()], found[("--no-compensation",)]
+    assert better["compensation"]["applied"]
+    assert not plain["compensation"]["applied"]
+    assert better["compensation"]["median_without_nm"] == pytest.approx(plain["peak_to_peak_nm"]["median"])
+    assert better["peak_to_peak_nm"]["median"] < 0.9 * plain["peak_to_peak_nm"]["median"]
+    assert max(better["sd_nm"]) < max(plain["sd_nm"])
 
 
 def test_curves_of_the_motions_stay_within_what_is_known(found):

@@ -119,32 +119,32 @@ def test_a_quiet_machine_is_as_modelled_and_trusted(followed):
     assert followed.estimate().mechanics is not None
 
 
-def test_a_knock_is_one_of_mirror_and_fibre(machine, sweeps):
+def test_a_knock_is_one_of_mirror_and_fibre(machine, sweeps, followed):
     knock = {p.name: np.radians(0.1) if p.unit == "deg" else 20.0 for p in CELL.free if p.kind == "extrinsic"}
     last = session("s4", 9.0, varied(np.random.default_rng(6)), machine, knock)
-    found = track(CELL, join([sweeps, last]), drift=DRIFT)
+    found = track(CELL, join([sweeps, last]), drift=DRIFT, known=followed)
     assert found.last.verdict == "extrinsics-moved"
 
 
-def test_a_reading_far_off_is_set_aside(machine, sweeps):
+def test_a_reading_far_off_is_set_aside(machine, sweeps, followed):
     last = session("s4", 7.0, varied(np.random.default_rng(7)), machine)
     dl = last.dl.copy()
     dl[2] += 0.23
-    found = track(CELL, join([sweeps, last.with_measurement(dl, last.sigma)]), drift=DRIFT)
+    found = track(CELL, join([sweeps, last.with_measurement(dl, last.sigma)]), drift=DRIFT, known=followed)
     assert found.last.verdict == "as-modelled"
     assert any("left out: q3" in text for text in found.last.warnings)
-    plain = track(CELL, join([sweeps, last]), drift=DRIFT)
+    plain = track(CELL, join([sweeps, last]), drift=DRIFT, known=followed)
     # What is left out changes the estimate no more than its own reading would have told.
     n = DRIFT.n_parameters
     away = found.last.state.mean[:n] - plain.last.state.mean[:n]
     assert (np.abs(away) < 2.0 * np.sqrt(np.diag(found.last.state.covariance)[:n])).all()
 
 
-def test_error_motions_that_change_are_told_from_the_geometry(machine, sweeps):
+def test_error_motions_that_change_are_told_from_the_geometry(machine, sweeps, followed):
     other = Machine.draw(CELL, CELL.mechanics.scaled(12.0), machine.vector, np.random.default_rng(11))
     moved = replace(machine, motions=other.motions)
     last = session("s4", 7.0, varied(np.random.default_rng(9)), moved)
-    found = track(CELL, join([sweeps, last]), drift=DRIFT)
+    found = track(CELL, join([sweeps, last]), drift=DRIFT, known=followed)
     assert found.last.verdict == "mechanics-moved"
     assert found.calibration_due == "s4"
 

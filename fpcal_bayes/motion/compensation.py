@@ -14,19 +14,9 @@ from fpcal_bayes.motion.tasks import Task
 def compensated_joints(
     estimate: Estimate, start: Floats, q: Floats, before: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """A joint path that makes up for the error motions that an estimate knows, where that gains.
+    """As `compensated_path`, with what an estimate knows; the path as it is where that is a perfect mechanism.
 
-    Parameters
-    ----------
-    start, q
-        As in `compensated_path`.
-    before
-        Where the joints stand before the first point, shape (n_joints,); by default at `start`.
-
-    Returns
-    -------
-    tuple of ndarray
-        As `compensated_path` gives it; the path as it is where the estimate takes the mechanism as perfect.
+    `before` is where the joints stand before the first point, shape (n_joints,), by default at `start`.
     """
     known = estimate.mechanics
     if known is None:
@@ -35,16 +25,9 @@ def compensated_joints(
     rows = model.rows(np.repeat(start[None], len(q), axis=0), q)
     _, jacobian = model.predict_with_jacobian(estimate.values, rows)
     weights, factor = known.known_motions
-    return compensated_path(
-        known.terms(estimate.cell),
-        estimate.vector(),
-        weights,
-        start,
-        q,
-        before=before,
-        geometry=jacobian @ known.geometry(estimate.parameters.names)[0],
-        return_factor=factor,
-    )
+    geometry = jacobian @ known.geometry(estimate.parameters.names)[0]
+    terms, vector = known.terms(estimate.cell), estimate.vector()
+    return compensated_path(terms, vector, weights, start, q, before=before, geometry=geometry, return_factor=factor)
 
 
 def compensated(estimate: Estimate, task: Task) -> Task:

@@ -167,8 +167,11 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
             state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
         rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
         expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
-        scaled = jacobian * drift.scale
-        n = drift.n_parameters
+        scaled, n = jacobian * drift.scale, drift.n_lengths
+        if drift.motions is not None:
+            _, felt = drift.motions.rows(model, sweeps, drift.values(state.mean))
+            scaled = np.hstack([scaled, felt])
+            expected = expected + felt @ state.mean[drift.n_parameters : n]
         variance = ((scaled @ state.covariance[:n, :n]) * scaled).sum(axis=1) + sweeps.sigma**2
         clear = ~known & (2.0 * np.abs(expected) * np.abs(dl) > _DECISIVE_LOG_ODDS * _WIDENING**2 * variance)
         if not clear.any():

@@ -89,8 +89,8 @@ def take_in(
             taken = update(predicted, measurement)
             after, found = judge.session(predicted, taken)
     if found and drift.motions is not None:
-        taken, measurement, after, found, said = judge.without_outliers(
-            used, predicted, taken, measurement, after, found
+        (taken, measurement, after, found), said = judge.without_outliers(
+            used, predicted, (taken, measurement, after, found)
         )
         warnings += said
     verdict: SessionVerdict = "as-modelled"
@@ -120,6 +120,10 @@ def take_in(
     )
 
 
+#: A session as it was taken in, the memory of the tests after it, and those that fail.
+_Taken = tuple[Update, SweepMeasurement, Monitor, list[Finding]]
+
+
 @dataclass(frozen=True)
 class _Judge:
     """The tests at one session."""
@@ -145,31 +149,24 @@ class _Judge:
         after = self._extend(self.monitor, innovation, taken.gain)
         return after, findings(after, self.limits, self.drift)
 
-    def without_outliers(
-        self,
-        used: Sweeps,
-        predicted: State,
-        taken: Update,
-        measurement: SweepMeasurement,
-        after: Monitor,
-        found: list[Finding],
-    ) -> tuple[Update, SweepMeasurement, Monitor, list[Finding], list[str]]:
+    def without_outliers(self, used: Sweeps, predicted: State, as_it_is: _Taken) -> tuple[_Taken, list[str]]:
         """The session with sweeps set aside whose heavy-tailed noise explains all that failed; else as it is."""
-        sigma, left, now = used.sigma.copy(), [], (taken, measurement)
-        for _ in range(min(_MOST_OUTLIERS, len(np.unique(sweep_numbers(used))) // 3)):
-            rows = outlying_sweep(used, now[1], now[0].innovation, predicted, self.jumps())
+        taken, measurement = as_it_is[:2]
+        sigma, left, target = used.sigma.copy(), [], measurement.target
+        for _ in range(min(_MOST_OUTLIERS, int(sweep_numbers(used)[-1] + 1) // 3)):
+            rows = outlying_sweep(used, measurement, taken.innovation, predicted, self.jumps())
             if rows is None:
                 break
             sigma[rows] *= _SET_ASIDE
             left.append(str(used.label[rows[0]]))
-            aside = used.with_measurement(measurement.target, sigma)
-            again = SweepMeasurement.of(self.drift, measurement.model, aside, predicted.mean)
-            now = update(predicted, again), again
-            calmer, failing = self.session(predicted, now[0])
-            if not failing:
+            aside = used.with_measurement(target, sigma)
+            measurement = SweepMeasurement.of(self.drift, measurement.model, aside, predicted.mean)
+            taken = update(predicted, measurement)
+            after, found = self.session(predicted, taken)
+            if not found:
                 text = f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
-                return *now, calmer, failing, [text]
-        return taken, measurement, after, found, []
+                return (taken, measurement, after, found), [text]
+        return as_it_is, []
 
     def explain(
         self, predicted: State, measurement: SweepMeasurement, found: list[Finding]

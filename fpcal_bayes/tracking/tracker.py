@@ -291,10 +291,7 @@ def _require_calibration(found: Identification, sweeps: Sweeps, free: int) -> No
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:
     """The rows of a calibration as `calibrate` takes them in, for its outcome."""
-    found, warnings = _identified(cell, drift, sweeps)
-    if found.machine is not None:
-        return _machine_outcome(drift, found, sweeps, warnings).measurement
-    return _measurement(drift, found)
+    return _measurement(drift, _identified(cell, drift, sweeps)[0])
 
 
 def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:

@@ -137,8 +137,10 @@ def test_a_track_knows_the_error_motions(folder):
 
 def test_joints_make_up_for_the_known_motions_where_that_gains(folder):
     found = {}
+    run("simulate", "-o", folder / "mid.csv", "--seed", 4, "--protocol", "paper-mid")
+    run("identify", folder / "mid.csv", "--json", folder / "mid.json")
     for options in ((), ("--no-compensation",)):
-        run("control", "--estimate", folder / "estimate.json", "--task", "tilt-x", "-o", folder / "j.csv", *options,
+        run("control", "--estimate", folder / "mid.json", "--task", "tilt-x", "-o", folder / "j.csv", *options,
             "--json", folder / "c.json")  # fmt: skip
         found[options] = json.loads((folder / "c.json").read_text())["tasks"]["tilt-x"]
     better, plain = found[()], found[("--no-compensation",)]

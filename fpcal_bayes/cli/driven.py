@@ -3,8 +3,12 @@
 import argparse
 import sys
 
+import numpy as np
+
+from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.kernels.compile import needs_compilation
@@ -15,6 +19,22 @@ def goal_of(options: argparse.Namespace) -> Goal:
     """The goal that the options name."""
     tasks = tuple(dict.fromkeys(options.task or ["circle"]))
     return Goal(options.tolerance_nm, tasks, options.level, options.radius_um, options.compensate)
+
+
+def costs_of(options: argparse.Namespace, sweeps: Sweeps) -> Costs:
+    """What measuring costs, by the options of `fpcal decide`; `sweeps` are those of the campaign."""
+    most = max(options.most_sweeps, options.least_sweeps)
+    return Costs(
+        minutes_per_sweep=options.minutes_per_sweep,
+        minutes_per_session=options.minutes_per_session or 0.0,
+        out_of_tolerance=options.cost_out,
+        least_sweeps=options.least_sweeps,
+        most_sweeps=most,
+        sigma_nm=1e3 * float(np.median(sweeps.sigma)) if options.sigma_nm is None else options.sigma_nm,
+        horizon_h=options.horizon_h,
+        diagnosis_h=options.diagnose_every_h,
+        diagnosis_sweeps=min(Costs.diagnosis_sweeps, most),
+    )
 
 
 def warm_up_inverse(cell: Cell) -> None:

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -17,7 +17,6 @@ from fpcal_bayes.report.fit import fit_lines, parameter_table
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.file, options.start, options.prior)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
     prior = None if options.prior is None else read_estimate(options.prior, cell)
@@ -26,14 +25,14 @@ def run(options: argparse.Namespace) -> int:
     found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
     result = with_source(found, options.file, sweeps.sessions[0])
 
+    if options.json is not None:
+        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     out = console(options)
     title = f"{options.file}, session {sweeps.sessions[0]}: {len(result.problem.sweeps)} rows"
     out.print(parameter_table(result.estimate, title))
     for line in fit_lines(result):
         out.say(line)
     warn(result.warnings)
-    if options.json is not None:
-        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     return 0 if result.converged else 1
 
 

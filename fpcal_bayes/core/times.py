@@ -1,15 +1,19 @@
 """Times as a user gives them: hours since the campaign began, or clock times."""
 
 from datetime import UTC, datetime
-from math import isfinite
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 
 
 def clock(text: str) -> datetime:
     """A clock time as ISO 8601 says it; without a zone it is UTC."""
     time = datetime.fromisoformat(text)
     return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+
+
+def iso(moment: float) -> str:
+    """A Unix time as files hold it: ISO 8601 to the millisecond."""
+    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def read_time(text: str, name: str = "time") -> float | datetime:
@@ -19,7 +23,7 @@ def read_time(text: str, name: str = "time") -> float | datetime:
     except ValueError:
         pass
     else:
-        if isfinite(hours):
+        if abs(hours) <= largest("h"):
             return hours
     try:
         return clock(text)

@@ -82,7 +82,11 @@ def ingest(
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
     if not parts:
-        raise InputError(f"{sweeps.file}: no sweep can be used; {doubtful.label[0]}: {doubtful.reason[0]}")
+        reasons: dict[str, list[str]] = {}
+        for label, why in zip(doubtful.label.tolist(), doubtful.reason.tolist(), strict=True):
+            reasons.setdefault(why, []).append(label)
+        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
+        raise InputError(f"{sweeps.file}: no sweep can be used; {told}")
     rows = join(parts, sweeps.file)
     check_sweeps(rows, cell)
     return Ingested(

@@ -37,7 +37,6 @@ _PLACES = {
     "parse_models": "posterior.compare",
     "peak_to_peak": "tasks.error",
     "prior_ground": "design.problem",
-    "read_often": "design.rows",
     "sample": "posterior.sample",
     "slip_probabilities": "posterior.netcdf",
     "spectrum_of": "fit.spectrum",

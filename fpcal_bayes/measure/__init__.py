@@ -13,6 +13,7 @@ _PLACES = {
     "paper_protocol": "protocol",
     "paper_truth": "truth",
     "protocol_by_name": "protocol",
+    "read_often": "protocol",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

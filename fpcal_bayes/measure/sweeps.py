@@ -17,6 +17,8 @@ Texts = NDArray[np.str_]
 
 KINDS = ("sweep", "absolute", "path")
 MAX_TEXT = 1000
+#: With a larger sigma, in um, fringes are counted: readings of one sweep then agree by chance.
+_COUNTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -223,6 +225,32 @@ def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
     return Sweeps(**joined, file=file, rows=np.arange(2, sum(map(len, parts)) + 2))
 
 
+def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
+    """Rows that stand earlier too, poses and dL to the last digit, shape (n,); counts of whole fringes do repeat."""
+    seen: set[tuple[float, ...]] = set()
+    again = np.zeros(len(sweeps), dtype=bool)
+    for i, key in enumerate(map(tuple, np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist())):
+        again[i] = key in seen and sweeps.kind[i] == "sweep" and sweeps.sigma[i] < _COUNTED
+        seen.add(key)
+    return again
+
+
+def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:
+    """The same sweeps to be measured in a session to come: nothing in them was measured."""
+    n = len(sweeps)
+    return Sweeps.of_um_rad(
+        sweeps.q_start,
+        sweeps.q_end,
+        session=session,
+        time_h=time_h,
+        label=sweeps.label.tolist(),
+        group=sweeps.group.tolist(),
+        kind=sweeps.kind.tolist(),
+        file=file,
+        rows=np.arange(2, n + 2),
+    )
+
+
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     """Hold sweeps to the rules that no single field shows."""
     if len(sweeps) == 0:
@@ -236,6 +264,11 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     for q, end in ((sweeps.q_start, "start"), (sweeps.q_end, "end")):
         names = [f"{joint}_{end}_{unit}" for joint, unit in columns]
         check_joints(cell, q, sweeps.file, sweeps.rows.tolist(), names)
+    alike: dict[str, str] = {}
+    for name in sweeps.sessions:
+        other = alike.setdefault(" ".join(name.casefold().split()), name)
+        differ = f"sessions {other!r:.60} and {name!r:.60} differ by case or blanks only, expected one name for each"
+        refuse((sweeps.session == name) & (other != name), "session", differ)
     refuse(~np.isin(sweeps.kind, KINDS), "kind", f"expected one of {', '.join(KINDS)}")
     still = (sweeps.q_start == sweeps.q_end).all(axis=1) & (sweeps.kind == "sweep")
     refuse(still, f"{columns[0][0]}_end_{columns[0][1]}", "start and end are the same, expected a sweep that moves")

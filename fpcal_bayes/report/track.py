@@ -51,6 +51,8 @@ def verdict_lines(track: Track) -> list[str]:
         for outcome in track.outcomes
         if outcome.verdict != "as-modelled" and outcome.evidence
     ]
+    known = track.outcomes[0].trust.reasons
+    lines += [r.text for r in track.trust.reasons if r.kind == "not-converged" and r not in known]
     if track.calibration_due is not None:
         lines.append(f"a full calibration is due: the robot itself moved before session {track.calibration_due}")
     return lines
@@ -71,7 +73,15 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     if decision.action == "full":
         return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
-    return f"re-identify extrinsics now with {these} ({cost}): {decision.reason}; {after}"
+    return f"{_PURPOSES[decision.purpose]} now with {these} ({cost}): {decision.reason}; {after}"
+
+
+#: What sweeps other than a full calibration are for.
+_PURPOSES = {
+    "extrinsics": "re-identify extrinsics",
+    "robot": "look at the robot",
+    "both": "re-identify extrinsics and look at the robot",
+}
 
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
@@ -117,6 +127,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
     usable = track.trust.usable
     return {
         "action": decision.action,
+        "purpose": None if decision.action == "hold" else "full" if decision.action == "full" else decision.purpose,
         "sentence": decision_sentence(decision, track),
         "reason": decision.reason,
         "now_h": decision.now_h,

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.files import content_sha256, exclusive, replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
@@ -85,7 +85,7 @@ class StudyStore:
                     rows = np.zeros(replicates, self._type)
                     rows[: len(known)] = known
                     self._make(rows)
-        with exclusive(self.path) as require_same:
+        with exclusive(self.path, in_place=True) as require_same:
             self._rows()
             appender = Appender(self.path, self._offset, self._type.itemsize)
             try:
@@ -134,7 +134,7 @@ class StudyStore:
 
     def _rows(self) -> NDArray[np.void]:
         """All rows, empty ones too; where they lie in the file is noted."""
-        with reading(self.path) as reader:
+        with reading(self.path, most=MAX_BYTES) as reader:
             root = reader.root
             schema = reader.text_attribute(root, "schema")
             if schema != SCHEMA:
@@ -144,8 +144,8 @@ class StudyStore:
                 raise InputError(f"{self.path}: expected schema_version {SCHEMA_VERSION}, found {version}")
             if reader.text_attribute(root, "identity") != content_sha256(self._identity()):
                 raise self._differs({name: reader.text_attribute(root, name) for name in self._identity()})
-            dataset = root.get("replicates")
-            if not isinstance(dataset, h5py.Dataset) or dataset.dtype != self._type or dataset.ndim != 1:
+            dataset = reader.dataset(root, "replicates", 1)
+            if dataset.dtype != self._type:
                 raise InputError(f"{self.path}: /replicates: expected one row a replicate")
             offset = dataset.id.get_offset()
             if offset is None or offset + dataset.nbytes > self.path.stat().st_size:
@@ -169,30 +169,26 @@ class Appender:
 
     def __init__(self, path: Path, offset: int, size: int) -> None:
         self._path, self._offset, self._size = path, offset, size
-        try:
+        with self._writing():
             self._file = path.open("rb+", buffering=0)
-        except OSError as error:
-            raise self._error(error) from error
 
     def put(self, number: int, row: bytes) -> None:
         """Write the bytes of replicate `number` (see `packed`)."""
-        try:
+        with self._writing():
             self._file.seek(self._offset + number * self._size)
             self._file.write(row)
-        except OSError as error:
-            raise self._error(error) from error
 
     def close(self) -> None:
         """Wait until all rows are on the disk."""
-        try:
+        with self._writing(), self._file:
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise self._error(error) from error
-        finally:
-            self._file.close()
 
-    def _error(self, error: OSError) -> InputError:
-        return InputError(f"{self._path}: cannot be written ({error.strerror})")
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be written ({reason(error)})") from error
 
 
 def _checksums(rows: NDArray[np.void]) -> NDArray[np.uint32]:

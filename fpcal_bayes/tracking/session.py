@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -18,6 +19,8 @@ from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.sessions import mean_temperature
 from fpcal_bayes.tracking.start import with_hidden_noise
 
+#: Rows that lie closer to the prediction than chance allows this often have too large a sigma.
+_TOO_GOOD = 1e-6
 #: Sizes of a knock that are tried, in units of `Limits.jump`.
 _STEP_SIZES = (1.0, 3.0, 10.0)
 #: So many sweeps of a session are set aside at most, one in three; their readings then count for nothing.
@@ -81,6 +84,12 @@ def take_in(
     measurement = SweepMeasurement.of(drift, model, used, predicted.mean)
     taken = update(predicted, measurement)
     after, found = judge.session(predicted, taken)
+    squared, dof = taken.innovation.squared, taken.innovation.dof
+    if chi2_tail(squared, dof) > 1.0 - _TOO_GOOD:
+        warnings.append(
+            f"the {dof} rows lie far closer to what was predicted than sigma_um says (innovation {squared:.2g}, "
+            f"expected {dof}): sigma_um is too large, so that they tell next to nothing"
+        )
     if found:
         correction = correct_slips(used, measurement, taken.innovation, predicted, judge.jumps())
         warnings += correction.warnings

@@ -12,6 +12,10 @@ Commands = Any  # argparse names the type of its subparsers only privately
 MECHANICS = "stated"
 
 
+class Folder(Path):
+    """A folder that a command fills."""
+
+
 def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(
@@ -86,8 +90,8 @@ def positive(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    if not 1e-9 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
     return value
 
 

@@ -146,10 +146,11 @@ class Policy:
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
         rows = rows * self.drift.scale
         if self.drift.motions is not None:
-            read = candidates.with_measurement(np.zeros(len(candidates)), np.full(len(candidates), sigma))
-            variance, felt = self.drift.motions.single_rows(self.model, read, values)
-            rows = np.concatenate([rows[0, :, 0] * sigma, felt], axis=1) / np.sqrt(variance)[:, None]
-            rows = rows[None, :, None]
+            none = np.zeros(len(candidates))
+            # Each by itself: no drift between them.
+            alone = replace(candidates.with_measurement(none, none + sigma), t_start_h=none, t_end_h=none)
+            whitening, felt = self.drift.motions.rows(self.model, alone, values)
+            rows = (np.hstack([rows[0, :, 0] * sigma, felt]) / np.sqrt(whitening.variance)[:, None])[None, :, None]
         return _Pool(candidates, rows)
 
     def decide(

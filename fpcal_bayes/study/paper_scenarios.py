@@ -13,7 +13,6 @@ from fpcal_bayes.decision.decision import Costs, Decision, UnattainableError
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.tasks.error import task_rows
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
@@ -23,7 +22,8 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.simulator.sweeps import machine_of, simulate_um, vector_at
+from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.study.paper_week import driven_error
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
@@ -183,19 +183,13 @@ def _machine_peaks(
     cell: Cell, truth: Truth, held: Sequence[tuple[float, Estimate]], goal: Goal, times: Floats, seed: int
 ) -> Floats:
     """As `task_peaks` of the goal's first task, driven on the machine with compensation, shape (t,)."""
-    machine, begins = machine_of(cell, truth, seed), np.array([time for time, _ in held])
-    number = np.searchsorted(begins, times + 1e-9) - 1
-    peaks = np.zeros(len(times))
-    for i in np.unique(number):
-        estimate = held[i][1]
-        path = find_task(cell, estimate.vector(), goal.tasks[0], radius=goal.radius_um, n_points=PATH_POINTS)
-        task = compensated(estimate, path.driven())
-        model = CavityModel.of(cell, estimate.parameters)
-        wanted = model.predict(estimate.values, task_rows(model, task)) - (0.0 if task.added is None else task.added)
-        for at in np.flatnonzero(number == i):
-            now = replace(machine, vector=vector_at(cell, truth, float(times[at])))
-            peaks[at] = np.ptp(now.path(task.start, task.q, 0.0) - wanted)
-    return peaks
+    paths = [find_task(cell, e.vector(), goal.tasks[0], radius=goal.radius_um, n_points=PATH_POINTS) for _, e in held]
+    tasks = [compensated(estimate, path.driven()) for (_, estimate), path in zip(held, paths, strict=True)]
+    number = np.searchsorted([begin for begin, _ in held], times + 1e-9) - 1
+    errors = (
+        driven_error(cell, truth, tasks[i], held[i][1], float(t), seed) for i, t in zip(number, times, strict=True)
+    )
+    return np.array([np.ptp(error) for error in errors])
 
 
 class _Rig:

@@ -13,7 +13,6 @@ from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.known import numbered, random_poses
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
@@ -100,17 +99,6 @@ class MotionStates:
 
         Both at free parameters `values` (n,).
         """
-        noise, own, felt = self._columns(model, sweeps, values)
-        return MarginalWhitening.around(noise, own), felt
-
-    def single_rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[Floats, Floats]:
-        """Variance of the rows of a plan, each driven by itself, in um^2, and their derivatives, as in `rows`."""
-        at_once = replace(sweeps, t_start_h=np.zeros(len(sweeps)), t_end_h=np.zeros(len(sweeps)))
-        noise, own, felt = self._columns(model, at_once, values)
-        return noise.variance + (own**2).sum(axis=1), felt
-
-    def _columns(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[Whitening, Floats, Floats]:
-        """Of rows: whitening of their noise, columns of what is their own, derivatives by the states."""
         drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
         made = design(self.terms, model.vector(values), drive, sweeps.sigma)
         n = made.motion_count
@@ -118,7 +106,7 @@ class MotionStates:
         felt = shared @ self.directions
         own = made.matrix[:, n:] * self.factors[made.scale[n:]]
         noise = RowNoise.of(sweeps, made).whitening(float(self.factors[-1]), float(self.factors[-2]))
-        return noise, np.hstack([own, shared - felt @ self.directions.T]), felt
+        return MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
 
     def path(
         self, vector: Floats, mean: Floats, task: Task, n_draws: int, compensate: bool

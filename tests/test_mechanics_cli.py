@@ -21,6 +21,8 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.model.mechanics.errors import known_task_errors
+from fpcal_bayes.motion.compensation import compensated
+from fpcal_bayes.motion.controller import Controller
 from fpcal_bayes.motion.tasks import task_path
 
 CELL = load_cell()
@@ -202,3 +204,24 @@ def test_times_and_approach_are_read_and_written(tmp_path, folder):
     ):
         with pytest.raises(InputError, match=word.replace("+", r"\+")):
             write_csv(tmp_path / "bad.csv", replace(full, **change), CELL)
+
+
+def test_a_controller_makes_up_by_the_way_that_it_comes(folder):
+    estimate = read_estimate(folder / "mid.json", CELL)
+    task = task_path(CELL, estimate.vector(), "tilt-x", n_points=9)
+    better = compensated(estimate, task)
+    assert better.added is not None
+    there = Controller(estimate, task.start)
+    np.testing.assert_allclose(there.joints(task.poses).q, better.q, atol=1e-9)
+    np.testing.assert_allclose(
+        Controller(estimate, task.start, compensate=False).joints(task.poses).q, task.q, atol=1e-9
+    )
+    # It stands where it was sent, as far as the geometry tells, however often it moves.
+    for pose in task.poses[:3]:
+        there.move_to(pose)
+        np.testing.assert_allclose(there.pose, pose, atol=1e-6)
+    # From the other side the joint along the beam makes up for its reversal the other way.
+    one, other = (Controller(estimate, task.q[i]).joints(task.poses[4]).q for i in (0, -1))
+    moved = np.flatnonzero(one != other)
+    assert moved.tolist() == [1]
+    assert 0 < abs(one[1] - other[1]) < 0.2

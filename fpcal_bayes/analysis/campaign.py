@@ -262,7 +262,7 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
     try:
         path = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=path_points(estimate))
-        task = compensated(estimate, path)
+        task = compensated(estimate, path) if goal.compensate else path
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
         return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance_um))
     except InputError as error:

@@ -14,9 +14,9 @@ import numpy as np
 from mechanics_coverage import MIXTURES, reachable, sheet_of
 
 from fpcal_bayes import InputError, identify, predict_from_covariance
-from fpcal_bayes.infer import PATH_POINTS, read_often
+from fpcal_bayes.infer import PATH_POINTS
 from fpcal_bayes.io import load_cell
-from fpcal_bayes.measure import drive_of_sweeps, protocol_by_name
+from fpcal_bayes.measure import drive_of_sweeps, protocol_by_name, read_often
 from fpcal_bayes.model import CavityModel
 from fpcal_bayes.motion import TASKS, Task, compensated, task_path
 from fpcal_bayes.simulator import Machine

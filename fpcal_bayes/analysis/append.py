@@ -11,7 +11,7 @@ from fpcal_bayes.io.tickets import read_ticket, write_ticket
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import check_measured, empty_ticket
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.tracking.sessions import check_sessions
+from fpcal_bayes.tracking.sessions import check_sessions, hours_at
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,14 @@ class Appended:
     n_sessions: int  # of the campaign now
 
 
-def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: str | Path | None = None) -> Appended:
+def append(
+    campaign: str | Path,
+    measured: str | Path,
+    cell: Cell,
+    *,
+    ticket: str | Path | None = None,
+    now: float | None = None,
+) -> Appended:
     """Add a measured session to a campaign and empty its ticket; nothing if the ticket asks for nothing.
 
     A session that is there already, under a ticket that was not emptied, is taken as done.
@@ -37,6 +44,8 @@ def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: st
         Sessions that the campaign does not hold yet, all later than its first.
     ticket
         What was to be measured.
+    now
+        Unix time, by default this machine's: sessions after it are refused.
 
     Raises
     ------
@@ -56,7 +65,7 @@ def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: st
 
     def check(joined: Sweeps) -> None:
         _refuse_again(sweeps, joined.take(np.arange(len(joined) - len(sweeps))))
-        check_sessions(joined)
+        check_sessions(joined, None if now is None else hours_at(now, joined))
 
     joined = append_sweeps(campaign, sweeps, cell, check)
     if ticket is not None:

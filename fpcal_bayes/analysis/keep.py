@@ -31,7 +31,12 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def follow_saved(
-    file: str | Path, cell: Cell, *, now: str | None = None, posterior: str | None = None, anew: bool = False
+    file: str | Path,
+    cell: Cell,
+    *,
+    now: str | float | None = None,
+    posterior: str | None = None,
+    anew: bool = False,
 ) -> Followed:
     """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
 
@@ -119,9 +124,9 @@ class Keeper:
             If the campaign cannot be read or followed.
         """
         cell, goal, outputs = self._cell, self._goal, self._outputs
-        followed = follow_saved(self._campaign, cell)
-        found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         moment = self._now()
+        followed = follow_saved(self._campaign, cell, now=moment)
+        found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
         if (sweeps.utc != "").any():
             now_h = max(found.last.time_h, hours_of(iso(moment), sweeps))

@@ -21,7 +21,8 @@ from fpcal_bayes.rig.settings import IDSDevice
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    cell, goal = cell_of(options), goal_of(options)
+    cell = cell_of(options)
+    goal = goal_of(options, cell)
     check_flat(options.flat)
     clock = Clock()
     if options.rig is not None:
@@ -48,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
             write_campaign_report(options.campaign, cell, options.report, goal=goal, now=f"{found.now_h:.6f}")
         teller.tell(found)
         if options.rig is not None and found.ticket.plan is not None:
-            _measure(options, cell, found)
+            _measure(options, cell, found, clock)
 
     if options.once:
         take_in(False)
@@ -56,11 +57,11 @@ def run(options: argparse.Namespace) -> int:
     often = clock.wall(60.0 * options.every_min)
     try:
         watch(options.campaign, options.look_s, take_in, lambda text: warn([text]), at_least=often)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         return 0
 
 
-def _measure(options: argparse.Namespace, cell: Cell, found: Round) -> None:
+def _measure(options: argparse.Namespace, cell: Cell, found: Round, clock: Clock) -> None:
     """Drive the ticket and hand over what was measured."""
     assert found.ticket.plan is not None
     name = "".join(
@@ -72,7 +73,7 @@ def _measure(options: argparse.Namespace, cell: Cell, found: Round) -> None:
     status = measure.run(argparse.Namespace(**vars(options) | words | {"ticket": str(options.ticket)}))
     if status != 0:
         raise InputError(f"{session}: the ticket is not measured to its end")
-    append(campaign, session, cell, ticket=options.ticket)
+    append(campaign, session, cell, ticket=options.ticket, now=clock.now())
 
 
 class _Teller:

@@ -157,7 +157,7 @@ def _guarded() -> Iterator[_Terminal]:
     """Output that never ends a command, and requests to end that do what Ctrl-C does; gives the standard output."""
 
     def interrupt(number: int, _: Any) -> NoReturn:
-        raise KeyboardInterrupt(number)
+        raise SystemExit(128 + number)
 
     for number in range(3):
         try:
@@ -196,9 +196,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _guarded() as out:
         try:
             status = _run(words, alone=arguments is None)
-        except KeyboardInterrupt as interruption:
+        except (KeyboardInterrupt, SystemExit) as ended:
+            status = 130 if isinstance(ended, KeyboardInterrupt) else int(ended.code or 0)
+            if status < 128:
+                raise
             print("fpcal: interrupted", file=sys.stderr)
-            status = 128 + next(iter(interruption.args), signal.SIGINT)
         except InputError as error:
             print(f"fpcal: error: {error}", file=sys.stderr)
             status = 2

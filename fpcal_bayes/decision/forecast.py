@@ -48,7 +48,7 @@ class Goal:
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
     radius_um
-        Radius of the circle.
+        Radius of the circle; by default as far as the cell's limits let it be (`default_radius`).
     compensate
         Whether the controller makes up for the error motions that it knows of, where that gains.
 
@@ -61,7 +61,7 @@ class Goal:
     tolerance_nm: float
     tasks: tuple[str, ...] = ("circle",)
     level: float = 0.1
-    radius_um: float = 100.0
+    radius_um: float | None = None
     compensate: bool = True
 
     def __post_init__(self) -> None:

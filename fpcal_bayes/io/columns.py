@@ -177,6 +177,11 @@ def get_columns(reader: Reader, group: Any, cell: Cell, *, plan: bool) -> dict[s
     joint = joint_columns(cell)[0]
     expected = len(table[joint])
     for name, values in table.items():
+        stated, unit = group[name].attrs.get("unit"), name.rpartition("_")[2]
+        if stated is not None and unit in _UNITS and reader.text_attribute(group[name], "unit") != unit:
+            raise InputError(
+                f"{reader.path}: {group.name}/{name}: expected the unit {unit}, found {str(stated)[:20]!r}"
+            )
         if len(values) != expected:
             where = f"{reader.path}: {group.name}/{name}"
             raise InputError(f"{where}: expected {expected} values as in {joint}, found {len(values)}")

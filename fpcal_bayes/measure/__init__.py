@@ -6,6 +6,7 @@ from fpcal_bayes.core.lazy import lazy
 _PLACES = {
     "PROTOCOLS": "protocol",
     "Sweeps": "sweeps",
+    "Trace": "traces",
     "TraceIndex": "recordings",
     "Truth": "truth",
     "drive_of_sweeps": "drive",
@@ -14,6 +15,7 @@ _PLACES = {
     "paper_truth": "truth",
     "protocol_by_name": "protocol",
     "read_often": "protocol",
+    "single_sweep": "protocol",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -27,16 +27,16 @@ def fit_lines(result: Identification, *, timed: bool = True) -> list[str]:
     """What a reader of an identification needs to know about the fit; `timed` adds how long it took."""
     fit = result.fit
     state = "converged" if result.converged else "NOT CONVERGED"
-    unseen = ", ".join(result.undetermined) if result.spectrum.rank < len(result.free) else ""
     rows = len(result.problem.sweeps)
     lines = [
         f"fit: {state}, sum of squares {plain(result.solution.sum_of_squares, 2)} over {rows} rows "
         f"and the prior; chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} "
         f"(p = {fit.p_value:.2g})",
-        f"rank: {result.spectrum.rank} of {len(result.free)} combinations of the free parameters are seen by the data"
-        + (f"; along the others the estimate is the prior: {unseen}" if unseen else ""),
+        f"rank: {result.spectrum.rank} of {len(result.free)} combinations of the free parameters are seen by the data",
         "largest residuals: " + ", ".join(f"{label} {value:+.3g} sd" for label, value in result.largest_residuals()),
     ]
+    if result.undetermined:
+        lines.insert(2, f"along the others the estimate is the prior: {', '.join(result.undetermined)}")
     unsigned = int((~result.problem.sweeps.signed).sum())
     if unsigned:
         lines.append(f"signs: {unsigned} decided with the fit, {len(result.doubtful_signs)} of them doubtful")

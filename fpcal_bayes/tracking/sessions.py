@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
-from fpcal_bayes.core.times import clock, read_time
+from fpcal_bayes.core.times import clock, iso, read_time
 from fpcal_bayes.measure.sweeps import Sweeps, join, repeated_rows
 
 #: How far a clock may be ahead of this machine's.
@@ -79,6 +79,11 @@ def hours_of(text: str, sweeps: Sweeps) -> float:
     if not len(row):
         raise InputError(f"{sweeps.file}: no row carries utc: expected the time {text[:40]!r} in hours")
     return float(sweeps.time_h[row[0]]) + (wanted - clock(str(sweeps.utc[row[0]]))).total_seconds() / 3600.0
+
+
+def hours_at(moment: float, sweeps: Sweeps) -> float | None:
+    """A Unix time in hours since the campaign began; None where no row carries a clock time."""
+    return hours_of(iso(moment), sweeps) if (sweeps.utc != "").any() else None
 
 
 def hours_now(sweeps: Sweeps, otherwise: float) -> float:

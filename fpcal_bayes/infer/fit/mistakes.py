@@ -27,7 +27,7 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason
 RIVAL_EXCESS = 9.2
 #: Steps of the first look at a mistake, and how far above a fit that it is worth a second one its sum may still stand.
 _FEW_STEPS, _WORTH = 20, 100.0
-_LOOKED_AT = 6
+_LOOKED_AT = 10
 #: A mistake that leaves less than this share of a poor sum of squares is named, even where the rest is not good.
 _MENDS = 0.05
 #: Factors that mend numbers in another unit than um and deg.
@@ -60,6 +60,7 @@ class Mended:
     """How the rows fit once a mistake is mended."""
 
     name: str
+    joints: int  # how many it speaks of; the fewer, the likelier
     sum_of_squares: float
     p_value: float
 
@@ -88,12 +89,12 @@ def mend(problem: Problem, solution: Solution, worst: Floats) -> list[Mended]:
         if total < _MENDS * before + _WORTH * len(sweeps):
             other = _problem(problem, one.sweeps)
             best = minimise(other, np.zeros(other.n_unknowns)).sum_of_squares
-            found.append(Mended(one.name, best, chi2_tail(best, len(sweeps))))
+            found.append(Mended(one.name, len(one.joints), best, chi2_tail(best, len(sweeps))))
     # Rows that are squeezed together fit anything: what fits far too well comes last.
     found.sort(key=lambda one: (one.p_value > 1.0 - 1e-9, one.sum_of_squares))
     good = [one for one in found if one.p_value >= POOR_FIT_BELOW or one.sum_of_squares < _MENDS * before]
     near = good[0].sum_of_squares * 1.2 + 10.0 if good else 0.0
-    return [one for one in good if one.sum_of_squares < near]
+    return sorted((one for one in good if one.sum_of_squares < near), key=lambda one: one.joints)
 
 
 def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
@@ -108,9 +109,11 @@ def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
     def posed(matrix: Floats) -> Sweeps:
         return replace(sweeps, q_start=sweeps.q_start @ matrix, q_end=sweeps.q_end @ matrix)
 
+    sides = side_sets(cell)
     for axes in axis_sets(cell, moved):
         verb = "counts" if len(axes) == 1 else "count"
         name = f"{_listed([names[j] for j in axes])} {verb} the other way"
+        name += ", that is, the fibre stands on the other side" * (frozenset(axes) in sides)
         yield Mistake(name, posed(np.diag([-1.0 if j in axes else 1.0 for j in range(n)])), axes)
     found = []
     for i, j in combinations(range(n), 2):
@@ -170,6 +173,16 @@ def mirror_sets(cell: Cell) -> list[tuple[int, ...]]:
             found.add(frozenset(np.flatnonzero((along > 0.5) != cell.revolute).tolist()))
     found |= {one ^ other for one in found for other in found}
     return sorted(tuple(sorted(one)) for one in found if one)
+
+
+def side_sets(cell: Cell) -> set[frozenset[int]]:
+    """Sets of axes that are negated where the fibre, or its mirror image, stands on the other side of the mirror."""
+    vector = cell.parameters.nominal
+    directions, _ = joint_axes(cell, vector, home(cell))
+    along = np.abs(directions @ np.asarray(optical_axis(cell, vector), dtype=float)) > 0.5
+    # A reflection in a plane across the beam.
+    flipped = frozenset(np.flatnonzero(along != cell.revolute).tolist())
+    return {flipped, *(flipped.symmetric_difference(one) for one in mirror_sets(cell))}
 
 
 def second_solution(names: Sequence[str], solution: Solution, others: Sequence[Solution]) -> list[Reason]:

@@ -65,6 +65,7 @@ def add_goal(parser: argparse.ArgumentParser) -> None:
         "--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)"
     )
     parser.add_argument("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
+    add_compensation(parser)
 
 
 def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
@@ -78,6 +79,15 @@ def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None
     parser.add_argument(
         "--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)"
     )
+    add_compensation(parser)
+
+
+def add_compensation(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--no-compensation``."""
+    parser.add_argument(
+        "--no-compensation", dest="compensate", action="store_false", help="drive as the geometry alone says (default: "
+        "make up for the error motions that are known, where that gains)"
+    )  # fmt: skip
 
 
 def positive(text: str) -> float:

@@ -65,7 +65,8 @@ Sessions may stand in any order; one that arrives late takes its place. In an HD
 the next run takes in what is new; a CSV is never changed.
 
 Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
-widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
+widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due);
+mechanics-moved (the error motions of its joints changed: the same). With mechanics the error motions are followed too.
 
 ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
 session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
@@ -254,7 +255,8 @@ def report(commands: Commands) -> None:
 _WEEK = """\
 The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
 protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
-same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm.
+same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm
+(a machine that cannot meet that: one and a half times the least that it can).
 
 Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
 policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     if options.commission == (options.n is not None or options.reach is not None):
-        raise InputError("expected one of --n N, --reach TASK=NM,.. and --commission")
+        raise InputError("expected --n N or --reach TASK=NM,.., or --commission alone")
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)

@@ -16,7 +16,7 @@ from fpcal_bayes.io.truth import read_truth, write_truth
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
             else protocol_by_name(protocol, cell)
         )
         plan = plan if options.signs is None else mark_signs(plan, options.signs)
-    truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
+    truth = default_truth(cell, options.seed) if options.truth is None else read_truth(options.truth, cell)
     if plan is None:
         return _record_path(options, cell, truth)
     require_drivable(cell, truth, plan)

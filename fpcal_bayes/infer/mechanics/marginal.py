@@ -90,6 +90,11 @@ class MarginalWhitening(Whitening):
         return False
 
     @property
+    def log_volume(self) -> float:
+        """See `Whitening`."""
+        return super().log_volume + float(np.log1p(-self.shrink).sum())
+
+    @property
     def variance(self) -> Floats:
         """Variance of each row in um^2, shape (n_rows,)."""
         return super().variance + self.added

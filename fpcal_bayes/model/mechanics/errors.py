@@ -45,7 +45,7 @@ class MechanicsTaskErrors:
 
 
 def known_task_errors(
-    estimate: Estimate, start: Floats, q: Floats, *, draws: int = 10_000, seed: int = 0
+    estimate: Estimate, start: Floats, q: Floats, *, added: Floats | None = None, draws: int = 10_000, seed: int = 0
 ) -> tuple[MechanicsTaskErrors, Floats, dict[str, Floats]]:
     """Draw the error along a path with what an estimate knows of geometry and error motions.
 
@@ -53,6 +53,9 @@ def known_task_errors(
     ----------
     start, q
         The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints).
+    added
+        What `q` adds on purpose to the change of cavity length that is wanted (see `compensated_path`), shape
+        (n_points,).
 
     Returns
     -------
@@ -88,6 +91,8 @@ def known_task_errors(
     parts |= approached(terms, path, log_scales, rng) | encoder_errors(terms, path, log_scales, rng)
     if drifting.any():
         parts["drift"] = drifted(terms, path, weights[:, drifting], knowledge.session_min, rng)
+    if added is not None:
+        parts["compensation"] = np.repeat(added[None], draws, axis=0)
     repeatable = np.sum(list(parts.values()), axis=0)
     returned = returned_errors(terms, path, log_scales, rng)
     made = MechanicsTaskErrors(repeatable, np.sum([np.zeros_like(repeatable), *returned.values()], axis=0))

@@ -49,11 +49,22 @@ class Ingested:
 def ingest(
     index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
 ) -> Ingested:
-    """Read recorded traces.
+    """Read recorded traces; `InputError` if none can be used.
 
     index: sweeps, their traces and scans.
     estimate: of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
     """
+    found = read_index(index, cell, estimate=estimate, settings=settings)
+    if not len(found.sweeps):
+        label, reason = found.doubtful.label[0], found.doubtful.reason[0]
+        raise InputError(f"{index.sweeps.file}: no sweep can be used; {label}: {reason}")
+    return found
+
+
+def read_index(
+    index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
+) -> Ingested:
+    """As `ingest`, doubtful traces alone included."""
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
     reader = _IndexReader(index, cell, settings)

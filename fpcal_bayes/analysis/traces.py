@@ -40,7 +40,9 @@ def identify_traces(
     of = index.sweeps.of_session(session).sessions[0]
     index = index.take(np.flatnonzero((index.sweeps.session == of) & (index.sweeps.kind == "sweep")))
     found = ingest(index, cell, settings=IngestSettings(points=1))
-    follows = np.array([r is not None and r.good and not (r.uneven or r.set_out > -1.0) for r in found.readings])
+    # A trace of less than a fringe has no dL of its own, but its samples tell as much as others.
+    told = [r is not None and (r.good or r.fringes < 1.0) and not (r.uneven or r.late) for r in found.readings]
+    follows = np.array(told)
     if not follows.any():
         raise InputError(f"{index.sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
     start = identify(cell, found.sweeps, free=free, prior=prior).estimate
@@ -100,13 +102,14 @@ class FittedSweep:
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
         time = np.interp(s, samples.s[order], samples.time[order])
-        lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, s)
-        turned = fit.phase(s, phase_per_um) / (2.0 * np.pi)
+        there, places = np.maximum(s, reading.set_out), np.maximum(samples.s, reading.set_out)
+        lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, there)
+        turned = fit.phase(there, phase_per_um) / (2.0 * np.pi)
         return cls(
             s=s,
-            signal=fit.signal(s, time, phase_per_um),
+            signal=fit.signal(there, time, phase_per_um),
             lengths=lengths - lengths[0],
             tops=np.flatnonzero(np.diff(np.floor(turned)) != 0),
-            residual=samples.signal - fit.signal(samples.s, samples.time, phase_per_um),
+            residual=samples.signal - fit.signal(places, samples.time, phase_per_um),
             noise=fit.noise,
         )

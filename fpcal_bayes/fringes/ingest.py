@@ -56,8 +56,11 @@ def ingest(
     """
     found = read_index(index, cell, estimate=estimate, settings=settings)
     if not len(found.sweeps):
-        label, reason = found.doubtful.label[0], found.doubtful.reason[0]
-        raise InputError(f"{index.sweeps.file}: no sweep can be used; {label}: {reason}")
+        reasons: dict[str, list[str]] = {}
+        for label, why in zip(found.doubtful.label.tolist(), found.doubtful.reason.tolist(), strict=True):
+            reasons.setdefault(why, []).append(label)
+        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
+        raise InputError(f"{index.sweeps.file}: no sweep can be used; {told}")
     return found
 
 
@@ -92,14 +95,9 @@ def read_index(
             parts.append(absolute_rows(sweeps, i, before[i], after[i]))
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
-    if not parts:
-        reasons: dict[str, list[str]] = {}
-        for label, why in zip(doubtful.label.tolist(), doubtful.reason.tolist(), strict=True):
-            reasons.setdefault(why, []).append(label)
-        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
-        raise InputError(f"{sweeps.file}: no sweep can be used; {told}")
-    rows = join(parts, sweeps.file)
-    check_sweeps(rows, cell)
+    rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
+    if parts:
+        check_sweeps(rows, cell)
     return Ingested(
         sweeps=rows,
         doubtful=doubtful,

@@ -213,7 +213,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
     density, least = _density(each.samples, fit.profile, each.phase_per_um)
     known = Reading(
         label=each.label,
-        fringes=fringes,
+        fringes=fringes - (late + missing) * each.phase_per_um / (2.0 * np.pi),
         samples_a_fringe=density,
         noise=fit.noise,
         amplitude=fit.amplitude,

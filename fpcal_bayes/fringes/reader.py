@@ -116,9 +116,16 @@ def _followed(
         found = smooth
     if found is None:
         return None
-    # What is left beyond noise counts as slow noise.
-    slow = max(1.0, found.errors.excess) ** 0.5
-    return replace(found, solution=rescaled(found.solution, slow * found.solution.best.noise))
+    # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
+    errors, solution = (
+        found.errors,
+        rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
+    )
+    if errors.probability < UNLIKELY:
+        off = max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+        wide = [replace(fit, ends_variance=fit.ends_variance + 2.0 * off) for fit in solution.fits]
+        solution = replace(solution, fits=tuple(wide))
+    return replace(found, solution=solution)
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:

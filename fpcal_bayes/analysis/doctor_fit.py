@@ -8,11 +8,13 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.infer.design.commission import LABEL
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.fit.mistakes import mend
+from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.axes import direction_words, home, joint_axes, sight
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.tracking.tracker import track
@@ -105,11 +107,49 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
             )  # fmt: skip
         elif reason.kind == "residuals":
             yield Finding("doubt", "residuals", name, reason.text, _residual_remedy(reason.text))
+    if str(used.label[-1]).startswith(LABEL):
+        yield from _commissioned(cell, name, found)
     if "too-good-fit" in reasons:
         yield Finding(
             "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says: {reasons['too-good-fit']}",
             "check the unit of sigma_um; what readings show that are repeated without any motion is its size",
         )  # fmt: skip
+
+
+def _commissioned(cell: Cell, name: str, found: Identification) -> Iterator[Finding]:
+    """What the sweeps of a commissioning tell of the axes, and what they cannot tell."""
+    rivals = mend(found.problem, found.solution, found.fit.standardised)
+    alike = [one.name for one in rivals if one.sum_of_squares < found.solution.sum_of_squares + RIVAL_EXCESS]
+    if alike:
+        yield Finding(
+            "doubt", "not told apart", name, f"the rows fit as well if {', or '.join(alike[:3])}",
+            "repeat the sweeps with larger moves, or with a smaller sigma_um",
+        )  # fmt: skip
+    vector = found.estimate.vector()
+    seen = sight(cell, vector, home(cell))
+    yield Finding(
+        "note", "commissioned", name,
+        "signs, order and scales of the axes, and the side of the fibre, are as the cell says; at joint zero the "
+        f"mirror stands {np.degrees(seen.tilt):.2g} deg off the light",
+        "nothing, if that is where joint zero is meant to be",
+    )  # fmt: skip
+    images = [set(one) for one in mirror_sets(cell)]
+    if not images or cell.handedness_checked:
+        return
+    sets = " or ".join("{" + ", ".join(f"q{j + 1}" for j in sorted(one)) + "}" for one in images)
+    directions, _ = joint_axes(cell, cell.parameters.nominal, home(cell))
+    looks, left = [], images
+    while left:
+        # The joint that most of the images turn round.
+        joint = max(range(len(cell.joints)), key=lambda j: (sum(j in one for one in left), not cell.revolute[j]))
+        verb = "turns about" if cell.revolute[joint] else "moves along"
+        looks.append(f"q{joint + 1} {verb} {direction_words(directions[joint])}")
+        left = [one for one in left if joint not in one]
+    yield Finding(
+        "doubt", "handedness", name,
+        f"with {sets} counted the other way every length is the same: none tells the cell from its mirror images",
+        f"move and look: {', '.join(looks)}? If so, write handedness_checked = true into the cell; else mend the signs",
+    )  # fmt: skip
 
 
 def _residual_remedy(text: str) -> str:

@@ -22,7 +22,7 @@ from fpcal_bayes.tracking.sessions import hours_now
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps

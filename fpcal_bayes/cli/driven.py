@@ -13,11 +13,18 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.kernels.compile import needs_compilation
 from fpcal_bayes.model.kernels.inverse import batch_inverse
+from fpcal_bayes.motion.tasks import possible_tasks
+
+#: Largest peak to peak in nm that is asked for where neither the command nor the task says another.
+_TOLERANCE_NM = 50.0
 
 
-def goal_of(options: argparse.Namespace) -> Goal:
-    """The goal that the options name."""
-    tasks = tuple(dict.fromkeys(options.task or ["circle"]))
+def goal_of(options: argparse.Namespace, cell: Cell) -> Goal:
+    """The goal that the options name; a task of the cell's own brings its tolerance, and the smallest counts."""
+    tasks = tuple(dict.fromkeys(options.task or possible_tasks(cell, ("circle",)) or possible_tasks(cell)[:1]))
+    own = {task.name: 1e3 * task.tolerances["beam"] for task in cell.tasks if "beam" in task.tolerances}
+    if options.tolerance_nm is None:
+        options.tolerance_nm = min(own.get(name, _TOLERANCE_NM) for name in tasks) if tasks else _TOLERANCE_NM
     return Goal(options.tolerance_nm, tasks, options.level, options.radius_um)
 
 

@@ -21,7 +21,8 @@ from fpcal_bayes.rig.settings import IDSDevice
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    cell, goal = cell_of(options), goal_of(options)
+    cell = cell_of(options)
+    goal = goal_of(options, cell)
     check_flat(options.flat)
     clock = Clock()
     if options.rig is not None:
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     often = clock.wall(60.0 * options.every_min)
     try:
         watch(options.campaign, options.look_s, take_in, lambda text: warn([text]), at_least=often)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         return 0
 
 

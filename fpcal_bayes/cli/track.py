@@ -21,7 +21,8 @@ from fpcal_bayes.tracking.tracker import Track
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    cell, goal = cell_of(options), goal_of(options)
+    cell = cell_of(options)
+    goal = goal_of(options, cell)
     if options.watch is None:
         return _take_in(options, cell, goal)
     status = 0

@@ -108,11 +108,21 @@ def load_cell(
     return cell if opd is None else cell.with_opd(opd)
 
 
+#: Whether somebody has looked which way the axes go.
+_CHECKED = "handedness_checked"
+
+
 class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task"})
+        self.keys(
+            table,
+            "",
+            {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task", "handedness_checked"},
+        )
+        if not isinstance(table.get(_CHECKED, False), bool):
+            raise self.error(_CHECKED, f"expected true or false, found {literal(table[_CHECKED])}")
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -151,6 +161,7 @@ class _Reader(Tables):
             wavelength=wavelength,
             opd=opd,
             optical_axis=optical_axis,
+            handedness_checked=table.get(_CHECKED, False),
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
             mechanics=self.mechanics(table, joint_tables, joints),

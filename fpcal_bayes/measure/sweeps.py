@@ -12,6 +12,7 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell, check_joints
+from fpcal_bayes.model.envelope import behind_the_fibre
 
 Texts = NDArray[np.str_]
 
@@ -251,6 +252,10 @@ def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") 
     )
 
 
+#: Absolute lengths that say where the fibre stands.
+_SCANS = 100
+
+
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     """Hold sweeps to the rules that no single field shows."""
     if len(sweeps) == 0:
@@ -285,6 +290,19 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     refuse(
         bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}"
     )
+
+    # Rows that no cell gives. Lengths tell nothing of it: on the perpendicular path they are sizes.
+    known = np.flatnonzero(sweeps.absolute & (sweeps.dl > 0) & np.isfinite(sweeps.sigma))[:_SCANS]
+    starts = np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start)
+    poses = np.vstack([starts, sweeps.q_end])
+    behind, lengths = behind_the_fibre(cell, poses, (sweeps.q_end[known], sweeps.dl[known], sweeps.sigma[known]))
+    if behind.any():
+        worst = int(np.argmax(behind))
+        what = (
+            f"the mirror stands behind the fibre (L = {lengths[worst]:.4g} um expected): no cell gives such a row; "
+            "check sign, unit and zero of the joints, and the gap of the cell"
+        )
+        raise located(sweeps.file, what, row=int(sweeps.rows[worst % len(sweeps)]))
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str], int] = {}

@@ -3,7 +3,17 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import (
+    RADIUS_HELP,
+    Commands,
+    Folder,
+    add_command,
+    add_goal,
+    add_json,
+    count,
+    positive,
+    seed,
+)
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -14,6 +24,10 @@ Without an estimate the plan is averaged over draws of the prior, so that it is 
 --reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
 task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
 --after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
+
+--commission writes small safe moves around joint zero for a new cell: once they are measured, fpcal doctor says which
+axis counts the other way, is swapped with another, or stands in another unit, and what to look at: lengths cannot tell
+the cell from its mirror images.
 
 SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
 readings of each as rows of one group, for other programs.
@@ -28,8 +42,9 @@ def plan(commands: Commands) -> None:
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    add("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
     add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")

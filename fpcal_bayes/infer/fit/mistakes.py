@@ -27,7 +27,7 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason
 RIVAL_EXCESS = 9.2
 #: Steps of the first look at a mistake, and how far above a fit that it is worth a second one its sum may still stand.
 _FEW_STEPS, _WORTH = 20, 100.0
-_LOOKED_AT = 6
+_LOOKED_AT = 10
 #: A mistake that leaves less than this share of a poor sum of squares is named, even where the rest is not good.
 _MENDS = 0.05
 #: Factors that mend numbers in another unit than um and deg.
@@ -109,9 +109,11 @@ def mistakes(cell: Cell, sweeps: Sweeps) -> Iterator[Mistake]:
     def posed(matrix: Floats) -> Sweeps:
         return replace(sweeps, q_start=sweeps.q_start @ matrix, q_end=sweeps.q_end @ matrix)
 
+    sides = side_sets(cell)
     for axes in axis_sets(cell, moved):
         verb = "counts" if len(axes) == 1 else "count"
         name = f"{_listed([names[j] for j in axes])} {verb} the other way"
+        name += ", that is, the fibre stands on the other side" * (frozenset(axes) in sides)
         yield Mistake(name, posed(np.diag([-1.0 if j in axes else 1.0 for j in range(n)])), axes)
     found = []
     for i, j in combinations(range(n), 2):
@@ -171,6 +173,16 @@ def mirror_sets(cell: Cell) -> list[tuple[int, ...]]:
             found.add(frozenset(np.flatnonzero((along > 0.5) != cell.revolute).tolist()))
     found |= {one ^ other for one in found for other in found}
     return sorted(tuple(sorted(one)) for one in found if one)
+
+
+def side_sets(cell: Cell) -> set[frozenset[int]]:
+    """Sets of axes that are negated where the fibre, or its mirror image, stands on the other side of the mirror."""
+    vector = cell.parameters.nominal
+    directions, _ = joint_axes(cell, vector, home(cell))
+    along = np.abs(directions @ np.asarray(optical_axis(cell, vector), dtype=float)) > 0.5
+    # A reflection in a plane across the beam.
+    flipped = frozenset(np.flatnonzero(along != cell.revolute).tolist())
+    return {flipped, *(flipped.symmetric_difference(one) for one in mirror_sets(cell))}
 
 
 def second_solution(names: Sequence[str], solution: Solution, others: Sequence[Solution]) -> list[Reason]:

@@ -8,7 +8,9 @@ _PLACES = {
     "Forecaster": "forecast",
     "Goal": "forecast",
     "Policy": "policy",
+    "UnattainableError": "decision",
     "is_diagnosis": "diagnosis",
+    "run_policy": "closed_loop",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

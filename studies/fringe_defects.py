@@ -103,9 +103,10 @@ def main() -> None:
                     )
         scores, lost = np.array(scores), sum(refused.values())
         everything.append(scores)
+        share, far = lost / max(lost + len(scores), 1), int((np.abs(scores) > 6.0).sum())
         print(
-            f"{kind:13s} accepted {len(scores):5d}, refused {lost / max(lost + len(scores), 1):6.1%}, variance "
-            f"{np.mean(scores**2):.3f}, beyond six {int((np.abs(scores) > 6.0).sum())}, largest {np.abs(scores).max():.1f}",
+            f"{kind:13s} accepted {len(scores):5d}, refused {share:6.1%}, variance {np.mean(scores**2):.3f}, "
+            f"beyond six {far}, largest {np.abs(scores).max():.1f}",
             flush=True,
         )
         for why, count in sorted(refused.items(), key=lambda each: -each[1])[:4]:

@@ -62,7 +62,7 @@ TRIED = {
 #: These take an estimate for its geometry alone, and promise nothing from it.
 GEOMETRY = {("ingest", "estimate"), ("measure", "estimate"), ("cell", "file")}
 #: These take moves or rows as they are, and promise nothing from them.
-AS_THEY_ARE = {("export", "file"), ("append", "campaign")}
+AS_THEY_ARE = {("export", "file"), ("trace", "file"), ("append", "campaign")}
 #: Its rounds do what track and decide do, through the same functions; the estimate is its output.
 ROUNDS = {("keep", "campaign"), ("keep", "estimate")}
 #: These sample the posterior of an identification, whose trust theirs is; it takes minutes where the fit is poor.

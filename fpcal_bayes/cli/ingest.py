@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.core.files import file_sha256, make_folder, replacing
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
-    write_result(options.json, "ingest", _content(found, index, cell), Trust())
+    write_result(options.json, "ingest", recordings_content(found, index, cell), Trust())
     if alignment is not None:
         _write_alignment(options, alignment, index)
     _report(options, found, folder if drawn else None)
@@ -113,19 +114,22 @@ def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
     make_folder(folder)
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
     for i in drawn:
-        joint = moving_joint(index.sweeps, i)
-        start, end = (float(q[i, joint] / cell.joint_scales[joint]) for q in (index.sweeps.q_start, index.sweeps.q_end))
-        name = f"q{joint + 1} [{cell.joints[joint].unit}]"
-        reading, samples = found.readings[i], found.samples[i]
-        if reading is None or samples is None:
-            continue
-        figure = draw_sweep(reading, samples, start, end, name, reasons[i])
         with replacing(folder / f"{i + 1:04d}.png") as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
+            drawn_sweep(found, index, cell, i, reasons[i]).savefig(temporary, format="png", dpi=110)
     return len(drawn)
 
 
-def _content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
+def drawn_sweep(found: Ingested, index: TraceIndex, cell: Cell, i: int, reason: str) -> Figure:
+    """One sweep of an index, drawn with what is said of it."""
+    joint = moving_joint(index.sweeps, i)
+    start, end = (float(q[i, joint] / cell.joint_scales[joint]) for q in (index.sweeps.q_start, index.sweeps.q_end))
+    reading, samples = found.readings[i], found.samples[i]
+    if reading is None or samples is None:
+        raise ValueError(f"row {i} has no trace")
+    return draw_sweep(reading, samples, start, end, f"q{joint + 1} [{cell.joints[joint].unit}]", reason)
+
+
+def recordings_content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
     """The JSON: every recording, used or not."""
     sweeps = index.sweeps
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
@@ -153,6 +157,7 @@ def _content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
                 "alternatives_um": list(reading.alternatives),
                 "samples_per_fringe": _number(reading.samples_a_fringe),
                 "noise_v": _number(reading.noise),
+                "visibility": _number(reading.amplitude / float(index.traces[i].irradiance.mean())),
             }
         elif (scan := found.scans_after[i]) is not None:
             row |= {"dl_um": _number(scan.length), "sigma_um": _number(scan.sigma), "signed": 1}

@@ -25,6 +25,7 @@ _COMMANDS = (
     measure.cell,
     measure.simulate,
     measure.ingest,
+    measure.trace,
     measure.doctor,
     measure.observe,
     identify.identify,

@@ -25,7 +25,7 @@ from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fring
 _MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 2, 6, 200.0
 _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with the size in um of the first; sizes of the others fall as one over their number.
-_COURSES = ((10, 0.15), (20, 0.3), (40, 1.0))
+_COURSES = ((10, 0.15), (20, 0.3), (30, 0.6), (40, 1.0))
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
 _AVERAGED, _BINS = 0.4, 16
 #: Below this probability noise alone does not explain what a fit leaves.
@@ -239,7 +239,7 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
     begin = _demodulated(old, moved, base.phase_per_um)
     tried = []
     for degree, _ in _COURSES:
-        if len(moved) > 6 * degree:
+        if len(moved) > 5 * degree:
             prior = _loose(profile, degree)
             best = replace(fit(moved, None, prior, begin[:degree]), ends=old.ends, ends_variance=old.ends_variance)
             tried.append(replace(base, solution=FringeSolution((best,), moved), uneven=True))

@@ -49,11 +49,25 @@ class Ingested:
 def ingest(
     index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
 ) -> Ingested:
-    """Read recorded traces.
+    """Read recorded traces; `InputError` if none can be used.
 
     index: sweeps, their traces and scans.
     estimate: of the cell: it tells signs, and counts that a trace leaves open. It never changes a reading otherwise.
     """
+    found = read_index(index, cell, estimate=estimate, settings=settings)
+    if not len(found.sweeps):
+        reasons: dict[str, list[str]] = {}
+        for label, why in zip(found.doubtful.label.tolist(), found.doubtful.reason.tolist(), strict=True):
+            reasons.setdefault(why, []).append(label)
+        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
+        raise InputError(f"{index.sweeps.file}: no sweep can be used; {told}")
+    return found
+
+
+def read_index(
+    index: TraceIndex, cell: Cell, *, estimate: Estimate | None = None, settings: IngestSettings | None = None
+) -> Ingested:
+    """As `ingest`, doubtful traces alone included."""
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
     reader = _IndexReader(index, cell, settings)
@@ -81,14 +95,9 @@ def ingest(
             parts.append(absolute_rows(sweeps, i, before[i], after[i]))
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
-    if not parts:
-        reasons: dict[str, list[str]] = {}
-        for label, why in zip(doubtful.label.tolist(), doubtful.reason.tolist(), strict=True):
-            reasons.setdefault(why, []).append(label)
-        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
-        raise InputError(f"{sweeps.file}: no sweep can be used; {told}")
-    rows = join(parts, sweeps.file)
-    check_sweeps(rows, cell)
+    rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
+    if parts:
+        check_sweeps(rows, cell)
     return Ingested(
         sweeps=rows,
         doubtful=doubtful,

@@ -80,24 +80,25 @@ class PhaseErrors:
         Returns the slope in rad per unit of s and its standard deviation, those of all explanations averaged by how
         well they do (Schwarz's criterion), and the mean square of the scores that the best of them leaves.
         """
-        weight, line, felt = 1.0 / self.sd, legendre(self.s, 3), (1.0 + stretch * self.s) ** 2
+        s, line, felt = self.s, legendre(self.s, 3), (1.0 + stretch * self.s) ** 2
         # Either side of a hop may be the one that is told right; its own block is left out by a number of its own.
-        sides = [(at, side) for at in self.s[1:-1] for side in (self.s > at, self.s < at)]
-        hops = [np.column_stack([line[:, :2], felt * side, self.s == at]) for at, side in sides]
-        turns = np.pi * np.outer(_RIPPLES, self.s)
-        ripples = [np.column_stack([line[:, :2], felt * np.sin(turn), felt * np.cos(turn)]) for turn in turns]
-        found = []
-        for basis in (line[:, :2], *hops, *ripples, line[:, :3], line):
-            scaled = basis * weight[:, None]
-            covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12)
-            answer = covariance @ (scaled.T @ self.scores)
-            left = float(((self.scores - scaled @ answer) ** 2).sum())
-            found.append((left, answer[1], covariance[1, 1], basis.shape[1]))
-        left, slope, variance, count = np.array(found).T
-        rest = left / (len(self.s) - count)
-        factor = max(1.0, float(rest[np.argmin(left + count * np.log(len(self.s)))]))
+        sides = [(at, side) for at in s[1:-1] for side in (s > at, s < at)]
+        others = [np.array([felt * side, s == at]) for at, side in sides]
+        others += [felt * np.array([np.sin(turn), np.cos(turn)]) for turn in np.pi * np.outer(_RIPPLES, s)]
+        nothing = np.zeros_like(s)
+        beside = np.array([[nothing, nothing], *others, [line[:, 2], nothing], [line[:, 2], line[:, 3]]])
+        straight = np.broadcast_to(line[:, :2].T, (len(beside), 2, len(s)))
+        scaled = np.concatenate([straight, beside], axis=1) / self.sd
+        size = np.einsum("mij,mij->mi", scaled, scaled)
+        count = (size > 0.0).sum(axis=1)
+        gram = scaled @ scaled.transpose(0, 2, 1) + (1e-10 * size + (size == 0.0))[:, :, None] * np.eye(4)
+        covariance = np.linalg.inv(gram)
+        answer = (covariance @ (scaled @ self.scores)[..., None])[..., 0]
+        left = ((self.scores - np.einsum("mi,mij->mj", answer, scaled)) ** 2).sum(axis=1)
+        slope, variance, rest = answer[:, 1], covariance[:, 1, 1], left / (len(s) - count)
+        factor = max(1.0, float(rest[np.argmin(left + count * np.log(len(s)))]))
         # A line alone is as likely beforehand as this many times all its rivals together.
-        score = left / factor + count * np.log(len(self.s))
+        score = left / factor + count * np.log(len(s))
         score[1:] += 2.0 * np.log(_STRAIGHT * len(left))
         share = np.exp(-0.5 * (score - score.min()))
         share /= share.sum()

@@ -32,6 +32,8 @@ _ROUGH = 0.25
 _OFF_PHASE, _OFF_SQUARE = 0.3, 25.0
 #: Fringes that a mirror may stand still or go astray before the joint's position means nothing.
 _ASTRAY = 2.0
+#: An uneven course that runs back by this much more than its joint's, in um, may have been mirrored.
+_TURNED = 0.005
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
@@ -116,9 +118,16 @@ def _followed(
         found = smooth
     if found is None:
         return None
-    # What is left beyond noise counts as slow noise.
-    slow = max(1.0, found.errors.excess) ** 0.5
-    return replace(found, solution=rescaled(found.solution, slow * found.solution.best.noise))
+    # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
+    errors, solution = (
+        found.errors,
+        rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
+    )
+    if errors.probability < UNLIKELY:
+        off = max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+        wide = [replace(fit, ends_variance=fit.ends_variance + 2.0 * off) for fit in solution.fits]
+        solution = replace(solution, fits=tuple(wide))
+    return replace(found, solution=solution)
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:
@@ -213,7 +222,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
     density, least = _density(each.samples, fit.profile, each.phase_per_um)
     known = Reading(
         label=each.label,
-        fringes=fringes,
+        fringes=fringes - (late + missing) * each.phase_per_um / (2.0 * np.pi),
         samples_a_fringe=density,
         noise=fit.noise,
         amplitude=fit.amplitude,
@@ -271,6 +280,8 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
     if missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
+    if found.uneven and _turned_back(verdict.fit.profile, found) > _turned_back(each.profile.mean, found) + _TURNED:
+        return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
     for source in each.sign_sources:
         off = min(abs(verdict.fit.change[0] - source.dl), abs(verdict.fit.change[0] + source.dl))
         if source.sd < fringe / 8.0 and off > 6.0 * np.hypot(source.sd, sd) + _UNEVEN * found.uneven + late:
@@ -279,6 +290,12 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
                 "has moved"
             )
     return ""
+
+
+def _turned_back(profile: Floats, found: Followed) -> float:
+    """How far L runs against its own change along a sweep, in um."""
+    lengths = lengths_at(profile, np.linspace(*found.solution.best.ends, 1025))
+    return float(np.abs(np.diff(lengths)).sum() - abs(lengths[-1] - lengths[0])) / 2.0
 
 
 def _turns(fit: Fit) -> Floats:

@@ -37,6 +37,15 @@ class TraceIndex:
     def __len__(self) -> int:
         return len(self.sweeps)
 
+    def take(self, rows: NDArray[np.int64]) -> "TraceIndex":
+        """Some rows."""
+        numbers = (self.wavelength, self.temperature_c, self.pressure_hpa, self.humidity_pct)
+        wavelength, temperature_c, pressure_hpa, humidity_pct = (each[rows] for each in numbers)
+        before, after = ([each[i] for i in rows] for each in (self.scans_before, self.scans_after))
+        traces = [self.traces[i] for i in rows]
+        sweeps = self.sweeps.take(rows)
+        return TraceIndex(sweeps, wavelength, temperature_c, pressure_hpa, humidity_pct, traces, before, after)
+
     def __repr__(self) -> str:
         return f"TraceIndex({len(self)} rows, {sum(map(len, self.traces))} samples)"
 

@@ -1,5 +1,6 @@
 """A doubtful sweep drawn: its trace, the fringes found, where L turns, and what the fit leaves."""
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -43,6 +44,9 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
 
     profile.plot(along, fitted.lengths, color=BLUE, linewidth=1.2)
     profile.set_ylabel("L - L(start) [um]")
+    fringe = 2.0 * np.pi / reading.phase_per_um
+    beside = profile.secondary_yaxis("right", functions=(lambda x: x / fringe, lambda x: x * fringe))
+    beside.set_ylabel("phase [fringes]")
     for other in reading.alternatives:
         profile.axhline(other, color=VERMILION, linestyle=":", linewidth=1.0)
     if reading.alternatives:
@@ -60,6 +64,9 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
         axis.grid(alpha=0.3)
     if reading.turns:
         trace.plot([], [], color=VERMILION, label="L turns")
+    if reading.set_out > -1.0:
+        place = (start + end) / 2.0 + reading.set_out * (end - start) / 2.0
+        trace.axvspan(start, place, color=VERMILION, alpha=0.15, linewidth=0, label="the mirror stands still")
     trace.legend(loc="upper right", fontsize=7, ncols=4)
     return figure
 

@@ -34,6 +34,11 @@ def identify(commands: Commands) -> None:
     add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
     add_prior(parser)
     add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
+    add(
+        "--traces",
+        action="store_true",
+        help="fit every sample of recorded traces (FILE: what fpcal ingest reads or made)",
+    )
     add_json(parser)
 
 

@@ -114,6 +114,22 @@ def ingest(commands: Commands) -> None:
     add_json(parser)
 
 
+_TRACE = """\
+One row per sweep: dL, fringes, visibility, noise, where L turns, how far the joint moved before the mirror did (in its
+unit). The figure shows the first doubtful sweep, else the first: signal and fit, fringes found, phase,
+residual, reversals, lost motion. FILE is what fpcal ingest reads, or a campaign that it made.
+"""
+
+
+def trace(commands: Commands) -> None:
+    """Add ``fpcal trace``."""
+    parser = add_command(commands, "trace", "look at recorded irradiance", _TRACE)
+    parser.add_argument("file", metavar="FILE", help="recorded sweeps: CSV, HDF5 or MATLAB file")
+    parser.add_argument("--label", metavar="NAME", help="this sweep alone")
+    parser.add_argument("--figure", metavar="OUT", type=Path, help="draw a sweep: .svg or .png")
+    add_json(parser)
+
+
 _DOCTOR = """\
 problem: results are wrong or cannot be had; doubt: they may be; note: good to know. Each finding comes with what to do.
 Looks at times and order of the sessions, rows measured twice, signs, joints that never move, poses at limits, what the

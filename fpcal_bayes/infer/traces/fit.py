@@ -32,6 +32,7 @@ from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import Reason, Trust
 
 #: Coefficients of the polynomials of mean and amplitude.
 _DEGREE = 3
@@ -319,18 +320,20 @@ def _result(
     covariance = factor @ factor.T
     status = statuses(spectrum.null_share, np.diag(covariance) / fit.prior.sd**2)
     residual = np.sqrt(state.squares / fit.samples.counts)
-    warnings = []
+    against = []
     if not converged:
-        warnings.append(f"the fit of the traces did not converge in {steps} steps: do not use this estimate")
+        text = f"the fit of the traces did not converge in {steps} steps: do not use this estimate"
+        against.append(Reason("not-converged", text))
     expected = np.hypot(fit.model.cell.interferometer.noise, _vibration(fit, state))
     off = np.flatnonzero(residual > _OFF * expected)
     if len(off):
         named = ", ".join(fit.samples.labels[i] for i in off[:5])
         more = ", ..." if len(off) > 5 else ""
-        warnings.append(
+        text = (
             f"{len(off)} of {len(residual)} traces are met worse than {_OFF:g} times the photodiode's noise "
             f"({named}{more}): the estimate to start from was off by fringes, or the model does not hold"
         )
+        against.append(Reason("poor-fit", text))
     values = fit.prior.values(state.scores)
     estimate = replace(
         start,
@@ -338,6 +341,7 @@ def _result(
         values=values,
         covariance=covariance,
         status=status,
+        trust=Trust(tuple(against)),
         time_h=float(index.sweeps.time_h.max()),
         valid_until_h=None,
     )
@@ -352,7 +356,7 @@ def _result(
         steps=steps,
         converged=converged,
         seconds=seconds,
-        warnings=tuple(warnings),
+        warnings=tuple(reason.text for reason in against),
     )
 
 

@@ -17,7 +17,7 @@ from fpcal_bayes.model.mechanics.terms import Terms
 #: A joint that moves the cavity length by less than this share of its own travel does not make up for anything.
 _LEAST_SLOPE = 0.5
 #: A mean that spreads by less than this share of what the sheet lets expect is not made up for.
-_WORTH = 0.1
+_WORTH = 0.2
 #: The directions of approach follow from the path that they change.
 _ROUNDS = 3
 

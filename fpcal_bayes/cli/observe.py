@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
         profiles=[name for name in options.profile.split(",") if name],
         candidates=candidates,
     )
-    title = f"{options.file}, session {sweeps.sessions[0]}"
+    title = f"{options.file}, session {','.join(sweeps.sessions)}"
     print_observability(result, title, console(options))
     warn(result.warnings)
     write_result(options.json, "observe", result.content(), result.trust)

@@ -12,6 +12,7 @@ _PLACES = {
     "join": "sweeps",
     "paper_protocol": "protocol",
     "paper_truth": "truth",
+    "pool": "sweeps",
     "protocol_by_name": "protocol",
 }
 

@@ -15,6 +15,7 @@ KINDS: dict[str, bool] = {
     "poor-fit": True,
     "intrinsics-moved": True,
     "problem": True,
+    "bent-prior": True,
     "stale": True,
     "too-good-fit": False,
     "second-solution": False,

@@ -20,13 +20,14 @@ from fpcal_bayes.infer.fit.minimise import (
     sign_images,
     solution_rank,
 )
-from fpcal_bayes.infer.fit.prior import Prior
+from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
 from fpcal_bayes.infer.fit.problem import Considered, Problem
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
+from fpcal_bayes.io.sweeps import packed
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -105,6 +106,7 @@ class Identification:
             },
             "residuals": [{"label": label, "standardised": value} for label, value in self.largest_residuals()],
             "doubtful_signs": [{"label": label, "probability": p} for label, p in self.doubtful_signs],
+            "rows": packed(self.problem.sweeps, self.estimate.cell),
             "warnings": list(self.warnings),
         }
 
@@ -136,8 +138,8 @@ def identify(
         ``consider``: held parameters are uncertain by the covariance of `start` (the prior without one) and that
         uncertainty reaches the result (Schmidt's consider parameters). ``exact``: they are taken as known.
     prior
-        An earlier estimate whose values and covariance are the prior, jointly normal, of the free parameters that it
-        holds (yesterday's posterior as today's prior); by default the priors of the cell.
+        Values and covariance, jointly normal, that are the prior of the free parameters in it; by default the priors of
+        the cell. What earlier sweeps said is not normal: `pool` takes the sweeps themselves.
     seed
         Seed of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
     max_starts
@@ -209,6 +211,9 @@ def identify(
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
+    if prior is not None and bends(prior):
+        trust = trust.because(Reason("bent-prior", BENT))
+        warnings.append(BENT)
     estimate = replace(_estimate(cell, used, problem, covariance, status, unknowns), trust=trust)
     if machine is not None:
         estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters))

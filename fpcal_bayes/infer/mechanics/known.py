@@ -49,7 +49,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKn
     path = path_design(terms, vector, middle, poses)
     drift = np.zeros((_POSES, len(kept) - fit.design.motion_count))
     for k in range(drift.shape[1]):
-        drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * float(fit.drive.end_min.max())
+        drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * fit.drive.session_min
     effects = changes @ np.hstack([jacobian, path.motions, drift]).T
     left, sizes, _ = linalg.svd(effects, full_matrices=False)
     count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
@@ -63,7 +63,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKn
         draws=z,
         scales=terms.scales,
         log_scales=draws.log_scales,
-        session_min=float(fit.drive.end_min.max()),
+        session_min=fit.drive.session_min,
     )
 
 

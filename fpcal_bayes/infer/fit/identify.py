@@ -10,7 +10,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, goodness_of_fit
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
@@ -21,7 +21,7 @@ from fpcal_bayes.infer.fit.minimise import (
     solution_rank,
 )
 from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
-from fpcal_bayes.infer.fit.problem import Considered, Problem
+from fpcal_bayes.infer.fit.problem import Problem, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
@@ -29,11 +29,10 @@ from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.io.sweeps import packed
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import FitEvidence, Reason, Trust, judge_fit
+from fpcal_bayes.model.trust import HELD_EXACT, FitEvidence, Reason, Trust, judge_fit
 
 Hold = Literal["consider", "exact"]
 
@@ -42,6 +41,8 @@ RETRY_BELOW = 1e-3
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
+#: Held values move rows off their tangents by so many standard deviations at most, root mean square.
+_MOST_BEND = 3.0
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,11 @@ class Identification:
     def converged(self) -> bool:
         """Whether the minimum was reached."""
         return self.solution.converged
+
+    @property
+    def own(self) -> Ints:
+        """Positions of the identified parameters among the free ones of the problem, shape (n,)."""
+        return self.problem.model.free.positions(self.free.names)
 
     @property
     def doubtful_signs(self) -> list[tuple[str, float]]:
@@ -160,7 +166,9 @@ def identify(
     chosen = cell.select(free)
     if not len(chosen):
         raise InputError("nothing is free: expected at least one parameter to identify")
-    problem = _set_up(cell, used, chosen, start, hold, prior)
+    model, considered = hold_rest(cell, chosen, start, hold)
+    before = None if prior is None else Prior.joint(model.free, prior)
+    problem = Problem.of(model, used, considered, prior=before)
     first = _starting_unknowns(problem, start)
 
     signs = None
@@ -171,16 +179,18 @@ def identify(
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
-    rival = _rival(chosen, solution, others)
+    rival = _rival(model.free, solution, others)
     machine, doubts = None, []
     if cell.mechanics is not None:
         machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
         problem, solution = machine.problem, machine.solution
         doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
     unknowns = solution.unknowns
-    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
+    own = model.free.positions(chosen.names)
+    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
-    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
+    status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
+    by_name = dict(zip(chosen.names, status, strict=True))
     fit = goodness_of_fit(problem, unknowns)
 
     evidence = FitEvidence(
@@ -194,7 +204,7 @@ def identify(
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
     )
-    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)))
+    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)), *_held(problem, unknowns, hold, len(chosen)))
     if machine is not None:
         # A machine that is better than its sheet says leaves the rows closer to the fit than they are expected.
         trust = Trust(tuple(reason for reason in trust.reasons if reason.kind != "too-good-fit"))
@@ -214,9 +224,9 @@ def identify(
     if prior is not None and bends(prior):
         trust = trust.because(Reason("bent-prior", BENT))
         warnings.append(BENT)
-    estimate = replace(_estimate(cell, used, problem, covariance, status, unknowns), trust=trust)
+    estimate = replace(_estimate(cell, used, problem, covariance, by_name, unknowns), trust=trust)
     if machine is not None:
-        estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters))
+        estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters, chosen.names))
     return Identification(
         estimate=estimate,
         problem=problem,
@@ -231,27 +241,6 @@ def identify(
         warnings=tuple(warnings),
         machine=machine,
     )
-
-
-def _set_up(
-    cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold, prior: Estimate | None
-) -> Problem:
-    """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
-    known = start.parameters.names if start is not None else ()
-    held = ParameterSet(p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free))
-    vector = cell.parameters.nominal.copy()
-    covariance = np.diag(held.prior_sd**2)
-    if start is not None:
-        shared = [name for name in held.names if name in known]
-        values, block = start.block(shared)
-        at = held.positions(shared)
-        vector[held.slots[at]] = values
-        covariance[np.ix_(at, at)] = block
-    considered = None
-    if hold == "consider" and len(held):
-        considered = Considered.of(held, covariance)
-    before = None if prior is None else Prior.joint(chosen, prior)
-    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
 
 
 def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
@@ -324,13 +313,13 @@ def _fit(
     return problem, best, found, len(found)
 
 
-def _rival(chosen: ParameterSet, solution: Solution, others: Sequence[Solution]) -> list[Reason]:
+def _rival(free: ParameterSet, solution: Solution, others: Sequence[Solution]) -> list[Reason]:
     """The second solution, where it counts for the posterior."""
     if not others or others[0].sum_of_squares - solution.sum_of_squares >= RIVAL_EXCESS:
         return []
     rival = others[0]
-    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(chosen)])[:3]
-    named = ", ".join(chosen.names[i] for i in sorted(apart))
+    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(free)])[:3]
+    named = ", ".join(free.names[i] for i in sorted(apart))
     text = (
         f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
         f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
@@ -349,19 +338,37 @@ def _doubt(doubtful: Sequence[tuple[str, float]]) -> list[Reason]:
     return [Reason("signs", text)]
 
 
+def _held(problem: Problem, unknowns: Floats, hold: Hold, n_chosen: int) -> list[Reason]:
+    """What is to be said of parameters that are held."""
+    bend = problem.bend(unknowns)
+    if bend > _MOST_BEND:
+        text = (
+            f"the held values are too uncertain to be held: rows bend by {bend:.0f} standard deviations over what the "
+            "data move them; free them too (--free all), with --prior START if nothing has changed since"
+        )
+        return [Reason("held-uncertain", text)]
+    if hold == "exact" and n_chosen < len(problem.model.cell.free):
+        return [Reason("held-exact", HELD_EXACT)]
+    return []
+
+
 def _estimate(
     cell: Cell,
     sweeps: Sweeps,
     problem: Problem,
     covariance: Floats,
-    status: tuple[Status, ...],
+    status: dict[str, Status],
     unknowns: Floats,
 ) -> Estimate:
-    """Free parameters, considered ones and those held as exact, in the cell's order."""
-    chosen = problem.model.free
-    uncertain = list(chosen.names) + list(problem.considered.parameters.names if problem.considered else ())
+    """Free parameters by `status`, uncertain ones that are held, and those held as exact, in the cell's order."""
+    free = problem.model.free
+    uncertain = list(free.names) + list(problem.considered.parameters.names if problem.considered else ())
+    # What only its prior tells of stays there, as uncertain as before; the data move what is free.
+    loose = np.array([i for i, name in enumerate(free.names) if name not in status], dtype=np.int64)
     vector = problem.model.vector(problem.values(unknowns))
-    prior_sd = dict(zip(chosen.names, problem.prior.sd.tolist(), strict=True))
+    vector[free.slots[loose]] = free.nominal[loose]
+    covariance[np.ix_(loose, loose)] = np.diag(free.prior_sd[loose] ** 2)
+    prior_sd = dict(zip(free.names, problem.prior.sd.tolist(), strict=True))
     parameters = ParameterSet(
         replace(p, prior_sd=prior_sd.get(p.name, p.prior_sd))
         for p in cell.parameters
@@ -370,13 +377,12 @@ def _estimate(
     at = parameters.positions(uncertain)
     full = np.zeros((len(parameters), len(parameters)))
     full[np.ix_(at, at)] = covariance
-    by_name = dict(zip(chosen.names, status, strict=True))
     return Estimate(
         cell=cell,
         parameters=parameters,
         values=vector[parameters.slots],
         covariance=full,
-        status=tuple(by_name.get(name, "fixed") for name in parameters.names),
+        status=tuple(status.get(name, "fixed") for name in parameters.names),
         time_h=float(sweeps.time_h.max()),
     )
 

@@ -19,6 +19,8 @@ from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.mechanics.rows import row_whitening
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel, Rows
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 
 
@@ -38,6 +40,27 @@ class Considered:
     def covariance(self) -> Floats:
         """Covariance, shape (n_considered, n_considered)."""
         return self.factor @ self.factor.T
+
+
+def hold_rest(
+    cell: Cell, chosen: ParameterSet, start: Estimate | None, hold: str
+) -> tuple[CavityModel, Considered | None]:
+    """The model with the parameters outside `chosen` held at `start`, or at nominal, and what is unknown of them.
+
+    A parameter that `start` knows is considered, in linear rows around its value. One that only its prior tells of may
+    be off by degrees, where no line holds: it is free in the model beside the chosen ones, whatever is stated of it.
+    """
+    known = start.parameters.names if start is not None else ()
+    vector = cell.parameters.nominal.copy()
+    considered = None
+    shared = [p.name for p in cell.parameters if p.name in known and p.name not in chosen]
+    if start is not None and shared:
+        held = ParameterSet(cell.parameters[name] for name in shared)
+        vector[held.slots], covariance = start.block(shared)
+        considered = Considered.of(held, covariance) if hold == "consider" else None
+    loose = cell.free.names if hold == "consider" else ()
+    free = ParameterSet(p for p in cell.parameters if p.name in chosen or (p.name in loose and p.name not in known))
+    return CavityModel.of(cell, free, vector), considered
 
 
 @dataclass(frozen=True)
@@ -115,6 +138,16 @@ class Problem:
             _, jacobian = around.predict_with_jacobian(vector[held.slots], self.rows)
             sensitivity = jacobian @ self.considered.factor
         return replace(self, whitening=whitening, sensitivity=sensitivity)
+
+    def bend(self, unknowns: Floats) -> float:
+        """By how many standard deviations a row's line in the considered parameters misses its curve at `unknowns`."""
+        if self.considered is None or self.sensitivity is None:
+            return 0.0
+        held, vector = self.considered.parameters, self.model.vector(self.values(unknowns))
+        around, middle = CavityModel.of(self.model.cell, held, vector), vector[held.slots]
+        at = around.predict(middle, self.rows) + self.sensitivity @ unknowns[self.n_free :]
+        ends = around.predict(middle + self.considered.factor @ unknowns[self.n_free :], self.rows)
+        return float(np.sqrt(np.mean(self.whitening.apply(ends - at) ** 2)))
 
     def with_target(self, target: Floats) -> "Problem":
         """The same problem with other measured values (n_rows,)."""

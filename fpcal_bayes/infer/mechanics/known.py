@@ -1,6 +1,7 @@
 """What a fit with mechanics knows, small enough to travel with an estimate."""
 
 from collections import Counter
+from collections.abc import Collection
 
 import numpy as np
 from scipy import linalg
@@ -20,19 +21,21 @@ _NEGLIGIBLE = 1e-4
 _MOST_DIRECTIONS = 60
 
 
-def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKnowledge:
+def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collection[str]) -> MechanicsKnowledge:
     """Draws of geometry and weights, turned to the directions that a cavity length feels.
 
     Parameters
     ----------
     parameters
         Of the estimate; those that are neither free nor considered are exact.
+    free
+        Names of those that the estimate moved; others are held at nominal or where they were.
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
     kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
     names = _numbered([fit.design.names[i] for i in kept])
-    geometry, known = _deviations(fit, draws.scores)
+    geometry, known = _deviations(fit, draws.scores, free)
     changes = np.hstack([geometry, draws.weights[:, kept]])
     mean = changes.mean(axis=0)
     changes = changes - mean
@@ -83,11 +86,13 @@ def covariance_of(fit: MechanicsFit) -> Floats:
     return full
 
 
-def _deviations(fit: MechanicsFit, scores: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Deviations (n_draws, n) of free and considered parameters from the fit to first order, and their names."""
+def _deviations(fit: MechanicsFit, scores: Floats, moved: Collection[str]) -> tuple[Floats, tuple[str, ...]]:
+    """Deviations (n_draws, n) of free and held parameters from the estimate to first order, and their names."""
     problem, at = fit.problem, fit.solution.unknowns
     n = problem.n_free
-    free = (scores[:, :n] - at[:n]) @ problem.prior.slopes(at[:n]).T
+    held = np.array([name not in moved for name in problem.model.free.names])
+    centre = np.where(held, problem.unknowns(problem.model.free.nominal)[:n], at[:n])
+    free = (scores[:, :n] - centre) @ problem.prior.slopes(at[:n]).T
     if problem.considered is None:
         return free, problem.model.free.names
     held = scores[:, n:] @ problem.considered.factor.T

@@ -67,7 +67,7 @@ class Posterior:
         """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
         n_ensembles, n_steps, n_walkers, n = self.points.shape
         chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
-        return self.identification.problem.values(chains)
+        return self.identification.problem.values(chains)[..., self.identification.own]
 
 
 def make_target(
@@ -124,11 +124,11 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
         if worth >= _LEAST_WORTH * draws:
             break
     else:
-        return np.zeros((0, found.problem.n_free))
+        return np.zeros((0, len(found.free)))
     # Systematic resampling: each point as often as its weight says, up to rounding.
     places = (np.arange(draws) + random.random()) / draws
     chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
+    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])[:, found.own]
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
     That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
     the data speak about these; or if the draws stand with those of the mechanics.
     """
-    free = found.problem.model.free
+    free = found.free
     if not found.converged or found.machine is not None or free.names != found.estimate.parameters.names:
         return {}
     values = independent_draws(found, draws)

@@ -261,10 +261,10 @@ def _gather(
     points = np.concatenate([block.points for block in kept], axis=1)
     proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
     # Held parameters are not judged; what stands behind them belongs to the likelihood and is.
-    judged = np.r_[0 : identification.problem.n_free, identification.problem.n_unknowns : target.n_unknowns]
+    judged = np.r_[identification.own, identification.problem.n_unknowns : target.n_unknowns]
     if isinstance(target, MachineTarget):
         # Scales mix more slowly than the geometry, which hardly depends on each of them.
-        judged = np.arange(identification.problem.n_free)
+        judged = identification.own
     diagnostics = diagnose(points[..., judged])
     return Posterior(
         identification=identification,

@@ -87,6 +87,7 @@ def run(options: argparse.Namespace) -> int:
     if slips is not None:
         likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]
         out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
+    warn([posterior.misfit] if posterior.misfit else [])
     warn(f"not converged: {text}; try fewer --draws or more informative sweeps" for text in posterior.failures)
     command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
     tree = data_tree(posterior, seed=options.seed, command=command)

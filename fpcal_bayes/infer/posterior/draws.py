@@ -9,14 +9,14 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
-from fpcal_bayes.infer.fit.slips import Slips, find_slips
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, Slips, find_slips
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
 from fpcal_bayes.infer.posterior.diagnostics import Diagnostics
 from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
-from fpcal_bayes.model.trust import Reason, Trust
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
 
 Likelihood = Literal["gaussian", "student", "slip"]
 
@@ -44,6 +44,8 @@ class Posterior:
     acceptance: float  # share of all moves
     evaluations: int  # points at which the density was evaluated
     seconds: float  # sampling time
+    # of rows that may slip, have heavy tails or a noise of unknown size: how many repeats of them are less likely
+    predictive_p: float | None = None
 
     @property
     def converged(self) -> bool:
@@ -61,7 +63,23 @@ class Posterior:
         if isinstance(self.target, SlipTarget) or self.target.dof is not None or self.target.noise is not None:
             told |= {"poor-fit", "too-good-fit"}
         left = Trust(tuple(r for r in self.identification.estimate.trust.reasons if r.kind not in told))
-        return left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
+        left = left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
+        return left if self.misfit is None else left.because(Reason("poor-fit", self.misfit))
+
+    @property
+    def misfit(self) -> str | None:
+        """What the likelihood itself says against the rows, or None."""
+        if self.predictive_p is None or self.predictive_p >= POOR_FIT_BELOW:
+            return None
+        kind, allowed = "scaled-noise", "noise of any size"
+        if self.target.dof is not None:
+            kind, allowed = "Student-t", "outliers of any size"
+        if isinstance(self.target, SlipTarget):
+            kind, allowed = "slip", f"slips of up to {MOST_HALF_WAVES} half waves between two readings"
+        return (
+            f"poor fit: of repeats that the {kind} posterior predicts {100 * self.predictive_p:.2g} % are as unlikely "
+            f"as these rows; it allows for {allowed}, and something else is wrong"
+        )
 
     def values(self) -> Floats:
         """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""

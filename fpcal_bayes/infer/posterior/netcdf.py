@@ -204,6 +204,8 @@ def content(posterior: Posterior) -> dict[str, Any]:
     slips = slip_probabilities(posterior)
     if slips is not None:
         base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
+    if posterior.predictive_p is not None:
+        base["fit"]["predictive_p"] = posterior.predictive_p
     return {
         **base,
         "trust": posterior.trust.content(),

@@ -31,10 +31,9 @@ from fpcal_bayes.infer import (
     identify,
     in_short_order,
     prior_ground,
-    read_often,
 )
 from fpcal_bayes.io import load_cell, write_sweeps
-from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth
+from fpcal_bayes.measure import Sweeps, Truth, join, paper_protocol, paper_truth, read_often
 from fpcal_bayes.model import Cell
 from fpcal_bayes.report import draw_plan, save_figure
 from fpcal_bayes.simulator import simulate_um

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.io.sweeps import write_csv
+from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
@@ -17,7 +18,6 @@ from fpcal_bayes.rig.emulate.bench import EmulatedBench
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import Guard
 from fpcal_bayes.rig.session import measure
-from fpcal_bayes.rig.ticket import read_ticket
 
 RIG = """\
 schema = "fpcal-rig/1"

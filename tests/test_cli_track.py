@@ -1,5 +1,6 @@
 """The command ``fpcal track``."""
 
+import contextlib
 import json
 import threading
 from dataclasses import replace
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 from track_fixtures import CELL, campaign, knock
 
+from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli.main import main
-from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.files import exclusive, file_sha256
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import write_sweeps
@@ -146,12 +148,86 @@ def test_watching_takes_in_each_new_session(monkeypatch, capsys):
         if arrived == "s2":
             written("week.csv", "s1", "s2")
 
-    monkeypatch.setattr("fpcal_bayes.cli.track.time.sleep", sleep)
+    monkeypatch.setattr("fpcal_bayes.analysis.watch.time.sleep", sleep)
     assert main(["track", "week.csv", "--estimate", "estimate.json", "--watch", "5"]) == 0
     assert held == [8.0, 8.0, 8.0, 16.0]
     out, err = capsys.readouterr()
     assert "looking again in 5 s" in err
     assert out.count("week.csv: ") == 2
+
+
+class Watched:
+    """What happens between looks, one after the other, and then an interruption."""
+
+    def __init__(self, *steps):
+        self.steps, self.said, self.taken = iter(steps), [], []
+
+    def __call__(self, seconds):
+        step = next(self.steps, None)
+        if step is None:
+            raise KeyboardInterrupt
+        step()
+
+    def run(self, monkeypatch, file, take_in):
+        monkeypatch.setattr("fpcal_bayes.analysis.watch.time.sleep", self)
+
+        def take(again):
+            take_in(again)
+            self.taken.append(again)
+
+        with pytest.raises(KeyboardInterrupt):
+            watch(file, 5.0, take, self.said.append)
+
+
+def nothing():
+    pass
+
+
+@pytest.mark.parametrize(
+    "error",
+    [np.linalg.LinAlgError("Singular"), MemoryError(), RecursionError("deep"), OverflowError(), OSError(5, "EIO")],
+)
+def test_watching_survives_every_error_and_says_it_once(error, monkeypatch):
+    failing, file = [True], Path("week.csv")
+
+    def take_in(again):
+        if failing[0]:
+            raise error
+
+    watched = Watched(*[nothing] * 20, lambda: failing.clear() or failing.append(False), *[nothing] * 9)
+    file.write_text("a")
+    watched.run(monkeypatch, file, take_in)
+    assert len(watched.said) == 1
+    assert "; looking again in 5 s" in watched.said[0]
+    # Tried again though the file is as it was, and done once.
+    assert watched.taken == [False]
+
+
+def test_watching_waits_for_a_campaign_that_is_not_there_or_held(monkeypatch, capsys):
+    held = contextlib.ExitStack()
+
+    def arrives():
+        written("week.h5", "s1")
+        held.enter_context(exclusive(Path("week.h5")))
+
+    steps = iter([nothing, nothing, arrives, nothing, nothing, held.close, *[nothing] * 9])
+
+    def sleep(seconds):
+        step = next(steps, None)
+        if step is None:
+            raise KeyboardInterrupt
+        step()
+
+    monkeypatch.setattr("fpcal_bayes.analysis.watch.time.sleep", sleep)
+    assert main(["track", "week.h5", "--estimate", "now.json", "--watch", "5"]) == 0
+    out, err = capsys.readouterr()
+    lines = [line for line in err.splitlines() if "looking again" in line]
+    assert len(lines) == 2
+    assert "week.h5: no such file; looking again in 5 s" in lines[0]
+    assert "another fpcal is writing this file" in lines[1]
+    assert read_estimate("now.json", CELL).time_h == 8.0
+    assert out.count("week.h5: ") == 1
+    assert read_campaign("week.h5", CELL).track is not None
 
 
 def test_posterior_draws_to_start_from(capsys):

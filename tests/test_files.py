@@ -5,7 +5,6 @@ import hashlib
 import json
 import os
 import stat
-import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -114,11 +113,11 @@ def test_folder_of_the_target_is_a_file(tmp_path: Path, write: Callable[[Path], 
 
 
 def test_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(**_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     # The refusal itself is made up: root may write everywhere.
-    monkeypatch.setattr(tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(InputError, match=r"not writable \(Permission denied\)"):
         files.require_writable(tmp_path / "a.txt")
 

@@ -11,11 +11,11 @@ from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, shortfalls
 from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground
-from fpcal_bayes.infer.design.rows import read_often, sweep_rows
+from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.protocol import paper_protocol, read_often
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell

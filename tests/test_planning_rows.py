@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.design.rows import read_often, sweep_rows
+from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.observability.observe import whitened_jacobian
-from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol
+from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol, read_often
 from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -37,5 +37,5 @@ def test_readings_are_evenly_spaced(femto: Cell) -> None:
     np.testing.assert_allclose(often.q_end[3::4], plan.q_end)
     np.testing.assert_allclose(often.q_end[0::4], plan.q_start + (plan.q_end - plan.q_start) / 4)
     assert (read_often(plan, 1).group == "").all()
-    with pytest.raises(InputError, match="0 readings a sweep"):
+    with pytest.raises(InputError, match="0 readings: expected one at least"):
         read_often(plan, 0)

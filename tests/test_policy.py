@@ -248,8 +248,19 @@ def test_the_robot_is_looked_at_in_time():
     assert (now.action, len(now.sweeps)) == ("extrinsic", 8)
     assert "could show a change of the robot itself; these sweeps show one of beta_4 by 0.1 deg" in now.reason
     late = policy.decide(FORECAST, FORECAST.ahead(CALIBRATED, 12.0), None, 0.0)
-    assert len(late.sweeps) > 8
+    assert len(late.sweeps) == 8
+    assert late.purpose == "both"
     assert late.after.exceeds(0.05) <= 0.1
+
+
+def test_a_look_without_power_is_not_planned():
+    policy = replace(POLICY, costs=Costs(diagnosis_h=10.0))
+    state = FORECAST.ahead(CALIBRATED, 96.0)
+    most = most_power(DRIFT, state, 96.0, Limits())[watched(DRIFT, Limits())]
+    assert most < 0.2
+    found = policy.decide(FORECAST, state, None, CALIBRATED.time_h)
+    assert found.purpose == "extrinsics"
+    assert len(found.sweeps) <= Costs().most_sweeps
 
 
 def test_which_session_could_last_see_the_robot():

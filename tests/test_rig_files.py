@@ -9,11 +9,12 @@ from rig_fixtures import write_rig, write_ticket
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.sweeps import write_csv
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.rig.drivers.interface import Address
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice
-from fpcal_bayes.rig.ticket import orders_of, read_ticket
 
 
 @pytest.fixture
@@ -138,7 +139,7 @@ def test_a_ticket_may_have_no_rows(femto, tmp_path):
         ({"readings": "x"}, "row 2, column readings: expected a number, found 'x'"),
         ({"expires_utc": "soon"}, "row 2, column expires_utc: expected ISO 8601 as in 2024-05-01T08:30:00Z"),
         ({"dl_um": 1.0, "sigma_um": 1.0}, "row 1: dl_um holds what was measured, expected a ticket or a plan"),
-        ({"kind": "absolute"}, "row 2, column kind: a rig drives sweeps, found absolute"),
+        ({"kind": "absolute"}, "row 2, column kind: only sweeps are driven, found absolute"),
         ({"nonsense": 1}, "row 1: unknown column 'nonsense', expected ..."),
     ],
 )

@@ -18,6 +18,8 @@ from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.clock import Halt, Halted
@@ -25,7 +27,6 @@ from fpcal_bayes.rig.drivers.interface import DeviceError
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import ForbiddenMoveError, Guard, dry_run
 from fpcal_bayes.rig.session import Failed
-from fpcal_bayes.rig.ticket import orders_of, read_ticket
 from fpcal_bayes.simulator.sweeps import noise_free
 
 pytest.importorskip("pipython")

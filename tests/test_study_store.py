@@ -84,6 +84,18 @@ def test_a_second_writer_is_told(study, whole):
         pass
 
 
+def test_replicates_of_another_file_are_not_opened(study, whole, tmp_path):
+    other = tmp_path / "other.h5"
+    other.write_bytes(whole.path.read_bytes())
+    with h5py.File(whole.path, "r+") as file:
+        del file["replicates"]
+        file["replicates"] = h5py.ExternalLink("other.h5", "/replicates")
+    before = whole.path.read_bytes()
+    with pytest.raises(InputError, match="found a link, which is not followed"):
+        run_alone(study, whole, 20)
+    assert whole.path.read_bytes() == before
+
+
 def test_truncated_and_foreign_files_are_refused(study, whole, tmp_path):
     content = whole.path.read_bytes()
     for keep in range(1, len(content), 211):

@@ -1,5 +1,6 @@
 """Predicted task errors: draws, bands, probabilities; posterior files; both propagations agree where they should."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from task_fixtures import paper_estimate
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.posterior.draws import independent_draws
-from fpcal_bayes.infer.posterior.netcdf import read_posterior
+from fpcal_bayes.infer.posterior.netcdf import read_posterior, read_posterior_summary
 from fpcal_bayes.infer.tasks.error import linear_task_sd, peak_to_peak, task_errors, task_jacobian
 from fpcal_bayes.infer.tasks.prediction import predict_from_covariance, predict_from_draws
 from fpcal_bayes.infer.tasks.source import Knowledge, read_knowledge
@@ -122,6 +123,40 @@ def test_held_estimate_beside_draws(femto: Cell, tmp_path: Path) -> None:
     assert knowledge.predict(held, task).errors.shape == (40, 5)
 
 
+def test_a_posterior_file_opens_no_other_and_promises_no_more_than_it_holds(femto: Cell, tmp_path: Path) -> None:
+    values = np.tile(femto.free.nominal, (4, 1))
+    file, other = tmp_path / "posterior.nc", tmp_path / "other.nc"
+    write_posterior(other, femto, values)
+
+    def changed(change: Callable[[h5py.File], object], message: str) -> None:
+        write_posterior(file, femto, values)
+        with h5py.File(file, "r+") as handle:
+            change(handle)
+        for read in (read_posterior, read_posterior_summary):
+            with pytest.raises(InputError, match=message):
+                read(file, femto)
+
+    def put(handle: h5py.File, name: str, value: object) -> None:
+        del handle[name]
+        handle[name] = value
+
+    far = h5py.ExternalLink("other.nc", "/posterior")
+    changed(lambda handle: put(handle, "posterior", far), "found a link, which is not followed")
+    far = h5py.ExternalLink("other.nc", "/posterior/alpha_2")
+    changed(lambda handle: put(handle, "posterior/alpha_2", far), "found a link, which is not followed")
+    for name in ("cell_sha256", "converged", "content_sha256"):
+        value = ["x", "y"] if name.endswith("256") else [1, 1]
+        changed(lambda handle, n=name, v=value: handle.attrs.create(n, v), f"attribute {name}: expected a single value")
+    changed(lambda handle: handle["posterior/alpha_2"].attrs.create("units", ["deg"] * 3), "expected a single value")
+
+    def huge(handle: h5py.File) -> None:
+        del handle["posterior/alpha_2"]
+        data = handle["posterior"].create_dataset("alpha_2", (1 << 20, 1 << 20), "f8", chunks=(1, 1024))
+        data.attrs["units"] = "deg"
+
+    changed(huge, "alpha_2: the file holds more than 1024 MiB")
+
+
 def test_bad_posterior_files_are_refused(femto: Cell, tmp_path: Path) -> None:
     values = np.tile(femto.free.nominal, (4, 1))
     file = tmp_path / "posterior.nc"
@@ -141,7 +176,7 @@ def test_bad_posterior_files_are_refused(femto: Cell, tmp_path: Path) -> None:
         read_posterior(file, femto)
     with h5py.File(file, "r+") as handle:
         del handle["posterior"]
-    with pytest.raises(InputError, match="expected a group posterior"):
+    with pytest.raises(InputError, match="/posterior: the group is missing"):
         read_posterior(file, femto)
     with h5py.File(file, "w") as handle:
         handle["posterior"] = 1.0

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.analysis.cell_view import view_cell
-from fpcal_bayes.cli.common import check_output, check_suffix, console, write_result
+from fpcal_bayes.cli.common import check_suffix, console, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import write_text
@@ -30,20 +30,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _look(options: argparse.Namespace, source: str | Path) -> int:
-    check_output(options.figure, source)
-    check_output(options.json, source, options.figure)
     check_suffix(options.figure, ".svg", ".png")
     cell = load_cell(source, opd=options.opd, check=False)
     q = None if options.at is None else joints_at(cell, options.at)
     if next(impossible(cell), None) is None:
         warm_up_inverse(cell)
     view = view_cell(cell, q)
-    out = console(options)
-    for line in cell_words(view):
-        out.say(line)
     if options.figure is not None:
         save_figure(cell_figure(view), options.figure)
     write_result(options.json, "cell", view.content())
+    out = console(options)
+    for line in cell_words(view):
+        out.say(line)
     if view.refused:
         raise InputError(f"{source}: {view.refused}")
     return 0
@@ -56,7 +54,6 @@ def _make(options: argparse.Namespace) -> int:
         raise InputError("--new and --from-dh make a cell: expected neither CELL nor --at beside them")
     if options.output.exists():
         raise InputError(f"{options.output}: is there already, expected another name for the new cell")
-    check_output(options.output, options.from_dh)
     name = options.name or options.output.stem
     if not name.isprintable() or not name.strip() or '"' in name or "\\" in name or len(name) > 100:
         raise InputError(f"--name {name!r:.40}: expected a line of text without quotes")

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_check import PathError, check, check_rows
@@ -26,8 +26,6 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     if options.output is None and options.points is not None:
         raise InputError("--points: is taken with -o only")
-    check_output(options.output, options.trace, options.estimate)
-    check_output(options.json, options.trace, options.estimate, options.output)
     index = _index(options, cell)
     estimate = read_estimate(options.estimate, cell)
     draws = read_estimate_draws(options.estimate, cell)
@@ -44,16 +42,16 @@ def run(options: argparse.Namespace) -> int:
         seed=options.seed,
     )
     tolerance = None if options.tolerance_nm is None else 1e-3 * options.tolerance_nm
-    for line in check_sentences(found, tolerance):
-        console(options).say(line)
     warnings = check_warnings(found) + [reason.text for reason in estimate.trust.reasons]
     if options.output is not None and found.verdict != "not evaluated":
         _write_rows(options, cell, estimate, trace, found.measured)
     elif options.output is not None:
         warnings.append(f"{options.output} is not written: the check was not evaluated")
-    warn(warnings)
     content = {"check": check_content(found, tolerance), "warnings": warnings}
     write_result(options.json, "check", {**estimate.content(), **content})
+    for line in check_sentences(found, tolerance):
+        console(options).say(line)
+    warn(warnings)
     return 0
 
 

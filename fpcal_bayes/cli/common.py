@@ -1,6 +1,7 @@
 """What all commands do with their options and with what they found."""
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Iterable
@@ -9,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from fpcal_bayes.cli.arguments.common import Folder
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_writable, write_json
 from fpcal_bayes.io.cell import load_cell
@@ -22,14 +24,27 @@ def cell_of(options: argparse.Namespace) -> Cell:
     return load_cell(options.cell, opd=options.opd, mechanics=options.mechanics)
 
 
-def check_output(output: Path | None, *inputs: str | Path | None) -> None:
-    """Refuse an output that cannot be written or that is one of the inputs, before any work is done."""
-    if output is None:
-        return
-    for other in inputs:
-        if other is not None and Path(other).exists() and output.exists() and output.samefile(other):
+def check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, or that are inputs or one another, before any work is done.
+
+    Paths among the options are outputs, but for folders; texts may name inputs.
+    """
+    given = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
+    outputs = [value for value in given if isinstance(value, Path) and not isinstance(value, Folder)]
+    for i, output in enumerate(outputs):
+        target = require_writable(output)
+        if target.exists() and not target.is_file():
+            continue
+        if any(os.path.realpath(target) == os.path.realpath(other) for other in outputs[:i]):
+            raise InputError(f"{output}: is another output too, expected two names")
+        if any(_is_same(target, value) for value in given if isinstance(value, str)):
             raise InputError(f"{output}: is an input of this command, expected another name for the output")
-    require_writable(output)
+
+
+def _is_same(target: Path, text: str) -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return target.samefile(text)
+    return False
 
 
 def check_suffix(output: Path | None, *suffixes: str) -> None:
@@ -53,16 +68,11 @@ def warn(warnings: Iterable[str]) -> None:
 
 
 class Output(Console):
-    """A console that falls silent when the reader of the output is gone; the command still does its work."""
+    """A console for tables and sentences."""
 
     def say(self, text: str) -> None:
         """Print a sentence as it is, in one line when piped."""
         self.print(text, markup=False, soft_wrap=True)
-
-    def on_broken_pipe(self) -> None:
-        """Go on in silence."""
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def console(options: argparse.Namespace) -> Output:

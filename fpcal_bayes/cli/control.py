@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import check_suffix, write_joints
@@ -16,8 +16,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     check_suffix(options.output)
-    check_output(options.output, options.estimate, options.task)
-    check_output(options.json, options.estimate, options.task, options.output)
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
@@ -29,11 +27,11 @@ def run(options: argparse.Namespace) -> int:
     write_joints(options.output, cell, task.q, task.status, sd, task=task.name)
 
     warnings = reach_warnings(task) + [reason.text for reason in prediction.trust.reasons]
+    content = {"tasks": {task.name: prediction_content(prediction, None, task)}, "warnings": warnings}
+    write_result(options.json, "control", estimate.content() | content)
     title = f"{options.output}: {task.ok.sum()} of {len(task)} points"
     console(options).print(prediction_table([prediction], None, title))
     for line in mechanism_lines([prediction]):
         console(options).say(line)
     warn(warnings)
-    content = {"tasks": {task.name: prediction_content(prediction, None, task)}, "warnings": warnings}
-    write_result(options.json, "control", estimate.content() | content)
     return 0

@@ -5,12 +5,12 @@ import argparse
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import follow
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
-from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.policy import decide_track, valid_until
-from fpcal_bayes.io.sweeps import write_csv
+from fpcal_bayes.decision.ticket import ticket_of
+from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,
@@ -25,10 +25,6 @@ from fpcal_bayes.tracking.sessions import hours_now
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    for output in (options.output, options.json):
-        check_output(output, options.campaign, *(options.task or ()))
-    if options.output is not None and options.output == options.json:
-        raise InputError(f"{options.json}: expected two names for -o and --json")
     goal = goal_of(options)
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
@@ -43,17 +39,13 @@ def run(options: argparse.Namespace) -> int:
         sigma_nm=sigma_nm,
         horizon_h=options.horizon_h,
         diagnosis_h=options.diagnose_every_h,
+        diagnosis_sweeps=min(Costs.diagnosis_sweeps, max(options.most_sweeps, options.least_sweeps)),
     )
     now_h = followed.now_h
     if now_h is None:
         now_h = hours_now(sweeps, found.last.time_h)
     decision = decide_track(found, sweeps, goal, costs, now_h)
 
-    out = console(options)
-    out.print(outlook_table(decision, goal, found))
-    if decision.sweeps is not None and decision.action == "extrinsic":
-        out.print(sweep_table(decision.sweeps, cell))
-    out.say(decision_sentence(decision, found))
     warnings = verdict_lines(found) + followed.notes
     estimate = found.estimate()
     warnings += [reason.text for reason in estimate.trust.reasons if reason.text not in warnings]
@@ -63,9 +55,15 @@ def run(options: argparse.Namespace) -> int:
         warnings.append(
             f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
         )
-    warn(warnings)
-    if options.output is not None and decision.sweeps is not None:
-        write_csv(options.output, decision.sweeps, cell)
-    content = {"decision": decision_content(decision, goal, found), "warnings": warnings}
+    ticket = ticket_of(decision, sweeps, str(options.output))
+    if options.output is not None:
+        write_ticket(options.output, ticket, cell)
+    content = {"decision": decision_content(decision, goal, found), "ticket": ticket.content(), "warnings": warnings}
     write_result(options.json, "decide", estimate.content() | content)
+    out = console(options)
+    out.print(outlook_table(decision, goal, found))
+    if decision.sweeps is not None and decision.action == "extrinsic":
+        out.print(sweep_table(decision.sweeps, cell))
+    out.say(decision_sentence(decision, found))
+    warn(warnings)
     return 0 if found.converged else 1

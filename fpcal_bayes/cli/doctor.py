@@ -5,7 +5,7 @@ import argparse
 from rich.markup import escape
 
 from fpcal_bayes.analysis.doctor import doctor
-from fpcal_bayes.cli.common import cell_of, check_output, console, write_result
+from fpcal_bayes.cli.common import cell_of, console, write_result
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.trust import Reason, Trust
@@ -14,10 +14,11 @@ from fpcal_bayes.model.trust import Reason, Trust
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.file)
     sweeps = read_sweeps(options.file, cell, plan=True)
     warm_up(cell)
     findings = doctor(sweeps, cell)
+    trust = Trust(tuple(Reason("problem", found.what) for found in findings if found.severity == "problem"))
+    write_result(options.json, "doctor", {"findings": [finding.content() for finding in findings]}, trust)
     out = console(options)
     styles = {"problem": "red", "doubt": "yellow", "note": "dim"}
     for finding in findings:
@@ -28,6 +29,4 @@ def run(options: argparse.Namespace) -> int:
     counts = [f"{sum(f.severity == severity for f in findings)} {severity}s" for severity in styles]
     rows = f"{len(sweeps)} rows, {len(sweeps.sessions)} sessions"
     out.say(f"{options.file}: {rows}: {', '.join(counts)}")
-    trust = Trust(tuple(Reason("problem", found.what) for found in findings if found.severity == "problem"))
-    write_result(options.json, "doctor", {"findings": [finding.content() for finding in findings]}, trust)
     return 0

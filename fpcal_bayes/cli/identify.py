@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -23,7 +23,6 @@ from fpcal_bayes.report.fit import fit_lines, parameter_table
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.file, options.start, options.prior)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
@@ -32,14 +31,14 @@ def run(options: argparse.Namespace) -> int:
     found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
     result = with_source(found, options.file, sweeps, before)
 
+    if options.json is not None:
+        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     out = console(options)
     title = f"{options.file}, session {','.join(sweeps.sessions)}: {len(result.problem.sweeps)} rows"
     out.print(parameter_table(result.estimate, title))
     for line in fit_lines(result):
         out.say(line)
     warn(result.warnings)
-    if options.json is not None:
-        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
     return 0 if result.converged else 1
 
 

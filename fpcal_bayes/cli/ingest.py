@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.core.files import file_sha256, make_folder, replacing
 from fpcal_bayes.fringes.alignment import Alignment, align
 from fpcal_bayes.fringes.amplitude import fringe_amplitudes
@@ -35,14 +34,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     check_suffix(options.output, ".csv", *HDF5_SUFFIXES)
-    for output in (options.output, options.json, options.alignment):
-        check_output(output, options.index, options.estimate)
-    if options.json is not None and options.json.resolve() == options.output.resolve():
-        raise InputError(f"{options.json}: is the output too, expected another name for the JSON")
-    if options.alignment is not None:
-        taken = [other.resolve() for other in (options.output, options.json) if other is not None]
-        if options.alignment.resolve() in taken:
-            raise InputError(f"{options.alignment}: is another output too, expected another name for --alignment")
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_recordings(options.index, cell)
     if needs_compilation(fit_signal):
@@ -59,9 +50,11 @@ def run(options: argparse.Namespace) -> int:
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
     write_result(options.json, "ingest", _content(found, index, cell), Trust())
-    _report(options, found, folder if drawn else None)
     if alignment is not None:
         _write_alignment(options, alignment, index)
+    _report(options, found, folder if drawn else None)
+    if alignment is not None:
+        _say_alignment(options, alignment)
     return 0
 
 
@@ -98,11 +91,13 @@ def _write_alignment(options: argparse.Namespace, found: Alignment, index: Trace
         "sha256": file_sha256(Path(options.index)),
         "session": str(index.sweeps.session[0]),
     }
-    content = found.content() | {"data": data}
-    write_result(options.alignment, "ingest", content)
+    write_result(options.alignment, "ingest", found.content() | {"data": data})
+
+
+def _say_alignment(options: argparse.Namespace, found: Alignment) -> None:
     sds = np.degrees(np.sqrt(np.diag(found.noise)))
     names = ", ".join(
-        f"{name} to {sd:.2g} deg" for name, sd in zip(content["alignment"]["names"], sds.tolist(), strict=True)
+        f"{name} to {sd:.2g} deg" for name, sd in zip(found.content()["alignment"]["names"], sds.tolist(), strict=True)
     )
     console(options).say(
         f"fringe amplitude along {found.n_sweeps} sweeps tells, the mirror held, {names} (chi-square "

@@ -1,15 +1,23 @@
 """The ``fpcal`` program: which commands there are, and what every one of them does about errors."""
 
 import argparse
+import contextlib
+import errno
 import gc
+import io
 import os
+import shlex
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
+from keyword import iskeyword
 from typing import Any, NoReturn
 
 from fpcal_bayes.cli.arguments import identify, keep, live, measure
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.version import __version__
 
 #: In the order of the work.
@@ -28,6 +36,9 @@ _COMMANDS = (
     keep.plan,
     keep.track,
     keep.decide,
+    keep.append,
+    keep.export,
+    keep.import_,
     live.measure,
     live.rig,
     keep.report,
@@ -55,7 +66,8 @@ The way through, here on a simulated cell:
 _EPILOG = """\
 Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5). More: fpcal COMMAND --help.
 Tables are coloured on a terminal only; NO_COLOR=1 turns that off. Warnings and errors go to stderr.
-Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used; 130 interrupted.
+Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used; 130 interrupted
+(143 by SIGTERM, 129 by SIGHUP).
 """
 
 
@@ -85,6 +97,7 @@ def make_parser() -> Parser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
+    parser.add_argument("--traceback", action="store_true", help="show where in the program an internal error arose")
     parser.add_argument(
         "--print-completion",
         action=_Completion,
@@ -107,6 +120,75 @@ def _load(name: str) -> Any:
         gc.enable()
 
 
+class _Terminal:
+    """A stream that shows any text in any encoding, and falls silent when its disk is full or its reader is gone."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.failure = ""
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write, or do nothing."""
+        self._try(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, or do nothing."""
+        self._try(self._stream.flush)
+
+    def _try(self, act: Callable[[], Any]) -> None:
+        try:
+            act()
+        except OSError as error:
+            if error.errno != errno.EPIPE:
+                self.failure = self.failure or reason(error)
+            # Else Python would write once more what is still to be written, and complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+
+@contextlib.contextmanager
+def _terminals() -> Iterator[_Terminal]:
+    """Output that never ends a command; gives what stands for the standard output."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # A file opened next would take its place, and what is printed would end there.
+            os.open(os.devnull, os.O_RDWR)
+    out: Any = _Terminal(sys.stdout or io.StringIO())
+    errors: Any = _Terminal(sys.stderr or io.StringIO())
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        try:
+            yield out
+        finally:
+            out.flush()
+            errors.flush()
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """While this lasts, requests to end do what Ctrl-C does: every block is left, and nothing lies about."""
+
+    def interrupt(number: int, _: Any) -> NoReturn:
+        raise KeyboardInterrupt(number)
+
+    names = ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    asked = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
+    for number in asked:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number in asked:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
@@ -118,27 +200,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, 130 interrupted.
+        Exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, or the output cannot be printed,
+        128 + the signal that interrupted.
     """
-    try:
-        options = make_parser().parse_args(arguments)
-        command = _load(f"fpcal_bayes.cli.{options.command.replace('-', '_')}")
-        if arguments is None:
-            gc.freeze()
-        status: int = command.run(options)
-        sys.stdout.flush()
-    except InputError as error:
-        print(f"fpcal: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("fpcal: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader of the output is gone; Python would complain about it once more on exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    finally:
-        if arguments is None:
-            # The process ends, and its memory with it: looking for garbage once more takes as long as all of numpy.
-            gc.freeze()
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    with _terminals() as out:
+        try:
+            with _interruptible():
+                status = _run(words, alone=arguments is None)
+        except KeyboardInterrupt as interruption:
+            print("fpcal: interrupted", file=sys.stderr)
+            status = 128 + next(iter(interruption.args), signal.SIGINT)
+        except InputError as error:
+            print(f"fpcal: error: {error}", file=sys.stderr)
+            status = 2
+        except Exception as error:
+            if words[:1] == ["--traceback"]:
+                raise
+            place = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+            report = InputError(f"{place}{reason(error)}; to report it: fpcal --traceback {shlex.join(words)}")
+            print(f"fpcal: error: {report}", file=sys.stderr)
+            status = 2
+        out.flush()
+        if out.failure:
+            print(f"fpcal: error: the standard output cannot be written ({out.failure})", file=sys.stderr)
+            status = 2
+    if arguments is None:
+        # The process ends, and its memory with it: looking for garbage once more takes as long as all of numpy.
+        gc.freeze()
+    return status
+
+
+def _run(words: list[str], *, alone: bool) -> int:
+    """Run one command; `alone` in a process that does nothing else."""
+    for word in words:
+        if any("\ud800" <= letter <= "\udfff" for letter in word):
+            raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")
+    options = make_parser().parse_args(words)
+    name = options.command.replace("-", "_")
+    command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
+    if alone:
+        gc.freeze()
+        if not sys.warnoptions:
+            # What a user can do about a result stands in the program's own warnings.
+            warnings.simplefilter("ignore")
+    _load("fpcal_bayes.cli.common").check_outputs(options)
+    status: int = command.run(options)
     return status

@@ -6,12 +6,15 @@ from pathlib import Path
 
 from rich.table import Table
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn
+from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.bench import Bench, is_recording
@@ -21,7 +24,6 @@ from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import Guard, Leg, dry_run, total_seconds
 from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
 from fpcal_bayes.rig.settings import Rig
-from fpcal_bayes.rig.ticket import Ticket, orders_of, read_ticket
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,7 +34,6 @@ def run(options: argparse.Namespace) -> int:
         console(options).say(f"{options.ticket}: no rows, nothing to measure")
         return 0
     rig = read_rig(options.rig, cell)
-    check_output(options.output, options.ticket, options.rig, options.campaign, options.estimate)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     warm_up(cell)
     guard = Guard(cell, rig, estimate)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -12,8 +12,6 @@ from fpcal_bayes.report.observe import print_observability, write_observe_html
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.file, options.candidates)
-    check_output(options.html, options.file, options.candidates, options.json)
     sweeps = read_sweeps(options.file, cell, plan=True).of_session(options.session)
     candidates = None if options.candidates is None else read_sweeps(options.candidates, cell, plan=True)
     warm_up(cell)
@@ -26,9 +24,9 @@ def run(options: argparse.Namespace) -> int:
         candidates=candidates,
     )
     title = f"{options.file}, session {','.join(sweeps.sessions)}"
-    print_observability(result, title, console(options))
-    warn(result.warnings)
     write_result(options.json, "observe", result.content(), result.trust)
     if options.html is not None:
         write_observe_html(result, title, options.html)
+    print_observability(result, title, console(options))
+    warn(result.warnings)
     return 0 if result.identification is None or result.identification.converged else 1

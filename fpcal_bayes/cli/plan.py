@@ -8,17 +8,18 @@ from math import radians
 import numpy as np
 
 from fpcal_bayes.cli.arguments.common import positive
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_short_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
-from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
@@ -35,9 +36,6 @@ def run(options: argparse.Namespace) -> int:
     if options.n is None and options.reach is None:
         raise InputError("expected --n N or --reach TASK=NM,..")
     targets = _targets(options.reach)
-    outputs = [options.output, options.rows, options.json, options.figure]
-    for i, output in enumerate(outputs):
-        check_output(output, options.after, options.estimate, *outputs[:i])
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
@@ -64,23 +62,24 @@ def run(options: argparse.Namespace) -> int:
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
 
-    write_sweeps(options.output, ordered, cell)
+    planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
+    write_plan(options.output, planned, cell)
     if options.rows is not None:
-        write_sweeps(options.rows, read_often(ordered, readings), cell)
+        write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, ordered), options.figure)
+    warnings += [reason.text for reason in trust.reasons]
+    content = plan_content(
+        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
+    )
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     if trust.usable:
         out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
-    warnings += [reason.text for reason in trust.reasons]
     warn(warnings)
-    content = plan_content(
-        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
-    )
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     return 0
 
 

@@ -4,7 +4,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -16,10 +16,6 @@ from fpcal_bayes.report.campaign.words import standing, verdict
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    for output in (options.output, options.json):
-        check_output(output, options.campaign, options.posterior, *(options.task or ()))
-    if options.output == options.json:
-        raise InputError(f"{options.json}: expected two names for -o and --json")
     goal = goal_of(options)
     _warm_up(cell)
     out = console(options)
@@ -34,12 +30,12 @@ def run(options: argparse.Namespace) -> int:
             command=_command(options),
         )
     said = verdict(facts)
-    for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
-        out.say(sentence)
     tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
-    warn([reason.text for reason in facts.trust.reasons])
     write_result(options.json, "report", facts.estimate.content() | {"report": content})
+    for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
+        out.say(sentence)
+    warn([reason.text for reason in facts.trust.reasons])
     # The reason why numbers are not to be used stands in the page; a fit that failed is an exit status too.
     return 1 if any(reason.kind == "not-converged" for reason in facts.trust.reasons) else 0
 

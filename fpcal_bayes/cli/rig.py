@@ -4,7 +4,7 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console
+from fpcal_bayes.cli.common import cell_of, console
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.emulate.bench import EmulatedBench
@@ -17,7 +17,6 @@ def run(options: argparse.Namespace) -> int:
     rig = read_rig(options.emulate, cell)
     source = Path(options.emulate)
     output = options.output or source.with_name(f"{source.stem}_live.toml")
-    check_output(output, options.emulate)
     warm_up(cell)
     halt = Halt()
     with halt.on_signals():

@@ -1,16 +1,17 @@
 """``fpcal sample``: draw from the posterior of a cell."""
 
 import argparse
+import contextlib
 import sys
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.identify import with_prior, with_source
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import make_folder
-from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.core.files import exclusive, make_folder
+from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
@@ -24,8 +25,6 @@ from fpcal_bayes.report.posterior import posterior_table, write_posterior_figure
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.output, options.file, options.prior)
-    check_output(options.json, options.file, options.output, options.prior)
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
@@ -43,6 +42,17 @@ def run(options: argparse.Namespace) -> int:
 
     folder = options.output.with_name(options.output.name + ".blocks")
     store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood, options.noise_scale))
+    make_folder(folder)
+    with exclusive(folder):
+        try:
+            return _sample(options, result, store, pairs)
+        finally:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def _sample(options: argparse.Namespace, result: Identification, store: BlockStore, pairs: list[str] | None) -> int:
+    """Draw, and write what was drawn."""
     if not options.resume:
         store.clear()
     bar = Progress(
@@ -70,8 +80,12 @@ def run(options: argparse.Namespace) -> int:
             progress=show,
         )
 
+    command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
+    tree = data_tree(posterior, seed=options.seed, command=command)
+    write_netcdf(tree, options.output)
+    write_result(options.json, "sample", content(posterior))
     out = console(options)
-    title = f"{options.file}, session {','.join(sweeps.sessions)}: posterior"
+    title = f"{options.file}, session {','.join(result.problem.sweeps.sessions)}: posterior"
     out.print(posterior_table(posterior, title))
     diagnostics = posterior.diagnostics
     out.say(
@@ -89,10 +103,6 @@ def run(options: argparse.Namespace) -> int:
         out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
     warn([posterior.misfit] if posterior.misfit else [])
     warn(f"not converged: {text}; try fewer --draws or more informative sweeps" for text in posterior.failures)
-    command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
-    tree = data_tree(posterior, seed=options.seed, command=command)
-    write_netcdf(tree, options.output)
-    write_result(options.json, "sample", content(posterior))
     if options.plots is not None:
         loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
         for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):

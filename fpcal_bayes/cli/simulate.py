@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
-from fpcal_bayes.cli.common import cell_of, check_output, check_suffix, console, warn
+from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
@@ -31,10 +31,13 @@ def run(options: argparse.Namespace) -> int:
     _check_options(options)
     protocol = options.protocol or "paper"
     planned = protocol not in _PROTOCOLS
-    check_output(options.output, protocol if planned else None, options.truth, options.path)
     plan = None
     if options.path is None:
-        plan = read_sweeps(protocol, cell, plan=True) if planned else protocol_by_name(protocol, cell)
+        plan = (
+            read_sweeps(protocol, cell, plan=True, whole=options.traces)
+            if planned
+            else protocol_by_name(protocol, cell)
+        )
         plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
     if options.traces and cell.mechanics is not None:

@@ -12,12 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from fpcal_bayes.cli.common import Output, cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import Output, cell_of, check_outputs, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.design.rows import read_often
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
+from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name, read_often
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
@@ -40,9 +39,8 @@ def run(options: argparse.Namespace) -> int:
     # A study draws its truths from the priors of the parameters: its mechanism is perfect, whatever the cell states.
     cell = cell_of(options).ideal
     output: Path = options.output or Path(f"study-{options.study}.h5")
-    for path in (output, options.json):
-        check_output(path, options.protocol, options.plan, *(options.task or ()))
-    check_output(options.json, output)
+    options.output = output
+    check_outputs(options)
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers: expected without --scheduler, whose workers are there already")
     workers = options.workers or _cores()
@@ -61,11 +59,6 @@ def run(options: argparse.Namespace) -> int:
             progress=reporter.show,
         )
     summary = study.summary(store.results(options.replicates))
-    out = console(options)
-    _print(summary, out)
-    known = options.replicates - state.came
-    out.say(f"{state.came} replicates in {state.seconds:.1f} s, {known} were there before -> {output}")
-    warn(summary.warnings)
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},
         "study": study.name,
@@ -76,6 +69,11 @@ def run(options: argparse.Namespace) -> int:
         "warnings": summary.warnings,
     }
     write_result(options.json, "study", content, Trust())
+    out = console(options)
+    _print(summary, out)
+    known = options.replicates - state.came
+    out.say(f"{state.came} replicates in {state.seconds:.1f} s, {known} were there before -> {output}")
+    warn(summary.warnings)
     return 0
 
 
@@ -137,7 +135,7 @@ def _policy(options: argparse.Namespace, cell: Cell) -> Study:
 def _plan(options: argparse.Namespace, cell: Cell) -> Study:
     if options.plan is None:
         raise InputError("study plan: expected --plan SWEEPS, whole sweeps as fpcal plan -o writes them")
-    whole = _usable(read_sweeps(options.plan, cell, plan=True), options.plan)
+    whole = _usable(read_sweeps(options.plan, cell, plan=True, whole=True), options.plan)
     if (whole.group != "").any():
         raise InputError(f"{options.plan}: column group: expected whole sweeps without groups")
     rows = read_often(whole, options.readings)

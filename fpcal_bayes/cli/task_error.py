@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
@@ -24,7 +24,6 @@ from fpcal_bayes.report.tasks import (
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_output(options.json, options.file, options.task, options.estimate, options.sweeps)
     sweeps = None
     if options.sweeps is not None:
         sweeps = read_sweeps(options.sweeps, cell).of_session(options.session)
@@ -46,6 +45,10 @@ def run(options: argparse.Namespace) -> int:
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
 
+    if sweeps is not None and estimate.mechanics is not None:
+        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
+    warnings += [reason.text for reason in estimate.trust.reasons]
+    write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
     out.print(prediction_table(predictions, tolerance, f"{Path(options.file).name}: task errors {source}"))
     for line in mechanism_lines(predictions):
@@ -54,9 +57,5 @@ def run(options: argparse.Namespace) -> int:
         out.print(budget_table(budget))
         for line in correlation_lines(budget):
             out.say(line)
-    if sweeps is not None and estimate.mechanics is not None:
-        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
-    warnings += [reason.text for reason in estimate.trust.reasons]
     warn(warnings)
-    write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     return 0

@@ -2,21 +2,23 @@
 
 import argparse
 import contextlib
-import os
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.analysis.campaign import follow
-from fpcal_bayes.cli.common import cell_of, check_output, console, warn, write_result
+from fpcal_bayes.analysis.watch import watch
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import exclusive, file_sha256
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.flat import check_flat, write_flat
 from fpcal_bayes.io.sweeps import is_campaign_file
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
 from fpcal_bayes.tracking.alarms import Limits
@@ -27,57 +29,36 @@ from fpcal_bayes.tracking.tracker import Track
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    cell, goal = cell_of(options), goal_of(options)
     if options.watch is None:
-        return _take_in(options)
+        return _take_in(options, cell, goal)
     status = 0
-    try:
-        before = _stamp(options.campaign)
-        status = _take_in(options)
+
+    def take_in(again: bool) -> None:
+        nonlocal status
+        status = _take_in(options, cell, goal, again=again)
         options.anew, options.posterior = False, None
-        while True:
-            time.sleep(options.watch)
-            now = _stamp(options.campaign)
-            if now == before:
-                continue
-            before = now
-            try:
-                status = _take_in(options, again=True)
-            except InputError as error:
-                # Whoever writes the campaign may be in the midst of it.
-                warn([f"{error}; looking again in {options.watch:g} s"])
+
+    try:
+        watch(options.campaign, options.watch, take_in, lambda text: warn([text]))
     except KeyboardInterrupt:
         return status
 
 
-def _stamp(file: str) -> tuple[int, int] | None:
-    """Tells one state of a file from another; None if it is not there."""
-    try:
-        found = os.stat(file)
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size
-
-
-def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
+def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
-    cell = cell_of(options)
-    for output in (options.estimate, options.json):
-        check_output(output, options.campaign, options.posterior, *(options.task or ()))
-    if options.estimate is not None and options.json is not None and options.estimate == options.json:
-        raise InputError(f"{options.json}: expected two names for --estimate and --json")
-    goal = goal_of(options)
+    check_flat(options.flat)
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
-        campaign_file = is_campaign_file(options.campaign)
-        require_same = alone.enter_context(exclusive(Path(options.campaign))) if campaign_file else None
+        if is_campaign_file(options.campaign):
+            alone.enter_context(exclusive(Path(options.campaign)))
         followed = follow(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
         found, sweeps, notes = followed.track, followed.sweeps, followed.notes
-        if followed.campaign is not None and require_same is not None and found.resumed < len(found.outcomes):
+        if followed.campaign is not None and found.resumed < len(found.outcomes):
             try:
                 before = followed.campaign.track
                 log = [] if before is None else decisions_of(before)
                 saved = replace(followed.campaign, track=record_of(found, sweeps, Limits(), log))
-                require_same()
                 write_campaign(options.campaign, saved, cell)
             except InputError as error:
                 notes.append(f"the states are not saved: {error}")
@@ -85,35 +66,38 @@ def _take_in(options: argparse.Namespace, *, again: bool = False) -> int:
 
     if again and found.resumed == len(found.outcomes):
         return 0 if found.converged else 1
-    out = console(options)
-    out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
-    title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"
-    out.print(parameter_table(found.estimate(), title))
     lines = verdict_lines(found)
     valid_until_h, note = _valid_until(found, goal, asked=options.task is not None)
     notes += note
+    until = ""
     if not found.trust.usable:
-        valid_until_h = None
-        out.say(f"not valid: {found.trust.against}")
+        valid_until_h, until = None, f"not valid: {found.trust.against}"
     if valid_until_h is not None:
         exceeds = f"P({', '.join(goal.tasks)} > {options.tolerance_nm:g} nm)"
-        until = time_text(valid_until_h, found.outcomes)
-        valid = f"valid until {until}: {exceeds} < {options.level:g}"
+        holds = f"valid until {time_text(valid_until_h, found.outcomes)}: {exceeds} < {options.level:g}"
         passed = f"not valid: {exceeds} is above {options.level:g} already"
-        out.say(valid if valid_until_h > found.last.time_h else passed)
-    drift_fit = {}
-    if options.fit_drift:
-        fitted = fit_sizes(cell, sweeps)
-        out.say("\n".join(fitted.lines()))
-        drift_fit = {"drift_fit": fitted.content()}
+        until = holds if valid_until_h > found.last.time_h else passed
+    fitted = fit_sizes(cell, sweeps) if options.fit_drift else None
+    drift_fit = {} if fitted is None else {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
-    warn(warnings)
     fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
     content = found.estimate(valid_until_h).content() | {"fit": fit}
     if options.estimate is not None:
         said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
         write_result(options.estimate, "track", content | said | {"warnings": warnings})
+    if options.flat is not None:
+        write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
     write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
+
+    out = console(options)
+    out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
+    title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"
+    out.print(parameter_table(found.estimate(), title))
+    if until:
+        out.say(until)
+    if fitted is not None:
+        out.say("\n".join(fitted.lines()))
+    warn(warnings)
     return 0 if found.converged else 1
 
 

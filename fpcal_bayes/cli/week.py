@@ -98,7 +98,8 @@ def run(options: argparse.Namespace) -> int:
         _print_week(week, target, timed=timed)
         _print_courses(followed, checks, renewed, target)
         _print_posterior(posterior, target)
-    write_text(options.output / "report.txt", text.getvalue())
+        if target is report:
+            write_text(options.output / "report.txt", text.getvalue())
     warn(f"{name}: {warning}" for name, result in results.items() for warning in result.warnings)
     out.say(
         f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/"

@@ -15,6 +15,14 @@ class UnreachableError(InputError):
     """A pose that the cell cannot take by this estimate."""
 
 
+def reason(error: BaseException) -> str:
+    """Why something failed, as one line: what the system says of it, else the kind of the error and its words."""
+    if isinstance(error, InputError):
+        return str(error)
+    system = "not enough memory" if isinstance(error, MemoryError) else getattr(error, "strerror", None)
+    return " ".join((system or f"{type(error).__name__}: {error}").split())[:300]
+
+
 def located(file: object, expected: str, *, row: int | None = None, column: str | None = None) -> InputError:
     """Build the message ``file: row R, column C: what was expected``.
 

@@ -12,6 +12,11 @@ def clock(text: str) -> datetime:
     return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
 
 
+def iso(moment: float) -> str:
+    """A Unix time as files hold it: ISO 8601 to the millisecond."""
+    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
 def read_time(text: str, name: str = "time") -> float | datetime:
     """Hours since the campaign began, or a clock time; `name` is what errors call it."""
     try:

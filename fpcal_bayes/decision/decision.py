@@ -15,6 +15,7 @@ from fpcal_bayes.tracking.filter import Innovation
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 Action = Literal["hold", "extrinsic", "full"]
+Purpose = Literal["extrinsics", "robot", "both"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
 Chooser = Callable[[Forecaster, State, int], Sweeps]
 
@@ -98,6 +99,8 @@ class Decision:
     at_horizon: TaskForecast
     after: TaskForecast
     reason: str
+    #: What the sweeps are for: ``extrinsics`` (mirror and fibre), ``robot`` (to look whether it changed), or ``both``.
+    purpose: Purpose = "extrinsics"
 
 
 @dataclass(frozen=True)
@@ -197,11 +200,12 @@ def measure_instead(
     sweeps: Sweeps,
     reason: str,
 ) -> Decision:
-    """The decision to measure other sweeps now; arguments as in `decide`."""
+    """The decision to look at the robot now by other sweeps; arguments as in `decide`."""
     taken = _session(forecast, model, state, costs, sweeps)
     return replace(
         decision,
         action="extrinsic",
+        purpose="robot" if decision.sweeps is None or not len(decision.sweeps) else "both",
         hold_hours=0.0,
         sweeps=sweeps,
         minutes=taken.minutes,

@@ -19,6 +19,8 @@ from fpcal_bayes.tracking.tracker import Track
 #: A session counts as a look at the robot if it shows a change with this share of the probability with which reading
 #: every parameter would. The rest is lost to the drift since, which hides the change from any session.
 ENOUGH = 0.5
+#: A look is planned only if some session could show a change with this probability: five such find two in three.
+LEAST_POWER = 0.2
 #: How closely that reading tells the parameters, in units of their prior standard deviation.
 _EXACT = 1e-4
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision, decide, measure_instead
-from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
+from fpcal_bayes.decision.diagnosis import LEAST_POWER, last_diagnosis, most_power, session_power, watched
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, reverses, visible_ranges
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps, as_plan, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import HOURS_PER_WEEK, Limits
 from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel, State
@@ -111,8 +111,8 @@ class Policy:
         tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
         return pool.choose(state.covariance[:m, :m], tasks, n)
 
-    def choose_diagnosis(self, forecast: Forecaster, state: State) -> Sweeps:
-        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most.
+    def choose_diagnosis(self, forecast: Forecaster, state: State, most: int | None = None) -> Sweeps:
+        """The sweeps most likely to show a jump of the intrinsic parameter that drifts most, `most` of them at most.
 
         Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
         """
@@ -120,7 +120,8 @@ class Policy:
         jump = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
         jump[at] = self.limits.jump(self.drift)[at]
         wide = state.covariance[:m, :m] + np.diag(jump**2)
-        whole, n = self._pool(forecast), self.costs.diagnosis_sweeps
+        whole = self._pool(forecast)
+        n = min(self.costs.diagnosis_sweeps, self.costs.diagnosis_sweeps if most is None else most)
         # Together they see what no single one does: chosen by exchange, which may end in a poor optimum. Of those in
         # the whole pool and in random halves of it, the session of the greatest power is taken.
         random, count = np.random.default_rng(0), len(whole.candidates)
@@ -157,15 +158,14 @@ class Policy:
         cannot be met.
         """
         decision = self._decide(forecast, state, calibration_due)
-        every = self.costs.diagnosis_h
-        if decision.action == "full" or every is None or diagnosed_h is None:
+        left = self._look_in(forecast, state, diagnosed_h)
+        if decision.action == "full" or left == np.inf or diagnosed_h is None:
             return decision
-        left = diagnosed_h + every - state.time_h
         if left <= 0.0:
             return self._diagnose(decision, forecast, state, diagnosed_h)
         if decision.action == "hold" and left < decision.hold_hours:
             after = forecast.outlook(forecast.ahead(state, left))
-            reason = f"the robot itself is to be looked at every {every:g} h"
+            reason = f"the robot itself is to be looked at every {self.costs.diagnosis_h:g} h"
             return replace(decision, hold_hours=left, after=after, reason=reason)
         return decision
 
@@ -178,19 +178,27 @@ class Policy:
     ) -> Decision:
         """What to measure at the time of `state`, when a session was planned for it; arguments as in `decide`."""
         decision = self._decide(forecast, state, calibration_due, measure=True)
-        every = self.costs.diagnosis_h
-        if decision.action == "full" or every is None or diagnosed_h is None:
+        if decision.action == "full" or diagnosed_h is None:
             return decision
         # Rounding must not put a look off by a session.
-        due = state.time_h - diagnosed_h > every - 1e-6
+        due = self._look_in(forecast, state, diagnosed_h) < 1e-6
         return self._diagnose(decision, forecast, state, diagnosed_h) if due else decision
+
+    def _look_in(self, forecast: Forecaster, state: State, diagnosed_h: float | None) -> float:
+        """Hours until the robot is to be looked at, negative if that is overdue; infinite if no look has power."""
+        every = self.costs.diagnosis_h
+        if every is None or diagnosed_h is None:
+            return np.inf
+        left = diagnosed_h + every - state.time_h
+        then = forecast.ahead(state, max(left, 0.0))
+        # Drift hides a change after long waits: then sweeps would cost time and show nothing.
+        most = most_power(self.drift, then, then.time_h - diagnosed_h, self.limits)
+        return left if most[watched(self.drift, self.limits)] >= LEAST_POWER else np.inf
 
     def hold_hours(self, forecast: Forecaster, state: State, diagnosed_h: float) -> float:
         """Hours from `state` until something is to be measured, at most the horizon; see `decide`."""
         hold = forecast.hold_hours(state, self.costs.horizon_h)
-        if self.costs.diagnosis_h is not None:
-            hold = min(hold, max(0.0, diagnosed_h + self.costs.diagnosis_h - state.time_h))
-        return hold
+        return min(hold, max(0.0, self._look_in(forecast, state, diagnosed_h)))
 
     def _decide(
         self, forecast: Forecaster, state: State, calibration_due: str | None, *, measure: bool = False
@@ -207,7 +215,11 @@ class Policy:
 
     def _diagnose(self, decision: Decision, forecast: Forecaster, state: State, diagnosed_h: float) -> Decision:
         """The sweeps of a decision, and those that look at the robot itself."""
-        sweeps = self.choose_diagnosis(forecast, state)
+        n_taken = 0 if decision.sweeps is None else len(decision.sweeps)
+        n_left = max(self.costs.most_sweeps, self.costs.diagnosis_sweeps) - n_taken
+        if n_left < 1:
+            return decision
+        sweeps = self.choose_diagnosis(forecast, state, n_left)
         if decision.sweeps is not None:
             sweeps = join([decision.sweeps, sweeps], file="candidates")
         hours = state.time_h - diagnosed_h
@@ -269,17 +281,5 @@ def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:
 
 def _plain(sweeps: Sweeps) -> Sweeps:
     """Sweeps as a plan of single end points."""
-    n = len(sweeps)
-    empty, nothing = np.full(n, ""), np.full(n, np.nan)
-    return replace(
-        sweeps,
-        session=np.full(n, "next"),
-        time_h=np.zeros(n),
-        dl=nothing,
-        sigma=nothing,
-        signed=np.ones(n, dtype=bool),
-        group=empty,
-        trace=empty,
-        utc=empty,
-        temperature_c=nothing,
-    )
+    plan = as_plan(sweeps, session="next", time_h=0.0, file=sweeps.file)
+    return replace(plan, group=np.full(len(plan), ""))

@@ -39,7 +39,6 @@ _PLACES = {
     "peak_to_peak": "tasks.error",
     "predict_from_draws": "tasks.prediction",
     "prior_ground": "design.problem",
-    "read_often": "design.rows",
     "sample": "posterior.sample",
     "slip_probabilities": "posterior.netcdf",
     "spectrum_of": "fit.spectrum",

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import quote
@@ -10,7 +11,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
-from fpcal_bayes.io.columns import from_columns, get_columns, put_columns, to_columns
+from fpcal_bayes.io.columns import Column, from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
@@ -34,8 +35,12 @@ _DOUBTFUL_TEXTS = ("session", "label", "reason")
 _DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}
 
 
-def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
+def write_campaign(
+    path: str | Path, campaign: Campaign, cell: Cell, *, asked: Mapping[str, Column] | None = None
+) -> None:
     """Write a campaign to an HDF5 file, whole or not at all; equal content gives equal bytes.
+
+    `asked` are columns that say how a plan is to be measured.
 
     Raises
     ------
@@ -44,7 +49,7 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
     """
     path = Path(path)
     _require_cell(path, campaign.cell_name, campaign.cell_sha256, campaign.opd, cell)
-    table = to_columns(campaign.sweeps, cell, path)
+    table = to_columns(campaign.sweeps, cell, path, asked)
     if campaign.seed is not None and not 0 <= campaign.seed < 2**63:
         raise InputError(f"{path}: seed {campaign.seed}: expected a whole number from 0 to 2^63 - 1")
     with replacing(path) as temporary, writing(temporary) as root:
@@ -75,7 +80,7 @@ def write_campaign(path: str | Path, campaign: Campaign, cell: Cell) -> None:
             put_doubtful(root.create_group("doubtful"), campaign.doubtful)
 
 
-def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campaign:
+def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Campaign:
     """Read a campaign from an HDF5 file.
 
     Parameters
@@ -86,6 +91,8 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         Must be the cell of the file; its path model may differ.
     plan
         Accept sweeps without measurement too.
+    whole
+        Keep a sweep with `readings` whole; else it becomes as many rows.
 
     Raises
     ------
@@ -120,7 +127,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False) -> Campai
         truth.check(cell, f"{path}: /truth")
     rows = np.arange(1, len(next(iter(table.values()))) + 1)
     return Campaign(
-        sweeps=from_columns(table, cell, str(path), rows, plan=plan),
+        sweeps=from_columns(table, cell, str(path), rows, plan=plan, whole=whole),
         cell_name=name,
         cell_sha256=sha256,
         opd=opd,

@@ -18,6 +18,7 @@ from fpcal_bayes.core.typing import Bools, Ints
 from fpcal_bayes.io.csv import Records
 from fpcal_bayes.io.hdf5 import Reader, put_array
 from fpcal_bayes.io.validate import shown
+from fpcal_bayes.measure.protocol import read_often
 from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps, check_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
@@ -58,10 +59,10 @@ COLUMNS = {
         ColumnSpec("approach", "optional", text=True),
         ColumnSpec("beam", "optional", text=True, reserved=True),
         ColumnSpec("shot", "optional", text=True),
-        ColumnSpec("readings", "plan", may_be_empty=True, reserved=True),
-        ColumnSpec("expires_h", "plan", may_be_empty=True, reserved=True),
-        ColumnSpec("expires_utc", "plan", text=True, reserved=True),
-        ColumnSpec("ticket", "plan", text=True, reserved=True),
+        ColumnSpec("readings", "plan", may_be_empty=True),
+        ColumnSpec("expires_h", "plan", may_be_empty=True),
+        ColumnSpec("expires_utc", "plan", text=True),
+        ColumnSpec("ticket", "plan", text=True),
         ColumnSpec("wavelength_nm", "index", may_be_empty=True),
         ColumnSpec("pressure_hpa", "index", may_be_empty=True),
         ColumnSpec("humidity_pct", "index", may_be_empty=True),
@@ -75,12 +76,13 @@ def _named(place: str) -> tuple[str, ...]:
     return tuple(spec.name for spec in COLUMNS.values() if spec.place == place and not spec.reserved)
 
 
-LEADING, MEASUREMENT, OPTIONAL, INDEX = map(_named, ("leading", "measurement", "optional", "index"))
+LEADING, MEASUREMENT, OPTIONAL, PLAN, INDEX = map(_named, ("leading", "measurement", "optional", "plan", "index"))
 #: Of an index: the light and the air, in the order of `TraceIndex`, and the files of wavelength scans.
 CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
 SCANS = ("scan_before", "scan_after")
 
 _UNITS = ("um", "deg", "h", "c", "nm", "hpa", "pct", "s", "v")
+_MOST_READINGS = 1000
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _JOINT = re.compile(r"q\d+_(start|end)_(um|deg)")
 # Python also reads dates alone and any letter between date and time; a file says both, the usual way.
@@ -122,9 +124,13 @@ def check_names(
             continue
         if _JOINT.fullmatch(name):
             raise located(file, f"column {name} does not fit: {owns}", row=row)
-        spec = COLUMNS.get(name)
-        if spec is not None and spec.place == "plan" and "dl_um" in names:
+        if name in PLAN and "dl_um" in names:
             raise located(file, f"the column {name} belongs to a plan, expected no column dl_um beside it", row=row)
+        if name in PLAN and plan:
+            continue
+        if name in PLAN:
+            raise located(file, f"the column {name} belongs to a plan, expected measured sweeps", row=row)
+        spec = COLUMNS.get(name)
         if spec is not None and spec.reserved:
             raise located(file, f"the column {name} is reserved and not read by this version of fpcal", row=row)
         expected = f"expected {','.join(required)}, then any of {','.join(OPTIONAL)}"
@@ -171,10 +177,13 @@ def get_columns(reader: Reader, group: Any, cell: Cell, *, plan: bool) -> dict[s
     return table
 
 
-def to_columns(sweeps: Sweeps, cell: Cell, file: object) -> dict[str, Column]:
+def to_columns(
+    sweeps: Sweeps, cell: Cell, file: object, asked: Mapping[str, Column] | None = None
+) -> dict[str, Column]:
     """Sweeps, or a plan, as columns (n,) in file order, joints in um and deg; optional ones only if they say something.
 
-    Raises `InputError`, which names `file`, if the sweeps are such that the file could not be read back.
+    `asked` are columns that say how a plan is to be measured. Raises `InputError`, which names `file`, if the sweeps
+    are such that the file could not be read back.
     """
     q = np.hstack([sweeps.q_start, sweeps.q_end]) / np.tile(cell.joint_scales, 2)
     table: dict[str, Column] = {name: getattr(sweeps, name) for name in LEADING}
@@ -193,15 +202,19 @@ def to_columns(sweeps: Sweeps, cell: Cell, file: object) -> dict[str, Column]:
         values = getattr(sweeps, name)
         if (values != COLUMNS[name].default if is_text(name) else ~np.isnan(values)).any():
             table[name] = values
+    table |= asked or {}
     from_columns(table, cell, str(file), rows, plan=not sweeps.measured)
     return table
 
 
-def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: Ints, *, plan: bool) -> Sweeps:
+def from_columns(
+    table: Mapping[str, Column], cell: Cell, file: str, rows: Ints, *, plan: bool, whole: bool = False
+) -> Sweeps:
     """Sweeps from columns (n,) in um and deg whose names `check_names` has passed; those of an index are left aside.
 
     Raises `InputError`, which names `file` and one of its `rows` (n,), if a value is not what its column holds, or the
-    sweeps break a rule of `check_sweeps`. In a plan, columns other than the joints' may be missing.
+    sweeps break a rule of `check_sweeps`. In a plan, columns other than the joints' may be missing, and a sweep becomes
+    as many rows as its `readings` ask for, unless sweeps are wanted `whole`.
     """
     if len(rows) == 0:
         raise InputError(f"{file}: no rows, expected at least one sweep")
@@ -223,8 +236,9 @@ def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: Ints,
             refuse(~np.isfinite(values), name, "expected a finite number")
     if "session" in table:
         refuse(table["session"] == "", "session", "expected the name of a session")
-    if "utc" in table:
-        refuse(_flags(table["utc"], _is_no_time), "utc", "expected ISO 8601 as in 2024-05-01T08:30:00Z")
+    for name in ("utc", "expires_utc"):
+        if name in table:
+            refuse(_flags(table[name], _is_no_time), name, "expected ISO 8601 as in 2024-05-01T08:30:00Z")
     if "signed" in table:
         refuse(~np.isin(table["signed"], (0, 1)), "signed", "expected 1 (sign known) or 0 (only the size is known)")
         if "dl_um" in table:
@@ -249,7 +263,24 @@ def from_columns(table: Mapping[str, Column], cell: Cell, file: str, rows: Ints,
         **others,
     )
     check_sweeps(sweeps, cell)
-    return sweeps
+    readings = readings_of(table, file, rows)
+    if whole:
+        return sweeps
+    refuse(
+        readings == 0, "readings", "a whole trace is recorded by simulate --traces or measure, expected 1 or more here"
+    )
+    return read_often(sweeps, readings)
+
+
+def readings_of(table: Mapping[str, Column], file: str, rows: Ints) -> Ints:
+    """Readings that a plan asks of each row, 0 for a whole trace; one where it says nothing, shape (n,)."""
+    found = table.get("readings", np.ones(len(rows)))
+    found = np.where(np.isnan(found), 1.0, found)
+    bad = (found != np.round(found)) | (found < 0) | (found > _MOST_READINGS)
+    if bad.any():
+        expected = f"expected a whole number from 0 to {_MOST_READINGS}, found {found[bad][0]:g}"
+        raise located(file, expected, row=int(rows[np.argmax(bad)]), column="readings")
+    return found.astype(np.int64)
 
 
 def _flags(column: Column, test: Callable[[str], object]) -> Bools:

@@ -6,6 +6,7 @@ HDF5 library into an endless loop; files of other programs may use it all the sa
 """
 
 import contextlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import require_readable
+from fpcal_bayes.core.files import require_quiet, require_readable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -35,10 +36,10 @@ def is_hdf5(path: Path) -> bool:
 class Reader:
     """Reads from one open file; every refusal is an `InputError` that names the file and the place in it."""
 
-    def __init__(self, path: Path, root: Any) -> None:
+    def __init__(self, path: Path, root: Any, most: int) -> None:
         self.path = path
         self.root = root
-        self._bytes_left = MAX_BYTES
+        self._most = self._bytes_left = most
 
     def has(self, group: Any, name: str) -> bool:
         """Whether `group` holds something called `name`."""
@@ -48,16 +49,16 @@ class Reader:
         """The group `name` of a group."""
         return self._child(parent, name, h5py.Group, "group")
 
-    def numbers(self, parent: Any, name: str, ndim: int = 1) -> NDArray[np.float64]:
-        """The numbers of a dataset with `ndim` axes, as float64."""
-        dataset = self._dataset(parent, name, ndim)
+    def numbers(self, parent: Any, name: str, ndim: int | None = 1) -> NDArray[np.float64]:
+        """The numbers of a dataset with `ndim` axes, or any number of them, as float64."""
+        dataset = self.dataset(parent, name, ndim)
         if dataset.dtype.kind not in "fiub":
             raise self._error(dataset.name, f"expected numbers, found {dataset.dtype}")
         return np.asarray(dataset[()], dtype=np.float64)
 
     def texts(self, parent: Any, name: str) -> NDArray[np.str_]:
         """The texts of a dataset with one axis."""
-        dataset = self._dataset(parent, name, 1)
+        dataset = self.dataset(parent, name, 1)
         if h5py.check_string_dtype(dataset.dtype) is None:
             raise self._error(dataset.name, f"expected text, found {dataset.dtype}")
         texts = dataset.asstr()[()].tolist()
@@ -84,15 +85,19 @@ class Reader:
     def _attribute(self, holder: Any, name: str) -> Any:
         if name not in holder.attrs:
             raise self._error(f"{holder.name}, attribute {name}", "missing")
+        size = math.prod(holder.attrs.get_id(name).shape)
+        if size != 1:
+            raise self._error(f"{holder.name}, attribute {name}", f"expected a single value, found {size}")
         value = holder.attrs[name]
         # Some programs store a single value as an array of one.
-        return value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+        return value.reshape(-1)[0] if isinstance(value, np.ndarray) else value
 
-    def _dataset(self, parent: Any, name: str, ndim: int) -> Any:
+    def dataset(self, parent: Any, name: str, ndim: int | None) -> Any:
+        """The dataset `name` of a group, which lies in this file and fits in memory."""
         dataset = self._child(parent, name, h5py.Dataset, "dataset")
         if dataset.external or dataset.is_virtual:
             raise self._error(dataset.name, "the data lie in another file, which is not opened")
-        if dataset.shape is None or len(dataset.shape) != ndim:
+        if dataset.shape is None or ndim not in (None, len(dataset.shape)):
             raise self._error(dataset.name, f"expected {ndim} axes, found shape {dataset.shape}")
         self._spend(dataset.name, int(dataset.size) * dataset.dtype.itemsize)
         return dataset
@@ -112,25 +117,29 @@ class Reader:
     def _spend(self, place: str, size: int) -> None:
         self._bytes_left -= size
         if self._bytes_left < 0:
-            raise self._error(place, f"the file holds more than {MAX_BYTES >> 20} MiB")
+            raise self._error(place, f"the file holds more than {self._most >> 20} MiB")
 
     def _error(self, place: str, expected: str) -> InputError:
         return located(self.path, f"{place}: {expected}")
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[Reader]:
-    """Open an HDF5 file to read; whatever the library raises becomes one `InputError`."""
-    require_readable(path)
+def reading(path: Path, kind: str = "an HDF5 file", most: int = MAX_BYTES) -> Iterator[Reader]:
+    """Open an HDF5 file to read at most so many bytes; whatever the library raises becomes one `InputError`."""
     try:
+        require_readable(path)
         if not is_hdf5(path):
-            raise InputError(f"{path}: not an HDF5 file")
+            raise InputError(f"{path}: not {kind}")
         # Files are replaced whole, so a lock would only hinder readers on shared drives.
         with h5py.File(path, "r", locking=False) as file:
-            yield Reader(path, file)
-    except InputError:
-        raise
+            yield Reader(path, file, most)
     except _FAILURES as error:
+        if path.is_file():
+            require_quiet(path)
+        if isinstance(error, InputError):
+            raise
+        if "already open for" in str(error):
+            raise InputError(f"{path}: another program has this file open to write: close it there") from error
         raise InputError(f"{path}: truncated or damaged HDF5 file ({str(error)[:200]})") from error
 
 

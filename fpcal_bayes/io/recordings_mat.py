@@ -28,7 +28,7 @@ def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
     """Read an index from a MATLAB file of version 7 or older, whose variables are as the module says."""
     if is_hdf5(path) or b"MATLAB 7.3" in path.read_bytes()[:128]:
         raise InputError(f"{path}: a MATLAB file of version 7.3: expected version 7, as save(..., '-v7') makes it")
-    content = _load_apart(path)
+    content = load_variables(path)
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     scan_names = [f"{scan}_{column}" for scan in SCANS for column in SCAN_COLUMNS]
     apart = {*TRACE_COLUMNS, *scan_names, *INDEX}.difference(SCANS)
@@ -38,14 +38,14 @@ def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
     check_names(list(variables), cell, f"{path}: variables", plan=True, also=apart)
     n = np.size(variables[joint_columns(cell)[0]])
     table = {
-        name: _texts(path, name, value, n) if is_text(name) else _numbers(path, name, value, n)
+        name: mat_texts(path, name, value, n) if is_text(name) else mat_numbers(path, name, value, n)
         for name, value in variables.items()
         if name not in apart
     }
     sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True)
     unknown = np.full(n, np.nan)
     wavelength_nm, celsius, pressure, humidity = (
-        _numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS
+        mat_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS
     )
     parts = [_vectors(path, name, variables[name], n) for name in TRACE_COLUMNS]
     traces = [
@@ -56,7 +56,7 @@ def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
     return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, traces, before, after)
 
 
-def _load_apart(path: Path) -> dict[str, Any]:
+def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file, read by a process of its own: some damaged files end the one that reads them."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
@@ -86,14 +86,16 @@ def _scans(path: Path, name: str, variables: dict[str, Any], n: int) -> list[Wav
     ]
 
 
-def _numbers(path: Path, name: str, value: Any, n: int) -> Floats:
+def mat_numbers(path: Path, name: str, value: Any, n: int) -> Floats:
+    """A variable that holds n numbers."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.size != n:
         raise InputError(f"{path}: variable {name}: expected {n} numbers, found shape {array.shape}, {array.dtype}")
     return array.astype(float).reshape(-1)
 
 
-def _texts(path: Path, name: str, value: Any, n: int) -> NDArray[np.str_]:
+def mat_texts(path: Path, name: str, value: Any, n: int) -> NDArray[np.str_]:
+    """A variable that holds n texts."""
     array = np.asarray(value)
     if array.dtype.kind == "U" and array.size == n:
         return array.reshape(-1)

@@ -3,6 +3,7 @@
 import re
 import zlib
 from base64 import b64decode, b64encode
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def is_campaign_file(path: str | Path) -> bool:
     return path.suffix.lower() in HDF5_SUFFIXES or is_hdf5(path)
 
 
-def read_sweeps(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
+def read_sweeps(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Sweeps:
     """Read sweeps from a CSV file or a campaign file.
 
     Parameters
@@ -36,14 +37,18 @@ def read_sweeps(path: str | Path, cell: Cell, *, plan: bool = False) -> Sweeps:
     path
         HDF5 if `is_campaign_file`, else CSV.
     plan
-        Accept sweeps without measurement too.
+        Accept sweeps without measurement too; a sweep with `readings` becomes as many rows.
+    whole
+        Keep such a sweep whole.
 
     Raises
     ------
     InputError
         If anything in the file is not as documented.
     """
-    return read_campaign(path, cell, plan=plan).sweeps if is_campaign_file(path) else read_csv(path, cell, plan=plan)
+    if is_campaign_file(path):
+        return read_campaign(path, cell, plan=plan, whole=whole).sweeps
+    return read_csv(path, cell, plan=plan, whole=whole)
 
 
 def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str = "", seed: int | None = None) -> None:
@@ -68,7 +73,7 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str =
         raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
 
 
-def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
+def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:
     """Add measured sessions to a file of sweeps, under the lock that every writer of it takes.
 
     Parameters
@@ -77,6 +82,13 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
         CSV, or campaign whose other content is kept.
     sweeps
         Sessions that the file does not hold yet.
+    check
+        Called with all sweeps before anything is written; it raises `InputError` if they do not go together.
+
+    Returns
+    -------
+    Sweeps
+        All that the file holds now.
 
     Raises
     ------
@@ -87,21 +99,24 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:
     path = Path(path)
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
-    with exclusive(path) as require_same:
+    with exclusive(path):
         campaign = read_campaign(path, cell) if is_campaign_file(path) else None
         before = read_csv(path, cell) if campaign is None else campaign.sweeps
         for name in sweeps.sessions:
             if name in before.sessions:
                 raise InputError(f"{path}: session {name!r} is there already, expected a new one")
         joined = join([before, sweeps], file=str(path))
-        require_same()
+        check(joined)
         if campaign is None:
             write_csv(path, joined, cell)
         else:
             write_campaign(path, replace(campaign, sweeps=joined), cell)
+    return joined
 
 
-def read_csv(path: str | Path, cell: Cell, *, plan: bool = False, text: str | None = None) -> Sweeps:
+def read_csv(
+    path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False, text: str | None = None
+) -> Sweeps:
     """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1.
 
     UTF-8 text; lengths in um, angles in deg. A byte order mark, CRLF line ends and blank lines are accepted. In a plan,
@@ -118,7 +133,7 @@ def read_csv(path: str | Path, cell: Cell, *, plan: bool = False, text: str | No
     if not plan and header[: len(required)] != required:
         place = next(i for i, name in enumerate(required) if header[i] != name)
         raise located(path, f"expected the column {required[place]}, found {header[place]}", row=row)
-    return from_columns(parsed(records), cell, str(path), records.rows, plan=plan)
+    return from_columns(parsed(records), cell, str(path), records.rows, plan=plan, whole=whole)
 
 
 def packed(sweeps: Sweeps, cell: Cell) -> str | None:

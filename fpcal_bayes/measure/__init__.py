@@ -14,6 +14,7 @@ _PLACES = {
     "paper_truth": "truth",
     "pool": "sweeps",
     "protocol_by_name": "protocol",
+    "read_often": "protocol",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

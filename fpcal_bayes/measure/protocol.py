@@ -1,14 +1,15 @@
 """Which sweeps to measure: the paper's protocol, single sweeps, and which signs are known."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.resources import paper_tables
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import tool_pose
@@ -65,20 +66,59 @@ def add_midpoints(sweeps: Sweeps) -> Sweeps:
     after the sweep. Rows of a group and absolute lengths stay as they are.
     """
     alone = (sweeps.group == "") & (sweeps.kind == "sweep")
-    if not alone.any():
+    return read_often(sweeps, np.where(alone, 2, 1)) if alone.any() else sweeps
+
+
+def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
+    """A plan in which each sweep is read at evenly spaced places after its start.
+
+    Parameters
+    ----------
+    sweeps
+        Whole sweeps, n of them.
+    readings
+        How often each is read, one number or shape (n,): 1 at the end, 2 at the middle and the end, and so on.
+
+    Returns
+    -------
+    Sweeps
+        The rows of a sweep that is read more than once follow each other, in a group named after it.
+
+    Raises
+    ------
+    InputError
+        If a sweep is read less than once, or one of a group more than once.
+    """
+    often = np.broadcast_to(readings, len(sweeps))
+    bad = (often < 1) | ((often > 1) & ((sweeps.group != "") | (sweeps.kind != "sweep")))
+    if bad.any():
+        expected = "expected one at least, and one where rows stand in a group or are of another kind than sweep"
+        i = int(np.argmax(bad))
+        raise located(sweeps.file, f"{often[i]} readings: {expected}", row=int(sweeps.rows[i]), column="readings")
+    if (often == 1).all():
         return sweeps
-    order = np.repeat(np.arange(len(sweeps)), np.where(alone, 2, 1))
-    is_middle = np.zeros(len(order), dtype=bool)
-    is_middle[np.searchsorted(order, np.flatnonzero(alone))] = True
-    expanded = sweeps.take(order)
-    middle = (expanded.q_start + expanded.q_end) / 2.0
-    labels = [f"{label}{_MIDPOINT if mid else ''}" for label, mid in zip(expanded.label, is_middle, strict=True)]
-    names = [label or f"row {row}" for label, row in zip(expanded.label, expanded.rows, strict=True)]
+    labels, rows = sweeps.label.tolist(), sweeps.rows.tolist()
+    # Two sweeps of one label do not share a start.
+    times = Counter(zip(sweeps.session.tolist(), labels, strict=True))
+    names = np.array(
+        [
+            label if label and times[session, label] == 1 else f"{label} row {row}".lstrip()
+            for session, label, row in zip(sweeps.session.tolist(), labels, rows, strict=True)
+        ]
+    )
+    order = np.repeat(np.arange(len(sweeps)), often)
+    place = np.arange(len(order)) - np.repeat(np.cumsum(often) - often, often) + 1
+    expanded, of = sweeps.take(order), often[order]
+    share = (place / of)[:, None]
+    named = [
+        label if i == n else f"{label}{_MIDPOINT}" if n == 2 else f"{label}-{i}/{n}"
+        for label, i, n in zip(expanded.label.tolist(), place.tolist(), of.tolist(), strict=True)
+    ]
     return replace(
         expanded,
-        label=np.array(labels, dtype=np.str_),
-        q_end=np.where(is_middle[:, None], middle, expanded.q_end),
-        group=np.where(alone[order], np.array(names, dtype=np.str_), expanded.group),
+        label=np.array(named, dtype=np.str_),
+        q_end=expanded.q_start * (1.0 - share) + expanded.q_end * share,
+        group=np.where(of > 1, names[order], expanded.group),
         rows=np.arange(2, len(order) + 2),
     )
 

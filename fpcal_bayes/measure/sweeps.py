@@ -274,6 +274,22 @@ def _check_distinct(sweeps: Sweeps) -> None:
                 )
 
 
+def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:
+    """The same sweeps to be measured in a session to come: nothing in them was measured."""
+    n = len(sweeps)
+    return Sweeps.of_um_rad(
+        sweeps.q_start,
+        sweeps.q_end,
+        session=session,
+        time_h=time_h,
+        label=sweeps.label.tolist(),
+        group=sweeps.group.tolist(),
+        kind=sweeps.kind.tolist(),
+        file=file,
+        rows=np.arange(2, n + 2),
+    )
+
+
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     """Hold sweeps to the rules that no single field shows."""
     if len(sweeps) == 0:

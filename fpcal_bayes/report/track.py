@@ -70,7 +70,15 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     if decision.action == "full":
         return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
-    return f"re-identify extrinsics now with {these} ({cost}): {decision.reason}; {after}"
+    return f"{_PURPOSES[decision.purpose]} now with {these} ({cost}): {decision.reason}; {after}"
+
+
+#: What sweeps other than a full calibration are for.
+_PURPOSES = {
+    "extrinsics": "re-identify extrinsics",
+    "robot": "look at the robot",
+    "both": "re-identify extrinsics and look at the robot",
+}
 
 
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
@@ -116,6 +124,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
     usable = track.trust.usable
     return {
         "action": decision.action,
+        "purpose": None if decision.action == "hold" else "full" if decision.action == "full" else decision.purpose,
         "sentence": decision_sentence(decision, track),
         "reason": decision.reason,
         "now_h": decision.now_h,

@@ -11,6 +11,7 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.traces import write_trace
+from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS
@@ -28,7 +29,6 @@ from fpcal_bayes.rig.drivers.pi import PIStage
 from fpcal_bayes.rig.drivers.smaract import SmarActStage
 from fpcal_bayes.rig.route import Guard
 from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice, Rig
-from fpcal_bayes.rig.ticket import Order
 
 #: Longest and shortest pause between two looks at the devices, in s of the wall.
 _LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005

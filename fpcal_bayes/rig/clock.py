@@ -43,11 +43,6 @@ class Clock:
         return seconds / self.speedup
 
 
-def iso(moment: float) -> str:
-    """A Unix time as files hold it: ISO 8601 to the millisecond."""
-    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
 class Halted(Exception):
     """All must stop; the message is one line and says why."""
 

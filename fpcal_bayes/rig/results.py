@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from fpcal_bayes.core.times import iso
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
+from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.rig.clock import iso
-from fpcal_bayes.rig.ticket import Order
 
 #: Columns that sweeps may have or not, by the version of the column engine.
 _FIELDS = {field.name for field in fields(Sweeps)}

@@ -9,13 +9,13 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.rig.envelope import envelope_of
 from fpcal_bayes.rig.settings import Rig
-from fpcal_bayes.rig.ticket import Order
 
 #: Points of a straight line on which gap and length are looked at.
 _POINTS = 33

@@ -85,7 +85,7 @@ class StudyStore:
                     rows = np.zeros(replicates, self._type)
                     rows[: len(known)] = known
                     self._make(rows)
-        with exclusive(self.path) as require_same:
+        with exclusive(self.path, in_place=True) as require_same:
             self._rows()
             appender = Appender(self.path, self._offset, self._type.itemsize)
             try:
@@ -134,7 +134,7 @@ class StudyStore:
 
     def _rows(self) -> NDArray[np.void]:
         """All rows, empty ones too; where they lie in the file is noted."""
-        with reading(self.path) as reader:
+        with reading(self.path, most=MAX_BYTES) as reader:
             root = reader.root
             schema = reader.text_attribute(root, "schema")
             if schema != SCHEMA:
@@ -144,8 +144,8 @@ class StudyStore:
                 raise InputError(f"{self.path}: expected schema_version {SCHEMA_VERSION}, found {version}")
             if reader.text_attribute(root, "identity") != content_sha256(self._identity()):
                 raise self._differs({name: reader.text_attribute(root, name) for name in self._identity()})
-            dataset = root.get("replicates")
-            if not isinstance(dataset, h5py.Dataset) or dataset.dtype != self._type or dataset.ndim != 1:
+            dataset = reader.dataset(root, "replicates", 1)
+            if dataset.dtype != self._type:
                 raise InputError(f"{self.path}: /replicates: expected one row a replicate")
             offset = dataset.id.get_offset()
             if offset is None or offset + dataset.nbytes > self.path.stat().st_size:

@@ -12,6 +12,10 @@ Commands = Any  # argparse names the type of its subparsers only privately
 MECHANICS = "stated"
 
 
+class Folder(Path):
+    """A folder that a command fills."""
+
+
 def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from fpcal_bayes.cli.arguments.common import (
     Commands,
+    Folder,
     add_command,
     add_json,
     add_prior,
@@ -61,7 +62,7 @@ def sample(commands: Commands) -> None:
     add("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
-    add("--plots", metavar="DIR", type=Path, help="folder for figures (PNG), made if it is not there")
+    add("--plots", metavar="DIR", type=Folder, help="folder for figures (PNG), made if it is not there")
     add("--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)")
     add_json(parser)
 

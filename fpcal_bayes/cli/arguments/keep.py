@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -15,7 +15,8 @@ Without an estimate the plan is averaged over draws of the prior, so that it is 
 task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
 --after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
 
-SWEEPS holds whole sweeps. --rows writes the readings of each as rows of one group, for `fpcal simulate --protocol`.
+SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
+readings of each as rows of one group, for other programs.
 Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
 """
 
@@ -73,6 +74,10 @@ def track(commands: Commands) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
+    add(
+        "--flat", metavar="OUT", type=Path, help="write it flat for MATLAB or LabVIEW: .json or .mat, with fpcal_ik.m "
+        "and fpcal_fk.m beside it"
+    )  # fmt: skip
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
     add(
         "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
@@ -119,8 +124,60 @@ def decide(commands: Commands) -> None:
         "can show a change of the robot itself (default: 24)"
     )  # fmt: skip
     add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
-    add("-o", dest="output", metavar="SWEEPS.csv", type=Path, help="write the sweeps as a plan")
+    add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
     add_json(parser)
+
+
+_APPEND = """\
+MEASURED holds sessions that CAMPAIGN does not hold yet, CSV or HDF5; what it holds stands where it was. With --ticket
+every row must be one that the ticket asks for, under the ticket's session name and before it expires. A ticket without
+rows asks for nothing, and nothing is done. A row that is there already, a session that begins before another one ends,
+or clock times that contradict `time_h` are refused, and CAMPAIGN stays as it was.
+"""
+
+
+def append(commands: Commands) -> None:
+    """Add ``fpcal append``."""
+    parser = add_command(commands, "append", "add a measured session to a campaign", _APPEND)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
+    add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
+    add("--ticket", metavar="TICKET.csv", help="what was to be measured, of fpcal decide")
+    add_json(parser)
+
+
+_EXPORT = """\
+MOVES has a row per axis and pose, in the controllers' own names, channels, units, signs and zeros as the cell states
+them: move, controller, channel, unit, position, and speed, dwell_s, reading. Rows of one move are driven in order,
+in step where in_step is 1. `fpcal import` reads such a file, or a log with the columns
+move,controller,channel,unit,position,utc and, if the length was read there, length_um and sigma_um (of the
+change).
+"""
+
+
+def export(commands: Commands) -> None:
+    """Add ``fpcal export``."""
+    parser = add_command(commands, "export", "write a plan or joint path as moves of the controllers", _EXPORT)
+    add = parser.add_argument
+    add("file", metavar="PLAN|JOINTS", help="plan or ticket (CSV), or joint path of fpcal control -o (CSV)")
+    add("-o", dest="output", metavar="MOVES", type=Path, required=True, help="moves to write: .csv or .mat")
+
+
+_IMPORT = """\
+LOG has the columns move,controller,channel,unit,position and, if known, utc, reading, length_um, sigma_um, as `fpcal
+export` explains. Without `reading`, moves 1 and 2, 3 and 4 and so on are start and end of sweeps. Where lengths were
+read SWEEPS is measured, else a plan of what was driven.
+"""
+
+
+def import_(commands: Commands) -> None:
+    """Add ``fpcal import``."""
+    parser = add_command(commands, "import", "read what the controllers logged as sweeps", _IMPORT)
+    add = parser.add_argument
+    add("log", metavar="LOG", help="moves: .csv or .mat")
+    add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    add("--session", default="session-1", metavar="NAME", help="where the log does not say (default: session-1)")
+    add("--time-h", type=float, default=0.0, metavar="H", help="of the first move, likewise (default: 0)")
 
 
 _REPORT = """\
@@ -165,7 +222,7 @@ def week(commands: Commands) -> None:
     """Add ``fpcal week``."""
     parser = add_command(commands, "week", "run the paper's week on a simulated cell", _WEEK)
     add = parser.add_argument
-    add("-o", dest="output", metavar="DIR", type=Path, default=Path("week"), help="folder (default: week)")
+    add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--seed", type=seed, default=0, help="of the noise (default: 0)")
     add(

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, add_command, add_json, count, positive, seed, share
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_json, count, positive, seed, share
 
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
@@ -107,7 +107,7 @@ def ingest(commands: Commands) -> None:
     add("--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior")
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(
-        "--plots", metavar="DIR", type=Path, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
+        "--plots", metavar="DIR", type=Folder, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
     )
     plots.add_argument("--no-plots", action="store_true", help="draw nothing")
     add_json(parser)

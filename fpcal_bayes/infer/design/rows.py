@@ -5,26 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import whitening_of
+from fpcal_bayes.measure.protocol import read_often
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-
-
-def read_often(sweeps: Sweeps, readings: int) -> Sweeps:
-    """A plan in which each sweep is read at `readings` evenly spaced places after its start, one at least.
-
-    The rows of a sweep follow each other and share the reading at the start: one group a sweep, named by its position.
-    """
-    if readings < 1:
-        raise InputError(f"{readings} readings a sweep: expected one at least")
-    n = len(sweeps)
-    expanded = sweeps.take(np.repeat(np.arange(n), readings))
-    share = np.tile(np.arange(1, readings + 1) / readings, n)[:, None]
-    q_end = expanded.q_start + share * (expanded.q_end - expanded.q_start)
-    names = np.repeat([f"s{i}" for i in range(n)], readings) if readings > 1 else np.full(n, "")
-    return replace(expanded, q_end=q_end, group=np.asarray(names, dtype=np.str_), rows=np.arange(2, n * readings + 2))
 
 
 def sweep_rows(

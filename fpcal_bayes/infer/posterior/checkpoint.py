@@ -4,7 +4,6 @@ Each block is a file of its own, written aside and renamed, with the state of th
 What is on disk is therefore whole at any moment, and a reader never meets a writer.
 """
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,9 +66,9 @@ class BlockStore:
             put_array(root, "cost", np.array([float(block.evaluations), block.seconds]))
 
     def clear(self) -> None:
-        """Remove all blocks."""
-        if self.folder.exists():
-            shutil.rmtree(self.folder)
+        """Remove all blocks, but not their folder: it is locked."""
+        for path in self.folder.glob("*.[ht]*"):
+            path.unlink()
 
     def _path(self, number: int) -> Path:
         return self.folder / f"block-{number:06d}.h5"

@@ -1,23 +1,24 @@
 """A posterior as an ArviZ DataTree in a netCDF file, read again, and its summary."""
 
+import contextlib
 import hashlib
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, file_sha256, replacing, require_readable
+from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, file_sha256, replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.posterior.diagnostics import diagnose
 from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
+from fpcal_bayes.io.hdf5 import Reader, reading
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Trust, trust_of
@@ -41,60 +42,57 @@ class PosteriorDraws:
 def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
     """Read the draws of a posterior file."""
     path = Path(path)
-    require_readable(path)
-    try:
-        with h5py.File(path, "r") as file:
-            attributes = dict(file.attrs)
-            _check(path, attributes, cell)
-            group = file.get("posterior")
-            if not isinstance(group, h5py.Group):
-                raise InputError(f"{path}: expected a group posterior, as fpcal sample writes it")
-            parameters = ParameterSet(p for p in cell.parameters if p.name in group)
-            columns = [_column(path, group[p.name], p.name, p.unit) for p in parameters]
-    except OSError as error:
-        raise InputError(f"{path}: not a netCDF file of draws ({error})") from error
+    with _reading(path, cell) as reader:
+        group = reader.group(reader.root, "posterior")
+        parameters = ParameterSet(p for p in cell.parameters if reader.has(group, p.name))
+        columns = [_column(reader, group, p.name, p.unit) for p in parameters]
+        hashed = CONTENT_HASH in reader.root.attrs
+        sha256, said = (reader.text_attribute(reader.root, name) if hashed else "" for name in (CONTENT_HASH, "trust"))
     if not columns:
         raise InputError(f"{path}: group posterior: expected draws of parameters of cell {cell.name!r}")
     if len({column.shape for column in columns}) != 1 or columns[0].size == 0:
         raise InputError(f"{path}: group posterior: expected as many draws of each parameter, one or more")
-    trust = _trust(path, attributes, parameters, columns)
+    trust = _trust(path, sha256, said, parameters, columns) if hashed else trust_of(None)
     values = parameters.to_internal(np.column_stack([column.ravel() for column in columns]))
     return PosteriorDraws(cell, parameters, values, trust)
 
 
-def _trust(path: Path, attributes: dict[str, object], parameters: ParameterSet, columns: Sequence[Floats]) -> Trust:
+@contextlib.contextmanager
+def _reading(path: Path, cell: Cell) -> Iterator[Reader]:
+    """Open a posterior file, which must be of this cell and have converged."""
+    with reading(path, "a netCDF file of draws") as reader:
+        root = reader.root
+        if "cell_sha256" not in root.attrs:
+            raise InputError(f"{path}: attribute cell_sha256: missing, expected a file that fpcal sample wrote")
+        if reader.text_attribute(root, "cell_sha256") != cell.sha256:
+            name, opd = (reader.text_attribute(root, each) for each in ("cell_name", "opd"))
+            raise InputError(
+                f"{path}: attribute cell_sha256: the draws are of another cell ({name!r:.60}, opd {opd!r:.40}), "
+                f"expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
+            )
+        if "converged" in root.attrs and not reader.integer_attribute(root, "converged"):
+            raise InputError(
+                f"{path}: attribute converged: the sampling did not converge, expected draws to be trusted"
+            )
+        yield reader
+
+
+def _trust(path: Path, sha256: str, text: str, parameters: ParameterSet, columns: Sequence[Floats]) -> Trust:
     """What is held against the draws of a file whose hash is right."""
-    if CONTENT_HASH not in attributes:
-        return trust_of(None)
-    text = str(attributes.get("trust", ""))
-    if attributes[CONTENT_HASH] != _draws_sha256(parameters.names, np.stack(columns, axis=-1), text):
+    if sha256 != _draws_sha256(parameters.names, np.stack(columns, axis=-1), text):
         raise InputError(f"{path}: attribute {CONTENT_HASH}: the draws are not those that fpcal sample wrote")
     try:
         return trust_of(json.loads(text))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: attribute trust: {error}") from error
 
 
-def _check(path: Path, attributes: dict[str, object], cell: Cell) -> None:
-    if "cell_sha256" not in attributes:
-        raise InputError(f"{path}: attribute cell_sha256: missing, expected a file that fpcal sample wrote")
-    if attributes["cell_sha256"] != cell.sha256:
-        raise InputError(
-            f"{path}: attribute cell_sha256: the draws are of another cell ({attributes.get('cell_name')!r}, opd "
-            f"{attributes.get('opd')!r}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
-        )
-    if not attributes.get("converged", 1):
-        raise InputError(f"{path}: attribute converged: the sampling did not converge, expected draws to be trusted")
-
-
-def _column(path: Path, data: object, name: str, unit: str) -> Floats:
-    place = f"{path}: posterior/{name}"
-    if not isinstance(data, h5py.Dataset) or data.dtype.kind != "f":
-        raise InputError(f"{place}: expected an array of numbers")
-    stated = data.attrs.get("units", "")
+def _column(reader: Reader, group: Any, name: str, unit: str) -> Floats:
+    place = f"{reader.path}: posterior/{name}"
+    values = reader.numbers(group, name, None)
+    stated = reader.text_attribute(group[name], "units") if "units" in group[name].attrs else ""
     if stated != unit:
-        raise InputError(f"{place}: expected the units {unit!r}, found {str(stated)[:40]!r}")
-    values = np.asarray(data[()], dtype=float)
+        raise InputError(f"{place}: expected the units {unit!r}, found {stated[:40]!r}")
     if not np.isfinite(values).all():
         raise InputError(f"{place}: expected finite numbers")
     return values
@@ -128,22 +126,22 @@ def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
     """Read a posterior file and work out its convergence."""
     path = Path(path)
     parameters = read_posterior(path, cell).parameters
-    with h5py.File(path, "r") as file:
-        try:
-            draws = np.stack([file["posterior"][name][()] for name in parameters.names], axis=-1)
-            prior = np.stack([file["prior"][name][()].ravel() for name in parameters.names], axis=-1)
-            observed, predicted = file["observed_data"]["dl_um"][()], file["posterior_predictive"]["dl_um"][()]
-            attributes = dict(file.attrs)
-        except (KeyError, TypeError, ValueError, OSError) as error:
-            raise InputError(f"{path}: expected the groups that fpcal sample writes ({error})") from error
+    with _reading(path, cell) as reader:
+        root = reader.root
+        posterior, before = (reader.group(root, name) for name in ("posterior", "prior"))
+        draws = np.stack([reader.numbers(posterior, name, None) for name in parameters.names], axis=-1)
+        prior = np.stack([reader.numbers(before, name, None).ravel() for name in parameters.names], axis=-1)
+        observed = reader.numbers(reader.group(root, "observed_data"), "dl_um")
+        predicted = reader.numbers(reader.group(root, "posterior_predictive"), "dl_um", 3)
+        residuals = (observed - predicted.mean(axis=(0, 1))) / predicted.std(axis=(0, 1))
+        n_ensembles = reader.integer_attribute(root, "n_ensembles") if "n_ensembles" in root.attrs else 1
+        command = reader.text_attribute(root, "command") if "command" in root.attrs else ""
     if draws.ndim != 3:
         raise InputError(f"{path}: group posterior: expected draws by chain and draw")
-    n_ensembles = int(np.ravel(attributes.get("n_ensembles", 1))[0])
     if n_ensembles < 1 or len(draws) % n_ensembles:
         raise InputError(f"{path}: attribute n_ensembles: expected a divisor of {len(draws)} chains")
     walkers = draws.reshape(n_ensembles, -1, draws.shape[1], draws.shape[2]).transpose(0, 2, 1, 3)
     found = diagnose(walkers)
-    spread = predicted.std(axis=(0, 1))
     return PosteriorSummary(
         file=path.name,
         sha256=file_sha256(path),
@@ -154,8 +152,8 @@ def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
         rhat=found.rhat,
         ess_bulk=found.ess_bulk,
         ess_tail=found.ess_tail,
-        residuals=(observed - predicted.mean(axis=(0, 1))) / spread,
-        command=str(attributes.get("command", "")),
+        residuals=residuals,
+        command=command,
     )
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.times import iso
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.traces import Trace
-from fpcal_bayes.rig.clock import Clock, iso
+from fpcal_bayes.rig.clock import Clock
 
 #: What a log line holds of one message.
 _LOGGED = 400

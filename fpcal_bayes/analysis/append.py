@@ -1,0 +1,79 @@
+"""A measured session joins its campaign."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fpcal_bayes.core.errors import located
+from fpcal_bayes.io.sweeps import append_sweeps, read_sweeps
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import check_measured
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.tracking.sessions import check_sessions
+
+
+@dataclass(frozen=True)
+class Appended:
+    """What joined a campaign."""
+
+    sessions: tuple[str, ...]
+    n_rows: int
+    n_missing: int  # rows that the ticket asks for and that were not measured
+    n_sessions: int  # of the campaign now
+
+
+def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: str | Path | None = None) -> Appended:
+    """Add a measured session to a campaign, or nothing if the ticket asks for nothing.
+
+    Parameters
+    ----------
+    campaign
+        CSV or HDF5; replaced in one step, under the lock of its writers.
+    measured
+        Sessions that the campaign does not hold yet, all later than its first.
+    ticket
+        What was to be measured.
+
+    Raises
+    ------
+    InputError
+        If a row is not what the ticket asks for, is there already, or the sessions do not go together; the campaign
+        stays as it was.
+    """
+    asked = None if ticket is None else read_ticket(ticket, cell)
+    if asked is not None and asked.plan is None:
+        return Appended((), 0, 0, 0)
+    sweeps = read_sweeps(measured, cell)
+    missing = 0 if asked is None else check_measured(asked, sweeps, cell)
+
+    def check(joined: Sweeps) -> None:
+        _refuse_again(sweeps, joined.take(np.arange(len(joined) - len(sweeps))))
+        check_sessions(joined)
+
+    joined = append_sweeps(campaign, sweeps, cell, check)
+    return Appended(sweeps.sessions, len(sweeps), missing, len(joined.sessions))
+
+
+def _refuse_again(sweeps: Sweeps, before: Sweeps) -> None:
+    """Refuse a session that the campaign holds already, under a name that differs by case or blanks or another one."""
+    names = {name.strip().casefold(): name for name in before.sessions}
+    known = dict(zip(_contents(before), before.session.tolist(), strict=True))
+    for name in sweeps.sessions:
+        part = sweeps.take(sweeps.session == name)
+        row, held = int(part.rows[0]), [session for content in _contents(part) if (session := known.get(content))]
+        twin = names.get(name.strip().casefold())
+        if twin is not None:
+            raise located(
+                sweeps.file, f"session {twin!r} is in the campaign, expected a new name", row=row, column="session"
+            )
+        # One reading may repeat by chance, since counted fringes are whole numbers; not most of a session.
+        if 2 * len(held) > len(part):
+            raise located(
+                sweeps.file, f"session {held[0]!r} of the campaign holds {len(held)} of these {len(part)} rows", row=row
+            )
+
+
+def _contents(sweeps: Sweeps) -> list[tuple[float, ...]]:
+    return [tuple(row) for row in np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist()]

@@ -1,0 +1,54 @@
+"""Looking after a file unattended: whatever it holds, the next look comes."""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from fpcal_bayes.core.errors import reason
+
+#: A file that did not change and could not be taken in is tried again after so many looks at most.
+_MOST_LOOKS = 8
+
+
+def watch(file: str | Path, seconds: float, take_in: Callable[[bool], None], say: Callable[[str], None]) -> NoReturn:
+    """Take in a file, and again whenever it has changed, until the process is interrupted.
+
+    Nothing that the file holds ends this: a file that is not there yet, that another program holds or that cannot be
+    taken in is waited for, and tried again later even if it has not changed.
+
+    Parameters
+    ----------
+    seconds
+        Between two looks at the file.
+    take_in
+        Does the work; its argument is whether it came to its end the last time.
+    say
+        Told what is waited for, once.
+    """
+    seen: object = ()
+    waiting, again = "", False
+    looks, patience = 0, 1
+    while True:
+        now, looks = _stamp(file), looks + 1
+        if now != seen or (waiting and looks >= patience):
+            patience = 1 if now != seen else min(2 * patience, _MOST_LOOKS)
+            seen, looks = now, 0
+            try:
+                take_in(again)
+                waiting, again = "", True
+            except Exception as error:
+                before, waiting, again = waiting, reason(error), False
+                if waiting != before:
+                    say(f"{waiting}; looking again in {seconds:g} s")
+        time.sleep(seconds)
+
+
+def _stamp(file: str | Path) -> tuple[int, ...] | None:
+    """Tells one state of a file from another; None if it is not there."""
+    try:
+        found = os.stat(file)
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size

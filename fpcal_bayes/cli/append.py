@@ -1,0 +1,29 @@
+"""``fpcal append``: a measured session joins its campaign."""
+
+import argparse
+
+from fpcal_bayes.analysis.append import append
+from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    cell = cell_of(options)
+    done = append(options.campaign, options.measured, cell, ticket=options.ticket)
+    warnings = []
+    if done.n_missing:
+        warnings.append(f"{done.n_missing} rows that the ticket asks for were not measured")
+    content = {
+        "sessions": list(done.sessions),
+        "n_rows": done.n_rows,
+        "n_missing": done.n_missing,
+        "warnings": warnings,
+    }
+    write_result(options.json, "append", content)
+    warn(warnings)
+    if not done.sessions:
+        console(options).say(f"{options.ticket}: no rows, nothing to append")
+        return 0
+    what = f"session {', '.join(done.sessions)} with {done.n_rows} rows"
+    console(options).say(f"{options.campaign}: {what} added, {done.n_sessions} in all")
+    return 0

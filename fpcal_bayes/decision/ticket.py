@@ -1,0 +1,47 @@
+"""The ticket of a decision: what to measure now, under which name, and until when."""
+
+import hashlib
+
+import numpy as np
+
+from fpcal_bayes.core.times import clock
+from fpcal_bayes.decision.decision import Decision
+from fpcal_bayes.measure.sweeps import Sweeps, as_plan
+from fpcal_bayes.measure.ticket import Ticket
+
+#: Hours after which sweeps are to be chosen anew: the cell has drifted on.
+TICKET_H = 4.0
+
+
+def ticket_of(decision: Decision, campaign: Sweeps, file: str = "ticket") -> Ticket:
+    """What a decision asks for, as a ticket; without sweeps where nothing is to be measured.
+
+    Parameters
+    ----------
+    decision
+        Made for the campaign.
+    campaign
+        Sweeps of all sessions so far.
+    file
+        Name of the ticket's file, for messages.
+
+    Returns
+    -------
+    Ticket
+        With a session name that the campaign does not hold, and nothing that was measured.
+    """
+    if decision.action == "hold" or decision.sweeps is None or len(decision.sweeps) == 0:
+        return Ticket(file, None, np.zeros(0, dtype=np.int64))
+    taken, number = {name.strip().casefold() for name in campaign.sessions}, len(campaign.sessions)
+    while f"{decision.action}-{number}" in taken:
+        number += 1
+    plan = as_plan(decision.sweeps, session=f"{decision.action}-{number}", time_h=decision.now_h, file=file)
+    expires_h, expires_utc = decision.now_h + TICKET_H, np.nan
+    stamped = np.flatnonzero(campaign.utc != "")
+    if len(stamped):
+        at = stamped[-1]
+        since_h = expires_h - float(campaign.time_h[at])
+        expires_utc = clock(str(campaign.utc[at])).timestamp() + 3600.0 * since_h
+    content = (plan.session.tolist(), plan.q_start.tolist(), plan.q_end.tolist(), expires_h, campaign.dl.tolist())
+    name = f"t-{hashlib.sha256(repr(content).encode()).hexdigest()[:12]}"
+    return Ticket(file, plan, np.ones(len(plan), dtype=np.int64), expires_h, expires_utc, name)

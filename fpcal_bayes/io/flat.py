@@ -1,0 +1,46 @@
+"""Flat files of the current best estimate: JSON or MATLAB, with the functions that read them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import savemat
+
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import replacing, write_json, write_text
+from fpcal_bayes.core.resources import data_file
+
+FUNCTIONS = ("fpcal_fk.m", "fpcal_ik.m")
+
+
+def check_flat(path: Path | None) -> None:
+    """Raise `InputError` unless the name of a flat file says its format."""
+    if path is not None and path.suffix.lower() not in (".json", ".mat"):
+        raise InputError(f"{path}: expected a file name that ends in .json or .mat")
+
+
+def write_flat(path: Path, content: Mapping[str, Any]) -> None:
+    """Write flat names, numbers, texts and arrays, whole or not at all, and the functions that read them beside it.
+
+    The functions are written where none are; None becomes null, or NaN in MATLAB.
+    """
+    check_flat(path)
+    for name in FUNCTIONS:
+        beside = path.parent / name
+        if not beside.exists():
+            write_text(beside, data_file(f"matlab/{name}").read_text(encoding="utf-8"))
+    if path.suffix.lower() == ".json":
+        write_json(path, dict(content))
+        return
+    table: dict[str, Any] = {}
+    for name, value in content.items():
+        array = np.array([np.nan if value is None else value]) if not isinstance(value, list) else np.array(value)
+        if isinstance(value, str):
+            table[name] = value
+        elif array.dtype.kind == "U":
+            table[name] = array.astype(object)[:, None]
+        else:
+            table[name] = array.astype(float)
+    with replacing(path) as temporary, temporary.open("wb") as handle:
+        savemat(handle, table, oned_as="column")

@@ -32,7 +32,9 @@ def run(options: argparse.Namespace) -> int:
     result = with_source(found, options.file, sweeps, before)
 
     if options.json is not None:
-        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
+        draws = draws_content(result)
+        write_result(options.json, "identify", {**result.content(), **draws})
+        warn(draws.get("warnings", [])[-1:])
     out = console(options)
     title = f"{options.file}, session {','.join(sweeps.sessions)}: {len(result.problem.sweeps)} rows"
     out.print(parameter_table(result.estimate, title))

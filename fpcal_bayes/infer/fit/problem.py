@@ -89,10 +89,11 @@ class Problem:
         prior: Prior | None = None,
     ) -> "Problem":
         """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
         problem = cls(
-            model=model,
+            model=model.facing(model.free.nominal, rows),
             sweeps=sweeps,
-            rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
+            rows=rows,
             target=sweeps.dl if target is None else target,
             whitening=Whitening(1.0 / sweeps.sigma),
             prior=Prior.of(model.free) if prior is None else prior,
@@ -230,7 +231,7 @@ class Problem:
         scaled = inverse @ inverse.T
         transform = np.zeros((self.n_unknowns, self.n_unknowns))
         n = self.n_free
-        transform[:n, :n] = self.prior.slopes(unknowns[:n])
+        transform[:n, :n] = self.prior.secants(unknowns[:n], np.sqrt(np.diag(scaled)[:n]))
         if self.considered is None:
             return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.

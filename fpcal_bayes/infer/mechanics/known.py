@@ -74,8 +74,9 @@ def covariance_of(fit: MechanicsFit) -> Floats:
     """Covariance of free and considered parameters over the mixture of scales in um and rad, shape (n, n)."""
     problem, unknowns = fit.problem, fit.solution.unknowns
     n = problem.n_free
-    slopes = problem.prior.slopes(unknowns[:n])
-    mixed = symmetric(slopes @ fit.moments()[1][:n, :n] @ slopes.T)
+    scores = fit.moments()[1][:n, :n]
+    slopes = problem.prior.secants(unknowns[:n], np.sqrt(np.diag(scores)))
+    mixed = symmetric(slopes @ scores @ slopes.T)
     if problem.considered is None:
         return mixed
     # What is held keeps its covariance; the scales widen what is free.

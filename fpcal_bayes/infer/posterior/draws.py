@@ -25,6 +25,7 @@ N_DRAWS = 500
 #: Further draws are made until they are worth this share of those wanted, at most so many times.
 _LEAST_WORTH = 0.5
 _MOST_ROUNDS = 8
+LOST = "no posterior draws travel with the estimate, too few could be made of this fit: bands are of first order"
 #: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
 _DIGITS = 10
 
@@ -160,6 +161,6 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
         return {}
     values = independent_draws(found, draws)
     if not len(values):
-        return {}
+        return {"draws": None, "warnings": [*found.warnings, LOST]}
     shown = np.round(free.to_shown(values), _DIGITS)
     return {"draws": {"names": list(free.names), "rows": shown.tolist()}}

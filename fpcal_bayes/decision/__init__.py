@@ -9,6 +9,7 @@ _PLACES = {
     "Goal": "forecast",
     "Policy": "policy",
     "is_diagnosis": "diagnosis",
+    "valid_until": "policy",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

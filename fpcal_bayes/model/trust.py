@@ -19,6 +19,7 @@ KINDS: dict[str, bool] = {
     "held-uncertain": True,
     "omitted": True,
     "held-exact": False,
+    "drift": False,
     "stale": True,
     "too-good-fit": False,
     "second-solution": False,

@@ -40,6 +40,8 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     decided meanwhile, one JSON object each, in order of time.
     """
     onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
+    # The next run learns the pace anew.
+    track = track.stated or track
     n, states = track.drift.n_parameters, track.drift.n_states
     summary = {
         "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],

@@ -145,7 +145,7 @@ def accuracy(options: argparse.Namespace) -> None:
             plan = choose(n)
             spent = time.process_time() - began
             if name != "paper's order":
-                plan = in_short_order(cell, plan, limits_of(options))
+                plan = in_short_order(cell, plan)
             each = grounds.judged.sd_at_draws(plan, readings=options.readings)
             show(f"{n} {name} ({spent:.0f} s)", each, grounds.paper)
             found.setdefault(name, {})[n] = {task: float(np.sqrt((sd**2).mean())) for task, sd in each.items()}

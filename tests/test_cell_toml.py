@@ -132,7 +132,7 @@ BAD = [
     ("wavelength_nm = 1560.0", "wavelength_nm = nan", "key optics.wavelength_nm: expected a finite number, found nan"),
     ("wavelength_nm = 1560.0", "wavelength_nm = inf", "key optics.wavelength_nm: expected a finite number, found inf"),
     ("wavelength_nm = 1560.0", "wavelength_nm = 1e999", "key optics.wavelength_nm: expected a finite number"),
-    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 0.1"),
+    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 200"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 400}", "key optics.wavelength_nm: expected a finite number"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 5000}", "not a TOML file"),
     (
@@ -142,7 +142,7 @@ BAD = [
     ),
     ("nominal_deg = -90.0", "nominal_deg = nan", "key joint 2.alpha.nominal_deg: expected a finite number, found nan"),
     ("nominal_um = 920.0", "nominal_um = -inf", "key extrinsic.y_wf.nominal_um: expected a finite number, found -inf"),
-    ("prior_sd_deg = 1.0", "prior_sd_deg = -1.0", "key joint 2.alpha.prior_sd_deg: expected a number from 0 to inf"),
+    ("prior_sd_deg = 1.0", "prior_sd_deg = -1.0", "key joint 2.alpha.prior_sd_deg: expected a number from 0 to 10000"),
     ("prior_sd_um = 20.0", "prior_sd_um = nan", "key joint 4.d.prior_sd_um: expected a finite number, found nan"),
     ("repeatability_um = 0.0", "repeatability_um = -1", "key joint 1.repeatability_um: expected a number from 0"),
     ("resolution_um = 0.0005", "resolution_um = -1", "key joint 1.resolution_um: expected a number from 0"),

@@ -188,7 +188,7 @@ def test_a_skew_dh_table_still_faces_the_fibre(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("alpha,a\n1,2\n", "row 1: expected the columns"),
+        ("alpha,a\n1,2\n", "row 1: expected the header kind,alpha_deg"),
         ("kind,alpha_deg,a_um,theta_deg,d_um\nhelical,0,0,0,0\n", "row 2, column kind: expected prismatic or revolute"),
         ("kind,alpha_deg,a_um,theta_deg,d_um\nr,0,x,0,0\n", "row 2, column a_um: expected a finite number"),
         ("kind,alpha_deg,a_um,theta_deg,d_um\nr,0,0\n", "row 2: expected 5 fields"),

@@ -239,9 +239,10 @@ class TestIdentify:
             assert re.search(rf"^ ?{name} ", out, re.MULTILINE), name
         assert "fit: converged, sum of squares 67.36 over 69 rows" in out
         assert "rank: 16 of 21" in out
+        assert "along the others the estimate is the prior: theta_3, d_4" in out
         lines = error_lines(err)
         assert len(lines) == 1
-        assert lines[0].startswith("fpcal: warning: the data determine 16 of 21 combinations")
+        assert lines[0].startswith("fpcal: warning: with q6, or q3 and q5, or q1 and q4 counted the other way")
         assert "\x1b" not in out + err
 
     def test_quiet(self, capsys):

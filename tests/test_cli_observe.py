@@ -61,7 +61,7 @@ def test_json_of_measured_sweeps(tmp_path, capsys):
     assert found["bounds"]["full"]["y_wf"]["unbiased"] is None
     captured = capsys.readouterr()
     assert "16 of 21 combinations are seen" in captured.out
-    assert captured.err.startswith("fpcal: warning: the data determine 16 of 21 combinations")
+    assert captured.err.startswith("fpcal: warning: with q6, or q3 and q5, or q1 and q4 counted")
 
 
 def test_a_plan_needs_no_measurement(plan, tmp_path, capsys):

@@ -20,7 +20,7 @@ from fpcal_bayes.model.envelope import (
     require_in_front,
     require_task_within_envelope,
     require_within_envelope,
-    within,
+    safe_ranges,
 )
 from fpcal_bayes.model.joint_path import JointPath, in_turn, sweep_path, task_path
 from fpcal_bayes.model.margin import margin, prior_draws
@@ -37,6 +37,12 @@ def at(q: np.ndarray) -> JointPath:
     """Poses alone, without steps."""
     none = np.zeros((0, 2), dtype=np.int64)
     return JointPath(q, np.arange(len(q)), np.zeros(len(q), dtype=bool), none, np.zeros(0))
+
+
+def within(model: CavityModel, draws: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Whether each sweep stays in the envelope, without the ways between them."""
+    found = breaches(model, draws, sweep_path(model.cell, start, end, ways=False), rows=1)
+    return ~np.isin(np.arange(len(start)), [breach.row for breach in found])
 
 
 def disc(centre: np.ndarray, normal: np.ndarray, radius: float) -> np.ndarray:
@@ -151,7 +157,6 @@ def test_joints_that_may_not_move_together(femto):
     alone = with_envelope(femto, together=())
     model, draws = prior_draws(alone)
     start, end = np.zeros((1, 6)), np.array([[10, 10, 0, 0, 0, 0]], dtype=float)
-    assert not within(model, draws, start, end).any()
     with pytest.raises(InputError, match="row 1: moves q1, q2 at once"):
         require_within_envelope(model, draws, start, end, file="plan.csv")
     # A task's points may be reached in turn: every pose between two counts.
@@ -202,7 +207,6 @@ def test_a_cell_without_an_envelope_refuses_nothing(femto):
     cell = replace(femto, envelope=None)
     model, draws = prior_draws(cell)
     require_within_envelope(model, draws, np.zeros((1, 6)), np.full((1, 6), 100.0), file="plan.csv")
-    assert within(model, draws, np.zeros((1, 6)), np.full((1, 6), 100.0)).all()
     with pytest.raises(InputError, match=r"expected an \[envelope\] table"):
         margin(model, draws, at(np.zeros((1, 6))))
 
@@ -264,3 +268,24 @@ def test_the_built_in_envelope_is_read(femto):
     assert envelope.max_tilt == pytest.approx(np.radians(30.0))
     assert envelope.together == ((0, 1, 2), (3, 4, 5))
     assert [joint.speed for joint in femto.joints] == pytest.approx([100.0] * 3 + [np.radians(2.0)] * 3)
+
+
+@pytest.mark.parametrize("gap_sd", [2.0, 20.0, None])
+def test_every_pose_in_the_safe_ranges_stays_in_the_envelope(femto, gap_sd):
+    """Random poses of the ranges, by fresh draws of the prior and the gap, against the discs' own distance."""
+    cell = with_envelope(femto, gap=None if gap_sd is None else 260.0, gap_sd=gap_sd, max_tilt=0.3)
+    model, draws = prior_draws(cell)
+    low, high = np.where(np.isfinite(cell.low), cell.low, -1.5), np.where(np.isfinite(cell.high), cell.high, 1.5)
+    least, most = safe_ranges(model, draws, low, high)
+    assert ((low <= least) & (least <= 0) & (most >= 0) & (most <= high)).all()
+    if gap_sd is None:
+        assert (most - least)[1] == pytest.approx(2 * 9.2, rel=5e-3)
+    rng = np.random.default_rng(1)
+    q = rng.uniform(least, most, (60, 6))
+    model, fresh = prior_draws(cell, 2000, seed=7)
+    found = margin(model, fresh, at(q), rows=1)
+    assert (found.most_tilt <= 0.3).all()
+    assert not found.known or (found.least_gap >= 100.0).all()
+    # What gives way is needed: all ranges as they are would leave the envelope.
+    if gap_sd is not None:
+        assert not (least == low).all() or not (most == high).all()

@@ -44,9 +44,10 @@ for name in commands:
     except SystemExit as ended:
         assert ended.code == 0
 # The options are one thing, what runs is another: each command's module is loaded.
-import importlib
+import importlib, keyword
 for name in commands:
-    importlib.import_module(f"fpcal_bayes.cli.{name.replace('-', '_')}")
+    importlib.import_module(f"fpcal_bayes.cli.{name.replace('-', '_')}{'_' * keyword.iskeyword(name)}")
+print(len(commands))
 """
 
 ROUND_TRIP = """
@@ -109,7 +110,7 @@ pytestmark = [
 def test_every_command_has_its_help_and_can_be_loaded(tmp_path):
     done = on_windows(HELP, tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("usage: fpcal ") == 19
+    assert done.stdout.count("usage: fpcal ") == int(done.stdout.splitlines()[-1]) >= 22
 
 
 def test_the_way_from_sweeps_to_a_decision(tmp_path):

@@ -206,14 +206,12 @@ def test_a_terminal_that_fails_loses_nothing(terminal: str, tmp_path: Path) -> N
         environment |= {"PYTHONIOENCODING": "ascii"}
     if "full" in terminal and not os.path.exists("/dev/full"):
         pytest.skip("this system has no full device")
-    simulate = [sys.executable, "-m", "fpcal_bayes", "simulate", "-o", "µ sweeps.csv", "--quiet"]
-    subprocess.run(simulate, cwd=tmp_path, env=environment, check=True)
-    line = f"'{sys.executable}' -m fpcal_bayes identify 'µ sweeps.csv' --json out.json {tail}"
+    line = f"'{sys.executable}' -m fpcal_bayes cell --json 'µ out.json' {tail}"
     done = subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, check=False)
     assert done.returncode == (2 if "full" in terminal else 0)
     assert b"Traceback" not in done.stderr
     assert b"Exception ignored" not in done.stderr
     if terminal == "full":
         assert b"fpcal: error: the standard output cannot be written (No space left on device)\n" in done.stderr
-    assert json.loads((tmp_path / "out.json").read_text())["fit"]["converged"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "µ sweeps.csv"]
+    assert json.loads((tmp_path / "µ out.json").read_text())["command"] == "cell"
+    assert [path.name for path in tmp_path.iterdir()] == ["µ out.json"]

@@ -13,6 +13,7 @@ from fpcal_bayes.measure.sweeps import check_sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.joint_path import travel_seconds
 
 CELL = load_cell(mechanics="none")
 
@@ -38,7 +39,7 @@ def test_candidates_keep_to_the_limits(seed: int, tilt: float, rate: float, seve
         along = np.linspace(0.0, 1.0, 5)[:, None, None]
         q = found.q_start + along * (found.q_end - found.q_start)
         assert tilts(CELL, CELL.free.nominal, q.reshape(-1, 6)).max(initial=0.0) <= tilt + 1e-6
-        seconds = limits.seconds(CELL, found.q_end - found.q_start)
+        seconds = travel_seconds(CELL, found.q_end - found.q_start)
         model = CavityModel.of(CELL)
         whole = model.predict(CELL.free.nominal, model.rows(found.q_start, found.q_end))
         assert (np.abs(whole) <= (1 + 1e-9) * rate * seconds * CELL.wavelength / 2).all()

@@ -33,7 +33,7 @@ def test_prediction(prediction: TaskPrediction) -> None:
     assert content["exceeds_probability"] == prediction.exceeds(0.002)
     assert content["peak_to_peak_nm"]["median"] == pytest.approx(1e3 * np.median(prediction.peak_to_peak))
     assert "tolerance_nm" not in prediction_content(prediction, None, prediction.task)
-    text = str(prediction_table([prediction], 0.002, "errors"))
+    text = str(prediction_table([prediction], [0.002], "errors"))
     assert "circle" in text
     assert "P(> 2 nm)" in text
     assert f"{content['worst_sd_nm']:.2f}" in text

@@ -14,6 +14,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv, read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.model.cell.cell import make_parameters
 
 CELL = load_cell(mechanics="none")
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
@@ -89,7 +90,8 @@ def test_accepts_other_writers(tmp_path, text):
 
 
 def test_the_header_follows_the_cells_joints(tmp_path):
-    cell = replace(CELL, name="two", joints=(CELL.joints[5], CELL.joints[0]))
+    links = make_parameters({"alpha_1": (-np.pi / 2, 0.0, False), "y_wf": (920.0, 200.0, False)}, 2)
+    cell = replace(CELL, name="two", joints=(CELL.joints[5], CELL.joints[0]), parameters=links, envelope=None)
     header = "session,time_h,label,q1_start_deg,q2_start_um,q1_end_deg,q2_end_um,dl_um,sigma_um,signed"
     text = f"{header}\ns,0,a,90,5,0,7,1,1,1\n"
     path = write(tmp_path, text)

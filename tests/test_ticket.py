@@ -75,8 +75,8 @@ def test_a_ticket_comes_back_as_it_was_written(tmp_path):
 
 
 def test_what_a_ticket_asks_for_joins_the_campaign(tmp_path, campaign):
-    write_ticket(tmp_path / "t.csv", planned(expires_h=34.0, name="t-1"), CELL)
     for suffix in (".csv", ".h5"):
+        write_ticket(tmp_path / "t.csv", planned(expires_h=34.0, name="t-1"), CELL)
         kept = tmp_path / f"kept{suffix}"
         write_sweeps(kept, read_sweeps(campaign, CELL), CELL)
         session = measured(read_sweeps(tmp_path / "t.csv", CELL, plan=True).take(np.arange(7)))
@@ -84,8 +84,10 @@ def test_what_a_ticket_asks_for_joins_the_campaign(tmp_path, campaign):
         done = append(kept, tmp_path / "s.csv", CELL, ticket=tmp_path / "t.csv")
         assert (done.sessions, done.n_rows, done.n_missing, done.n_sessions) == (("extrinsic-1",), 7, 1, 2)
         np.testing.assert_array_equal(read_sweeps(kept, CELL).dl[-7:], read_sweeps(tmp_path / "s.csv", CELL).dl)
+        assert read_ticket(tmp_path / "t.csv", CELL).plan is None
+        assert append(kept, tmp_path / "s.csv", CELL, ticket=tmp_path / "t.csv").sessions == ()
         with pytest.raises(InputError, match="extrinsic-1"):
-            append(kept, tmp_path / "s.csv", CELL, ticket=tmp_path / "t.csv")
+            append(kept, tmp_path / "s.csv", CELL)
 
 
 def spoilt(session: Sweeps, how: str) -> Sweeps:

@@ -74,7 +74,7 @@ def test_what_is_no_trace_is_refused(tmp_path: Path, text: str, message: str) ->
     ("text", "message"),
     [
         ("1550,1\n1551,1\n1550.5,1\n", "row 4, column wavelength_nm: expected wavelengths that only rise or only fall"),
-        ("-1550,1\n1551,1\n", "row 2, column wavelength_nm: expected a wavelength above zero"),
+        ("-1550,1\n1551,1\n", "row 2, column wavelength_nm: expected a wavelength in nm, 200 to 20000"),
         ("1550,1\n1551,inf\n", "row 3, column irradiance_v: expected a number, found 'inf'"),
     ],
 )

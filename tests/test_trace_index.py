@@ -160,7 +160,7 @@ def edit(path: Path, old: str, new: str) -> None:
         (",trace", ",tracks", "unknown column 'tracks'"),
         (",trace", ",beam,trace", "row 1: the column beam is reserved and not read by this version"),
         ("trace,wavelength_nm", "trace,dl_um", "these are sweeps, not traces"),
-        (",1550,", ",-1550,", "row 3, column wavelength_nm: expected a wavelength above zero"),
+        (",1550,", ",-1550,", "row 3, column wavelength_nm: expected a wavelength in nm, 200 to 20000"),
         (",1013,", ",lots,", "row 3, column pressure_hpa: expected a number, found 'lots'"),
         (",40,", ",140,", "row 3, column humidity_pct: expected 0 to 100"),
     ],

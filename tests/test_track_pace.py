@@ -26,7 +26,7 @@ def test_the_pace_is_learnt_and_named(monkeypatch, tmp_path, factor: float, word
     found = learnt(sweeps)
     assert found.pace.startswith(f"drift {word} than stated")
     scales = [new.walk / old.walk for new, old in zip(found.drift.sizes, stated.sizes, strict=True) if old.walk]
-    # Seven sessions of six sweeps tell the pace of mirror and fibre to about 12 %, that of the robot to a factor of two.
+    # Seven sessions of six sweeps tell the pace of mirror and fibre to 12 %, that of the robot to a factor of two.
     np.testing.assert_allclose(scales[-8:], factor, rtol=0.5)
     assert np.abs(np.log(np.array(scales[:4]) / factor)).max() < np.log(2.0)
     assert {outcome.verdict for outcome in found.outcomes} == {"as-modelled"}

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from fpcal_bayes.model.trust import KINDS, UNRECORDED, FitEvidence, Reason, Trust, judge_fit, trust_of
 
-GOOD = FitEvidence(True, 1, 69, 50.0, 53.0, 0.6, 60.0, 0.7, 16)
+GOOD = FitEvidence(True, 1, 69, 50.0, 53.0, 0.6, 60.0, 0.7, 16, "a +1 sd", 50.0, 53.0, 0.6)
 reasons = st.lists(st.builds(Reason, st.sampled_from(sorted(KINDS)), st.text(max_size=20)), max_size=4)
 
 
@@ -23,7 +23,7 @@ def test_a_good_fit_is_usable_without_a_word():
         ({"converged": False}, "not-converged", "unusable"),
         ({"chi2_data": 219.0, "p_value": 1e-20}, "poor-fit", "unusable"),
         ({"sum_of_squares": 190.0, "p_total": 1e-12}, "poor-fit", "unusable"),
-        ({"chi2_data": 0.2, "p_value": 1.0}, "too-good-fit", "doubtful"),
+        ({"chi2_noise": 0.2, "p_noise": 1.0}, "too-good-fit", "doubtful"),
         ({"rank": 0}, "nothing-determined", "doubtful"),
     ],
 )

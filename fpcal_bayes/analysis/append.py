@@ -7,11 +7,11 @@ import numpy as np
 
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.io.sweeps import append_sweeps, read_sweeps
-from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.io.tickets import read_ticket, write_ticket
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.ticket import check_measured
+from fpcal_bayes.measure.ticket import check_measured, empty_ticket
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.tracking.sessions import check_sessions
+from fpcal_bayes.tracking.sessions import check_sessions, hours_at
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,17 @@ class Appended:
     n_sessions: int  # of the campaign now
 
 
-def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: str | Path | None = None) -> Appended:
-    """Add a measured session to a campaign, or nothing if the ticket asks for nothing.
+def append(
+    campaign: str | Path,
+    measured: str | Path,
+    cell: Cell,
+    *,
+    ticket: str | Path | None = None,
+    now: float | None = None,
+) -> Appended:
+    """Add a measured session to a campaign and empty its ticket; nothing if the ticket asks for nothing.
+
+    A session that is there already, under a ticket that was not emptied, is taken as done.
 
     Parameters
     ----------
@@ -35,6 +44,8 @@ def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: st
         Sessions that the campaign does not hold yet, all later than its first.
     ticket
         What was to be measured.
+    now
+        Unix time, by default this machine's: sessions after it are refused.
 
     Raises
     ------
@@ -47,13 +58,28 @@ def append(campaign: str | Path, measured: str | Path, cell: Cell, *, ticket: st
         return Appended((), 0, 0, 0)
     sweeps = read_sweeps(measured, cell)
     missing = 0 if asked is None else check_measured(asked, sweeps, cell)
+    if ticket is not None and _is_there(read_sweeps(campaign, cell), sweeps):
+        # A program that was ended between the two steps below runs again.
+        write_ticket(ticket, empty_ticket(str(ticket)), cell)
+        return Appended((), 0, 0, 0)
 
     def check(joined: Sweeps) -> None:
         _refuse_again(sweeps, joined.take(np.arange(len(joined) - len(sweeps))))
-        check_sessions(joined)
+        check_sessions(joined, None if now is None else hours_at(now, joined))
 
     joined = append_sweeps(campaign, sweeps, cell, check)
+    if ticket is not None:
+        # Used up: whoever measures whenever the ticket has rows does not measure twice.
+        write_ticket(ticket, empty_ticket(str(ticket)), cell)
     return Appended(sweeps.sessions, len(sweeps), missing, len(joined.sessions))
+
+
+def _is_there(before: Sweeps, sweeps: Sweeps) -> bool:
+    """Whether a campaign holds these very sessions."""
+    parts = [before.take(before.session == name) for name in sweeps.sessions]
+    return all(
+        _contents(part) == _contents(sweeps.of_session(name)) for name, part in zip(sweeps.sessions, parts, strict=True)
+    )
 
 
 def _refuse_again(sweeps: Sweeps, before: Sweeps) -> None:

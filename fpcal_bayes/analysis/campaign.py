@@ -31,7 +31,7 @@ from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.fit_sizes import with_learnt_scale
 from fpcal_bayes.tracking.record import resume
-from fpcal_bayes.tracking.sessions import check_sessions, hours_now, hours_of
+from fpcal_bayes.tracking.sessions import check_sessions, hours_at, hours_now, hours_of
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
 
 #: Of a posterior file: more tell no more.
@@ -55,10 +55,10 @@ class _Measured:
     data: dict[str, str]  # name of the file, and hash of its bytes
 
     @classmethod
-    def read(cls, file: str | Path, cell: Cell, now: str | None) -> "_Measured":
+    def read(cls, file: str | Path, cell: Cell, now: str | float | None) -> "_Measured":
         campaign = read_campaign(file, cell) if is_campaign_file(file) else None
         sweeps = read_sweeps(file, cell) if campaign is None else campaign.sweeps
-        now_h = None if now is None else hours_of(now, sweeps)
+        now_h = hours_at(now, sweeps) if isinstance(now, float) else None if now is None else hours_of(now, sweeps)
         data = {"file": Path(file).name, "sha256": file_sha256(Path(file))}
         return cls(file, cell, sweeps, check_sessions(sweeps, now_h), campaign, now_h, data)
 
@@ -90,14 +90,20 @@ class Followed:
 
 
 def follow(
-    file: str | Path, cell: Cell, *, now: str | None = None, posterior: str | None = None, anew: bool = False
+    file: str | Path,
+    cell: Cell,
+    *,
+    now: str | float | None = None,
+    posterior: str | None = None,
+    anew: bool = False,
 ) -> Followed:
     """Follow a campaign, from where a saved track ends.
 
     Parameters
     ----------
     now
-        Hours since the campaign began, or a clock time: sessions after it are refused.
+        Hours since the campaign began, or a clock time, as text: sessions after it are refused. A number is a Unix
+        time, which is held against rows with clock times only.
     posterior
         File of draws to start from, as ``fpcal sample`` writes it; all sessions are then taken in again.
     anew

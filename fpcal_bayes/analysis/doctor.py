@@ -10,7 +10,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Bools
 from fpcal_bayes.infer.observability.observe import observe
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.tracking.drift import HOURS_PER_DAY
 from fpcal_bayes.tracking.sessions import check_sessions
@@ -117,8 +117,7 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         )  # fmt: skip
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
-        keys = [tuple(row) for row in np.column_stack([part.q_start, part.q_end, part.dl]).tolist()]
-        again = np.array([keys.index(key) < i and part.kind[i] == "sweep" for i, key in enumerate(keys)])
+        again = repeated_rows(part)
         if part.measured and again.any():
             yield Finding(
                 "problem", "duplicates", name, f"rows measured twice to the last digit: {row_names(part, again)}",
@@ -159,18 +158,12 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             if len(set(part.dl[rows].tolist())) == len(rows) > 1:
                 squares += float(((weighed - weighed.mean()) ** 2).sum())
                 free += len(rows) - 1
-        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3 and cell.mechanics is not None:
+        if free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
             yield Finding(
-                "doubt", "return", name,
+                "problem" if cell.mechanics is None else "doubt", "return", name,
                 f"sweeps driven again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
                 "see that return_nm and return_urad of the joints that move cover it; sigma_um is for what readings "
                 "show that are repeated without any motion",
-            )  # fmt: skip
-        elif free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
-            yield Finding(
-                "problem", "sigma", name,
-                f"sweeps measured again differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
-                "raise sigma_um by this factor, or find what moves between the repeats",
             )  # fmt: skip
         yield from _still_readings(name, sweeps.of_session(name))
     half_wave = 0.5 * cell.wavelength

@@ -7,10 +7,14 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.infer.design.commission import LABEL
 from fpcal_bayes.infer.fit.identify import Identification, identify
+from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.axes import direction_words, home, joint_axes, sight
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import POOR_FIT_BELOW
 from fpcal_bayes.tracking.tracker import track
@@ -51,7 +55,7 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
             )  # fmt: skip
             continue
         found = identify(cell, used)
-        if number == 0:
+        if number == 0 and found.estimate.trust.usable:
             yield from _rank(cell, used)
         yield from _fit(cell, name, used, found)
     if len(sweeps.sessions) > 1:
@@ -81,38 +85,20 @@ def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
 
 def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
     """Whether the session's own fit can be believed."""
-    if not found.converged:
-        rival = identify(_other(cell), used)
-        better = rival.converged and rival.fit.p_value >= POOR_FIT_BELOW
+    reasons = {reason.kind: reason.text for reason in found.estimate.trust.reasons}
+    if "signs" in reasons:
         yield Finding(
-            "problem", "path model" if better else "convergence", name,
-            f"the fit does not converge{f', but with --opd {rival.estimate.cell.opd} it does and is good' * better}",
-            _compare(cell) if better else "look for rows with a wrong pose, unit or sign; try fewer free parameters",
-        )  # fmt: skip
-        return
-    doubtful = [label for label, _ in found.doubtful_signs]
-    if doubtful:
-        yield Finding(
-            "doubt", "signs", name, f"the sign of {len(doubtful)} rows is doubtful: {', '.join(doubtful[:6])}",
+            "doubt", "signs", name, reasons["signs"],
             "scan the wavelength before and after these sweeps, or leave them out",
         )  # fmt: skip
-    fit = found.fit
-    if found.machine is not None:
-        yield from _mechanics(name, found)
-    if fit.p_value < POOR_FIT_BELOW:
-        yield from _poor_fit(cell, name, used, found)
-    elif found.machine is not None:
-        return
-    elif fit.p_value > 1 - POOR_FIT_BELOW and fit.expected > 5:
-        factor = np.sqrt(fit.chi2_data / fit.expected)
+    if "second-solution" in reasons and found.estimate.trust.usable:
         yield Finding(
-            "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says, by a factor {factor:.2f}",
-            "lower sigma_um by this factor, if there is no other reason for it",
+            "doubt", "second solution", name, reasons["second-solution"],
+            "measure what tells the two apart and identify again",
         )  # fmt: skip
-
-
-def _mechanics(name: str, found: Identification) -> Iterator[Finding]:
-    """Terms of the mechanics that the rows show beyond what the cell states."""
+    if {"not-converged", "poor-fit"} & set(reasons):
+        yield from _poor_fit(cell, name, used, found)
+        return
     for reason in found.estimate.trust.reasons:
         if reason.kind == "mechanics":
             yield Finding(
@@ -120,32 +106,102 @@ def _mechanics(name: str, found: Identification) -> Iterator[Finding]:
                 "find out what moves, or state the size that the rows show in [joint.mechanics]",
             )  # fmt: skip
         elif reason.kind == "residuals":
-            yield Finding(
-                "doubt", "residuals", name, reason.text,
-                "state a larger return_nm or return_urad of the joints that move, or the term that is named; raise "
-                "sigma_um only if readings that are repeated without any motion show it",
-            )  # fmt: skip
+            yield Finding("doubt", "residuals", name, reason.text, _residual_remedy(reason.text))
+    if str(used.label[-1]).startswith(LABEL):
+        yield from _commissioned(cell, name, found)
+    if "too-good-fit" in reasons:
+        yield Finding(
+            "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says: {reasons['too-good-fit']}",
+            "check the unit of sigma_um; what readings show that are repeated without any motion is its size",
+        )  # fmt: skip
+
+
+def _commissioned(cell: Cell, name: str, found: Identification) -> Iterator[Finding]:
+    """What the sweeps of a commissioning tell of the axes, and what they cannot tell."""
+    rivals = mend(found.problem, found.solution, found.fit.standardised)
+    alike = [one.name for one in rivals if one.sum_of_squares < found.solution.sum_of_squares + RIVAL_EXCESS]
+    if alike:
+        yield Finding(
+            "doubt", "not told apart", name, f"the rows fit as well if {', or '.join(alike[:3])}",
+            "repeat the sweeps with larger moves, or with a smaller sigma_um",
+        )  # fmt: skip
+    vector = found.estimate.vector()
+    seen = sight(cell, vector, home(cell))
+    yield Finding(
+        "note", "commissioned", name,
+        "signs, order and scales of the axes, and the side of the fibre, are as the cell says; at joint zero the "
+        f"mirror stands {np.degrees(seen.tilt):.2g} deg off the light",
+        "nothing, if that is where joint zero is meant to be",
+    )  # fmt: skip
+    images = [set(one) for one in mirror_sets(cell)]
+    if not images or cell.handedness_checked:
+        return
+    sets = " or ".join("{" + ", ".join(f"q{j + 1}" for j in sorted(one)) + "}" for one in images)
+    directions, _ = joint_axes(cell, cell.parameters.nominal, home(cell))
+    looks, left = [], images
+    while left:
+        # The joint that most of the images turn round.
+        joint = max(range(len(cell.joints)), key=lambda j: (sum(j in one for one in left), not cell.revolute[j]))
+        verb = "turns about" if cell.revolute[joint] else "moves along"
+        looks.append(f"q{joint + 1} {verb} {direction_words(directions[joint])}")
+        left = [one for one in left if joint not in one]
+    yield Finding(
+        "doubt", "handedness", name,
+        f"with {sets} counted the other way every length is the same: none tells the cell from its mirror images",
+        f"move and look: {', '.join(looks)}? If so, write handedness_checked = true into the cell; else mend the signs",
+    )  # fmt: skip
+
+
+def _residual_remedy(text: str) -> str:
+    """What to do about a term that the residuals show: white excess is return error, the rest has its own name."""
+    term = text.split(":")[0]
+    if term.startswith("function of"):
+        return f"look at {term.split()[-1]}: its straightness, linearity or runout is larger than stated, or its scale"
+    if term.startswith("direction"):
+        return f"state reversal_nm or reversal_urad of {term.split()[-1]}, or drive it from one side only"
+    if term.startswith("order"):
+        return (
+            "the cell drifts while it is measured: state drift_nm_per_min, give t_start_h and t_end_h, or wait longer"
+        )
+    return _RETURN
+
+
+#: What white excess is put to: never to sigma alone, which mends the fit and not the tasks.
+_RETURN = (
+    "state a larger return_nm or return_urad of the joints that move, which fit and tasks then count; raise sigma_um "
+    "only if readings that are repeated without any motion show it"
+)
 
 
 def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
-    """Why a fit is poor: slips, a few rows, the path model, or the noise."""
+    """Why a fit is poor: a mistake in all rows, slips, a few rows, the path model, or what nobody states."""
     fit = found.fit
-    size = f"chi-square {fit.chi2_data:.1f}, expected {fit.expected:.1f}"
+    against = found.estimate.trust.against.split(";")[0]
+    poor = found.converged and fit.p_value < POOR_FIT_BELOW
+    size = f"chi-square {plain(fit.chi2_data)}, expected {fit.expected:.1f}" if poor else against
+    mended = mend(found.problem, found.solution, fit.standardised)
+    if mended:
+        fits = " or ".join(f"{one.name} (sum of squares {plain(one.sum_of_squares)})" for one in mended[:3])
+        yield Finding(
+            "problem", "mistake", name, f"{size}; the {len(used)} rows fit if {fits}",
+            "correct it where the file is made, and identify again",
+        )  # fmt: skip
+        return
     slips = find_slips(found.problem, found.solution)
     slipped = np.flatnonzero(slips.counts)
-    mended = slips.solution.sum_of_squares
-    if len(slipped) and mended < 2 * len(used):
+    left = slips.solution.sum_of_squares
+    if len(slipped) and left < 2 * len(used):
         rows = ", ".join(f"{found.problem.sweeps.label[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
         yield Finding(
             "problem", "slips", name,
-            f"{size}; with {len(slipped)} fringe counts corrected by whole half wavelengths it is {mended:.1f}: {rows}",
+            f"{size}; with {len(slipped)} fringe counts corrected by whole half wavelengths it is {left:.1f}: {rows}",
             "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them",
         )  # fmt: skip
         return
     off = np.abs(fit.standardised) > _OUTLIER
     if 0 < off.sum() <= max(1, _MOST_OUTLIERS * len(used)) and len(used) - off.sum() >= len(cell.free):
         again = identify(cell, used.take(~off))
-        if again.converged and again.fit.p_value >= POOR_FIT_BELOW:
+        if again.converged and again.estimate.trust.usable:
             rows = ", ".join(str(label) for label in used.label[off][:6])
             yield Finding(
                 "problem", "outliers", name, f"{size}; without {rows} it is {again.fit.chi2_data:.1f}",
@@ -153,42 +209,39 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
             )  # fmt: skip
             return
     rival = identify(_other(cell), used)
-    if rival.converged and rival.fit.chi2_data < 0.5 * fit.chi2_data:
+    if rival.converged and (not found.converged or rival.fit.chi2_data < 0.5 * fit.chi2_data):
         yield Finding(
             "problem", "path model", name,
-            f"{size}; with --opd {rival.estimate.cell.opd} chi-square is {rival.fit.chi2_data:.1f}",
-            _compare(cell),
+            f"{size}; with --opd {rival.estimate.cell.opd} chi-square is {plain(rival.fit.chi2_data)}",
+            f"compare the two: fpcal compare FILE --models opd={cell.opd},opd={_other(cell).opd}",
         )  # fmt: skip
-        if rival.fit.p_value >= POOR_FIT_BELOW:
+        if rival.estimate.trust.usable:
             return
-    factor = np.sqrt(fit.chi2_data / fit.expected)
-    if factor < 10 and found.machine is not None:
+    if not found.converged:
+        worst = ", ".join(f"{label} {value:+.3g} sd" for label, value in found.largest_residuals(3))
         yield Finding(
-            "problem", "mechanics", name,
-            f"{size}: the rows lie {factor:.1f} times as far from the fit as sigma_um and the stated mechanics say",
-            "state a larger return_nm or return_urad of the joints that move; raise sigma_um only if readings that are "
-            "repeated without any motion show it",
+            "problem", "convergence", name, f"{size}; farthest from it: {worst}",
+            "look for a wrong pose, unit or sign in these rows; try fewer free parameters",
         )  # fmt: skip
-        return
-    if factor < 10:
+    elif found.machine is None and fit.chi2_data < 100 * fit.expected:
         yield Finding(
-            "problem", "sigma", name, f"{size}: the rows lie {factor:.1f} times as far from the fit as sigma_um says",
-            "raise sigma_um by this factor, or let fpcal sample --noise-scale infer it; look for drift in the session",
+            "problem", "fit", name,
+            f"{size}: {np.sqrt(fit.chi2_data / fit.expected):.1f} times as far from the fit as sigma_um says",
+            "do not use this estimate; look for drift in the session, and let the cell state its error motions "
+            "([joint.mechanics], without --mechanics none), which fit and tasks then count; another sigma_um would "
+            "mend this number and not the tasks",
         )  # fmt: skip
-        return
-    yield Finding(
-        "problem", "fit", name, f"{size}: {factor:.0f} times as far from the fit as sigma_um says",
-        "check the cell (signs, units, order of the joints), the poses, and whether the cell moved during the session",
-    )  # fmt: skip
+    else:
+        yield Finding(
+            "problem", "fit", name, size,
+            "do not use this estimate; check the cell (signs, units, order of the joints), the poses, and whether the "
+            "cell moved during the session",
+        )  # fmt: skip
 
 
 def _other(cell: Cell) -> Cell:
     """The same cell with the other path model."""
     return cell.with_opd("perpendicular" if cell.opd == "axis" else "axis")
-
-
-def _compare(cell: Cell) -> str:
-    return f"compare the two: fpcal compare FILE --models opd={cell.opd},opd={_other(cell).opd}"
 
 
 def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import Budget
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction
+from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import Task
 
 
@@ -83,6 +84,17 @@ class TaskNumbers:
     def worst_sd(self) -> float:
         """The largest standard deviation along the path."""
         return float(self.sd.max())
+
+
+def judged(prediction: TaskPrediction, task: OwnTask) -> dict[str, float | None]:
+    """Probability that each tolerance of a task, by its name, is passed peak to peak; None where nothing tells yet."""
+    found: dict[str, float | None] = {}
+    for name, limit in task.tolerances.items():
+        about = prediction.angles.about
+        errors = {"beam": prediction.errors, "rx": about[..., 0], "ry": about[..., 1], "rz": about[..., 2]}.get(name)
+        usable = prediction.trust.usable
+        found[name] = None if errors is None or not usable else float((np.ptp(errors, axis=-1) > limit).mean())
+    return found
 
 
 def _ranges(errors: Floats | None) -> tuple[float, float] | None:

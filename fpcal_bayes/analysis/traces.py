@@ -7,7 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.path_check import PathCheck, starts_flat
-from fpcal_bayes.fringes.profile import legendre
+from fpcal_bayes.fringes.profile import lengths_at
 from fpcal_bayes.fringes.samples import Samples
 
 
@@ -59,7 +59,7 @@ class FittedSweep:
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
         time = np.interp(s, samples.s[order], samples.time[order])
-        lengths = legendre(s)[:, 1:] @ (reading.profile if len(reading.profile) else fit.profile)
+        lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, s)
         turned = fit.phase(s, phase_per_um) / (2.0 * np.pi)
         return cls(
             s=s,

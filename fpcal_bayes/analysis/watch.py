@@ -6,13 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+
 from fpcal_bayes.core.errors import reason
 
 #: A file that did not change and could not be taken in is tried again after so many looks at most.
 _MOST_LOOKS = 8
 
 
-def watch(file: str | Path, seconds: float, take_in: Callable[[bool], None], say: Callable[[str], None]) -> NoReturn:
+def watch(
+    file: str | Path,
+    seconds: float,
+    take_in: Callable[[bool], None],
+    say: Callable[[str], None],
+    *,
+    at_least: float = np.inf,
+) -> NoReturn:
     """Take in a file, and again whenever it has changed, until the process is interrupted.
 
     Nothing that the file holds ends this: a file that is not there yet, that another program holds or that cannot be
@@ -26,15 +35,17 @@ def watch(file: str | Path, seconds: float, take_in: Callable[[bool], None], say
         Does the work; its argument is whether it came to its end the last time.
     say
         Told what is waited for, once.
+    at_least
+        Seconds after which the file is taken in although it has not changed.
     """
     seen: object = ()
     waiting, again = "", False
-    looks, patience = 0, 1
+    looks, patience, due = 0, 1, 0.0
     while True:
         now, looks = _stamp(file), looks + 1
-        if now != seen or (waiting and looks >= patience):
+        if now != seen or (waiting and looks >= patience) or time.monotonic() >= due:
             patience = 1 if now != seen else min(2 * patience, _MOST_LOOKS)
-            seen, looks = now, 0
+            seen, looks, due = now, 0, time.monotonic() + at_least
             try:
                 take_in(again)
                 waiting, again = "", True

@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     write_result(options.json, "append", content)
     warn(warnings)
     if not done.sessions:
-        console(options).say(f"{options.ticket}: no rows, nothing to append")
+        console(options).say(f"{options.ticket}: asks for nothing that is not there, nothing to append")
         return 0
     what = f"session {', '.join(done.sessions)} with {done.n_rows} rows"
     console(options).say(f"{options.campaign}: {what} added, {done.n_sessions} in all")

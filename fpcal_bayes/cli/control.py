@@ -8,6 +8,7 @@ from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import check_suffix, write_joints
+from fpcal_bayes.model.envelope import no_envelope_text, require_task_within_envelope
 from fpcal_bayes.motion.validity import judged_at, read_now
 from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, prediction_table, reach_warnings
 
@@ -19,6 +20,8 @@ def run(options: argparse.Namespace) -> int:
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    model, draws = knowledge.drawn(estimate)
+    require_task_within_envelope(model, draws, task.q[task.ok], name=task.name)
     estimate = judged_at(estimate, read_now(options.now, estimate))
     prediction = knowledge.predict(estimate, task.driven())
     sd = np.full(len(task), np.nan)
@@ -26,11 +29,13 @@ def run(options: argparse.Namespace) -> int:
         sd[task.ok] = prediction.sd
     write_joints(options.output, cell, task.q, task.status, sd, task=task.name)
 
-    warnings = reach_warnings(task) + [reason.text for reason in prediction.trust.reasons]
+    warnings = [*no_envelope_text(model, draws), *reach_warnings(task)] + [
+        reason.text for reason in prediction.trust.reasons
+    ]
     content = {"tasks": {task.name: prediction_content(prediction, None, task)}, "warnings": warnings}
     write_result(options.json, "control", estimate.content() | content)
     title = f"{options.output}: {task.ok.sum()} of {len(task)} points"
-    console(options).print(prediction_table([prediction], None, title))
+    console(options).print(prediction_table([prediction], [None], title))
     for line in mechanism_lines([prediction]):
         console(options).say(line)
     warn(warnings)

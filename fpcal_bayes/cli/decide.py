@@ -2,12 +2,9 @@
 
 import argparse
 
-import numpy as np
-
 from fpcal_bayes.analysis.campaign import follow
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
-from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
-from fpcal_bayes.decision.decision import Costs
+from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
 from fpcal_bayes.io.tickets import write_ticket
@@ -25,22 +22,11 @@ from fpcal_bayes.tracking.sessions import hours_now
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps
-    sigma_nm = 1e3 * float(np.median(sweeps.sigma)) if options.sigma_nm is None else options.sigma_nm
-    costs = Costs(
-        minutes_per_sweep=options.minutes_per_sweep,
-        minutes_per_session=options.minutes_per_session or 0.0,
-        out_of_tolerance=options.cost_out,
-        least_sweeps=options.least_sweeps,
-        most_sweeps=max(options.most_sweeps, options.least_sweeps),
-        sigma_nm=sigma_nm,
-        horizon_h=options.horizon_h,
-        diagnosis_h=options.diagnose_every_h,
-        diagnosis_sweeps=min(Costs.diagnosis_sweeps, max(options.most_sweeps, options.least_sweeps)),
-    )
+    costs = costs_of(options, sweeps)
     now_h = followed.now_h
     if now_h is None:
         now_h = hours_now(sweeps, found.last.time_h)

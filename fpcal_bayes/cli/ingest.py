@@ -148,6 +148,8 @@ def _content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
                 "sign_from": reading.sign_source or None,
                 "fringes": _number(reading.fringes),
                 "reversals": [turn / scale for turn in reading.reversals],
+                "lost_motion": reading.late / scale,
+                "uneven": reading.uneven,
                 "alternatives_um": list(reading.alternatives),
                 "samples_per_fringe": _number(reading.samples_a_fringe),
                 "noise_v": _number(reading.noise),

@@ -37,6 +37,7 @@ _COMMANDS = (
     keep.track,
     keep.decide,
     keep.append,
+    keep.keep,
     keep.export,
     keep.import_,
     live.measure,
@@ -152,8 +153,12 @@ class _Terminal:
 
 
 @contextlib.contextmanager
-def _terminals() -> Iterator[_Terminal]:
-    """Output that never ends a command; gives what stands for the standard output."""
+def _guarded() -> Iterator[_Terminal]:
+    """Output that never ends a command, and requests to end that do what Ctrl-C does; gives the standard output."""
+
+    def interrupt(number: int, _: Any) -> NoReturn:
+        raise SystemExit(128 + number)
+
     for number in range(3):
         try:
             os.fstat(number)
@@ -162,31 +167,15 @@ def _terminals() -> Iterator[_Terminal]:
             os.open(os.devnull, os.O_RDWR)
     out: Any = _Terminal(sys.stdout or io.StringIO())
     errors: Any = _Terminal(sys.stderr or io.StringIO())
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
-        try:
-            yield out
-        finally:
-            out.flush()
-            errors.flush()
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """While this lasts, requests to end do what Ctrl-C does: every block is left, and nothing lies about."""
-
-    def interrupt(number: int, _: Any) -> NoReturn:
-        raise KeyboardInterrupt(number)
-
-    names = ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    asked = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
-    for number in asked:
-        signal.signal(number, interrupt)
-    try:
-        yield
-    finally:
-        for number in asked:
-            signal.signal(number, signal.SIG_DFL)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors), contextlib.ExitStack() as after:
+        for stream in (out, errors):
+            after.callback(stream.flush)
+        for name in ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ():
+            asked = getattr(signal, name, signal.SIGTERM)
+            # Whoever started this may have asked that a signal does nothing.
+            if signal.getsignal(asked) is signal.SIG_DFL:
+                after.callback(signal.signal, asked, signal.signal(asked, interrupt))
+        yield out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -204,13 +193,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         128 + the signal that interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with _terminals() as out:
+    with _guarded() as out:
         try:
-            with _interruptible():
-                status = _run(words, alone=arguments is None)
-        except KeyboardInterrupt as interruption:
+            status = _run(words, alone=arguments is None)
+        except (KeyboardInterrupt, SystemExit) as ended:
+            status = 130 if isinstance(ended, KeyboardInterrupt) else int(ended.code or 0)
+            if status < 128:
+                raise
             print("fpcal: interrupted", file=sys.stderr)
-            status = 128 + next(iter(interruption.args), signal.SIGINT)
         except InputError as error:
             print(f"fpcal: error: {error}", file=sys.stderr)
             status = 2

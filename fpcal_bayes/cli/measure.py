@@ -8,7 +8,7 @@ from rich.table import Table
 
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.core.files import exclusive, make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -75,7 +75,8 @@ def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, ag
         warn([f"{options.output}: goes on after {len(agenda.outcomes)} of {len(agenda.orders)} sweeps"])
     halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
     try:
-        with halt.on_signals():
+        # Two sessions on one cell would stop each other's axes.
+        with exclusive(options.output.with_suffix(".log"), in_place=True), halt.on_signals():
             bench = Bench(cell, rig, guard, halt, log, agenda.folder)
             try:
                 summary = measure(agenda, bench, guard, _Teller(options))

@@ -12,8 +12,10 @@ from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_r
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_short_order, shortfalls
+from fpcal_bayes.infer.design.commission import commission_plan
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_safe_order, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
+from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.io.tickets import write_plan
@@ -21,6 +23,8 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
+from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
@@ -33,24 +37,27 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    if options.n is None and options.reach is None:
-        raise InputError("expected --n N or --reach TASK=NM,..")
+    if options.commission == (options.n is not None or options.reach is not None):
+        raise InputError("expected one of --n N, --reach TASK=NM,.. and --commission")
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
     check_suffix(options.figure, ".svg", ".png")
     settings = _settings(options)
+    if options.commission:
+        return _commission(options, cell, settings)
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
     papers = _paper(cell)
-    warnings = []
+    warnings = no_envelope_text(ground.model, ground.draws)
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference)
+    settings = planner.settings
     chosen = planner.fewest(most=options.n or 69, check=check) if targets else planner.best(options.n)
     chosen = replace(chosen, sweeps=_labelled(chosen.sweeps))
-    ordered = in_short_order(cell, chosen.sweeps, settings.limits)
+    ordered = in_safe_order(ground, chosen.sweeps, options.output)
 
     expected = {"before": check.expected_sd(None), "plan": check.expected_sd(ordered, readings=readings, sigma=sigma)}
     seconds = {"plan": duration(cell, ordered, readings, settings.limits)}
@@ -79,6 +86,28 @@ def run(options: argparse.Namespace) -> int:
         out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
+    warn(warnings)
+    return 0
+
+
+def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
+    """Write the sweeps that a new cell is commissioned with."""
+    warm_up(cell)
+    sweeps, (model, draws) = commission_plan(cell), prior_draws(cell)
+    require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
+    planned = Ticket(str(options.output), sweeps, np.full(len(sweeps), settings.readings))
+    write_plan(options.output, planned, cell)
+    if options.rows is not None:
+        write_sweeps(options.rows, planned.rows(), cell)
+    if options.figure is not None:
+        save_figure(draw_plan(cell, sweeps), options.figure)
+    warnings = no_envelope_text(model, draws)
+    seconds = duration(cell, sweeps, settings.readings, settings.limits)
+    content = {"n_sweeps": len(sweeps), "seconds": {"plan": seconds}, "warnings": warnings}
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, Trust())
+    out = console(options)
+    out.print(sweeps_table(cell, sweeps, f"{options.output}: {len(sweeps)} sweeps"))
+    out.say(f"time: {seconds / 60.0:.1f} min; fpcal doctor then says what is connected otherwise than in the cell")
     warn(warnings)
     return 0
 

@@ -16,7 +16,7 @@ from fpcal_bayes.report.campaign.words import standing, verdict
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     _warm_up(cell)
     out = console(options)
     with out.status("working out the report"):

@@ -17,10 +17,12 @@ from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import require_task_within_envelope
 from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import check_recordable, record_path, record_sweeps
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.simulator.sweeps import require_drivable, simulate_um
 
 _PROTOCOLS = ("paper", "paper-mid")
 
@@ -45,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
         cell = cell.ideal
     if plan is None:
         return _record_path(options, cell, truth)
+    require_drivable(cell, truth, plan)
     if options.traces:
         return _record(options, cell, truth, plan)
     return _measure(options, cell, truth, plan, protocol)
@@ -110,6 +113,8 @@ def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     check_suffix(options.output, ".csv")
     path = read_joint_path(options.path, cell)
     warm_up(cell)
+    model, values = CavityModel.of(cell, truth.parameters), truth.at(options.time_h or 0.0)
+    require_task_within_envelope(model, values, path, name=str(options.path), exact=True)
     trace = record_path(cell, truth, path, options.time_h or 0.0, _settings(options), options.seed)
     write_path_trace(options.output, trace, cell)
     console(options).say(

@@ -122,7 +122,7 @@ def _sbc(options: argparse.Namespace, cell: Cell) -> Study:
 
 
 def _policy(options: argparse.Namespace, cell: Cell) -> Study:
-    goal = goal_of(options)
+    goal = goal_of(options, cell)
     chosen = tuple(options.policies.split(";")) if options.policies else DEFAULT_POLICIES
     known = rules(Setting(cell), goal)
     for name in chosen:

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from fpcal_bayes.analysis.tasks import judged
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
@@ -18,6 +19,7 @@ from fpcal_bayes.report.tasks import (
     prediction_content,
     prediction_table,
     reach_warnings,
+    tolerance_lines,
 )
 
 
@@ -31,27 +33,38 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.sweeps}: --sweeps is taken with --budget only")
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
-    tolerance = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
+    given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
     out, content, predictions, budgets, warnings = console(options), {}, [], [], []
+    own, tolerances, lines = {task.name: task for task in cell.tasks}, [], []
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
         warnings += reach_warnings(task)
+        if options.task == "all" and not task.ok.any():
+            continue
         driven = task.driven()
         prediction = knowledge.predict(estimate, driven, draws=options.draws, seed=options.seed)
         predictions.append(prediction)
-        content[task.name] = prediction_content(prediction, tolerance, task)
+        stated = own[name].tolerances if name in own else {}
+        tolerances.append(stated.get("beam") if given is None else given)
+        content[task.name] = prediction_content(prediction, tolerances[-1], task)
+        if stated:
+            found = judged(prediction, own[name])
+            content[task.name]["tolerance_exceeds_probability"] = found
+            lines += tolerance_lines(own[name], found)
         if options.budget and estimate.trust.usable:
             budget = budget_of(estimate, driven, sweeps=sweeps)
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
 
+    if not predictions:
+        raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
     if sweeps is not None and estimate.mechanics is not None:
         warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
     warnings += [reason.text for reason in estimate.trust.reasons]
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
-    out.print(prediction_table(predictions, tolerance, f"{Path(options.file).name}: task errors {source}"))
-    for line in mechanism_lines(predictions):
+    out.print(prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"))
+    for line in [*lines, *mechanism_lines(predictions)]:
         out.say(line)
     for budget in budgets:
         out.print(budget_table(budget))

@@ -1,35 +1,28 @@
 """``fpcal track``: follow the parameters of a cell from session to session."""
 
 import argparse
-import contextlib
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from fpcal_bayes.analysis.campaign import follow
+from fpcal_bayes.analysis.keep import follow_saved, published
 from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import exclusive, file_sha256
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
-from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.flat import check_flat, write_flat
-from fpcal_bayes.io.sweeps import is_campaign_file
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
-from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.fit_sizes import fit_sizes
-from fpcal_bayes.tracking.record import decisions_of, record_of
 from fpcal_bayes.tracking.tracker import Track
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    cell, goal = cell_of(options), goal_of(options)
+    cell = cell_of(options)
+    goal = goal_of(options, cell)
     if options.watch is None:
         return _take_in(options, cell, goal)
     status = 0
@@ -41,29 +34,15 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         watch(options.campaign, options.watch, take_in, lambda text: warn([text]))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         return status
 
 
 def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
     check_flat(options.flat)
-    with contextlib.ExitStack() as alone:
-        # Two that save their states in one campaign would each lose what the other found.
-        if is_campaign_file(options.campaign):
-            alone.enter_context(exclusive(Path(options.campaign)))
-        followed = follow(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
-        found, sweeps, notes = followed.track, followed.sweeps, followed.notes
-        if followed.campaign is not None and found.resumed < len(found.outcomes):
-            try:
-                before = followed.campaign.track
-                log = [] if before is None else decisions_of(before)
-                saved = replace(followed.campaign, track=record_of(found, sweeps, Limits(), log))
-                write_campaign(options.campaign, saved, cell)
-            except InputError as error:
-                notes.append(f"the states are not saved: {error}")
-            found = replace(found, data=found.data | {"sha256": file_sha256(Path(options.campaign))})
-
+    followed = follow_saved(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
+    found, sweeps, notes = followed.track, followed.sweeps, followed.notes
     if again and found.resumed == len(found.outcomes):
         return 0 if found.converged else 1
     lines = verdict_lines(found)
@@ -80,14 +59,12 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
     fitted = fit_sizes(cell, sweeps) if options.fit_drift else None
     drift_fit = {} if fitted is None else {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
-    fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
-    content = found.estimate(valid_until_h).content() | {"fit": fit}
+    content = published(found, valid_until_h) | {"warnings": warnings}
     if options.estimate is not None:
-        said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
-        write_result(options.estimate, "track", content | said | {"warnings": warnings})
+        write_result(options.estimate, "track", content)
     if options.flat is not None:
         write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
-    write_result(options.json, "track", content | _content(found) | drift_fit | {"warnings": warnings})
+    write_result(options.json, "track", content | _content(found) | drift_fit)
 
     out = console(options)
     out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))

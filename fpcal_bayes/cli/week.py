@@ -9,7 +9,7 @@ from typing import Any
 
 from fpcal_bayes.cli.common import Output, cell_of, console, warn
 from fpcal_bayes.cli.driven import warm_up_inverse
-from fpcal_bayes.core.files import make_folder, write_json, write_text
+from fpcal_bayes.core.files import exclusive, make_folder, write_json, write_text
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.posterior.draws import Posterior
@@ -57,6 +57,11 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     make_folder(options.output)
+    with exclusive(options.output):
+        return _run(options, cell)
+
+
+def _run(options: argparse.Namespace, cell: Cell) -> int:
     warm_up_inverse(cell)
     began = time.perf_counter()
     sigma = options.sigma_nm * 1e-3

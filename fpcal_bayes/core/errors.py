@@ -1,5 +1,15 @@
 """The one exception that bad input raises."""
 
+#: Largest size of a number by the unit that its name ends in: wide enough for a robot of metres and for a century.
+_LARGEST = {"um": 1e7, "nm": 1e10, "deg": 1e4, "ppm": 1e6, "h": 1e6, "hours": 1e6, "c": 1e3, "hpa": 1e4}
+#: Of a number in another unit: its square and its cube are still numbers.
+_LARGEST_OTHER = 1e12
+
+
+def largest(name: str) -> float:
+    """The largest size that a number called `name` can plausibly have; the unit stands at the name's end."""
+    return _LARGEST.get(name.rpartition("_")[2], _LARGEST_OTHER)
+
 
 class InputError(ValueError):
     """Input that cannot be used; the message is one line for the user.
@@ -13,6 +23,10 @@ class InputError(ValueError):
 
 class UnreachableError(InputError):
     """A pose that the cell cannot take by this estimate."""
+
+
+class HeldError(InputError):
+    """A file that another program holds: it may be used later."""
 
 
 def reason(error: BaseException) -> str:

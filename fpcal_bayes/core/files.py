@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from fpcal_bayes.core.errors import InputError, reason
+from fpcal_bayes.core.errors import HeldError, InputError, reason
 
 try:
     import fcntl
@@ -48,20 +48,18 @@ _NUMBERS = re.compile(r"\[\n[-+0-9.eE,\s]+\]")
 def require_readable(path: Path) -> None:
     """Raise `InputError` unless `path` is an existing, readable, non-empty file."""
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder, expected a file")
-        if not path.exists():
-            raise InputError(f"{path}: no such file")
-        if not path.is_file():
-            raise InputError(f"{path}: is a device or a pipe, expected a file")
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: the file is empty")
-        with path.open("rb"):
-            pass
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except (FileNotFoundError, NotADirectoryError, ValueError) as error:
+        raise InputError(f"{path}: no such file") from error
+    except OSError as error:
         raise InputError(f"{path}: cannot be read ({reason(error)})") from error
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a device or a pipe"
+        raise InputError(f"{path}: is {kind}, expected a file")
+    if found.st_size == 0:
+        raise InputError(f"{path}: the file is empty")
 
 
 def require_writable(path: Path) -> Path:
@@ -160,8 +158,8 @@ def _temporary(folder: Path) -> Iterator[Path]:
     """A temporary file in a folder, where those of processes that have ended are removed."""
     for left in folder.glob(".fpcal-*.tmp"):
         with contextlib.suppress(OSError, ValueError):
-            ended = left.name.startswith(_TEMPORARY) and not _is_alive(int(left.name.split("-")[-2]))
-            if ended or time.time() - left.stat().st_mtime > _STALE_S:
+            here = _HAS_FLOCK and left.name.startswith(_TEMPORARY)
+            if time.time() - left.stat().st_mtime > _STALE_S or (here and not _is_alive(int(left.name.split("-")[-2]))):
                 left.unlink()
     path = folder / f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(8)}.tmp"
     try:
@@ -172,14 +170,10 @@ def _temporary(folder: Path) -> Iterator[Path]:
 
 
 def _is_alive(process: int) -> bool:
-    """Whether a process runs; on Windows, where a signal is no question, every one may."""
     try:
-        if _HAS_FLOCK:
-            os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        pass
+        os.kill(process, 0)
+    except OSError as error:
+        return error.errno != errno.ESRCH
     return True
 
 
@@ -220,7 +214,7 @@ def exclusive(path: Path, *, in_place: bool = False) -> Iterator[Callable[[], No
     """
     name = os.path.realpath(path)
     if name in _HELD:
-        raise InputError(f"{path}: another fpcal is writing this file: wait until it has ended")
+        raise HeldError(f"{path}: another fpcal is writing this file: wait until it has ended")
     with _locked(path, in_place=in_place) as require_same:
         _HELD[name] = require_same
         try:
@@ -257,7 +251,7 @@ def _locked(path: Path, *, shared: bool = False, in_place: bool = False) -> Iter
             else:
                 held.enter_context(filelock.FileLock(path.with_name(f".{path.name}.lock"), timeout=0))
         except (BlockingIOError, TimeoutError) as error:
-            raise InputError(f"{path}: {_holder(before)}") from error
+            raise HeldError(f"{path}: {_holder(before)}") from error
         except OSError:
             # Some shared drives have no locks; that the file is still the same is checked all the same.
             pass

@@ -57,3 +57,8 @@ def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> 
 def chi2_tail(value: float, dof: float) -> float:
     """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
     return float(special.gammaincc(dof / 2.0, value / 2.0))
+
+
+def plain(square: float, places: int = 1) -> str:
+    """A sum of squares for a sentence, with so many decimals, or few digits and an exponent where it is large."""
+    return f"{square:.{places}f}" if abs(square) < 1e5 else f"{square:.3g}"

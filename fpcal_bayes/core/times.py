@@ -1,9 +1,8 @@
 """Times as a user gives them: hours since the campaign began, or clock times."""
 
 from datetime import UTC, datetime
-from math import isfinite
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 
 
 def clock(text: str) -> datetime:
@@ -24,7 +23,7 @@ def read_time(text: str, name: str = "time") -> float | datetime:
     except ValueError:
         pass
     else:
-        if isfinite(hours):
+        if abs(hours) <= largest("h"):
             return hours
     try:
         return clock(text)

@@ -126,7 +126,7 @@ def task_peaks(
     tasks: Sequence[str],
     times_h: Floats,
     *,
-    radius: float = 100.0,
+    radius: float | None = None,
     whole: bool = False,
 ) -> Floats:
     """Peak to peak of the error of tasks while a controller holds one estimate after the other, in um, (n_tasks, t).

@@ -47,7 +47,7 @@ class Goal:
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
     radius_um
-        Radius of the circle.
+        Radius of the circle; by default as far as the cell's limits let it be (`default_radius`).
 
     Raises
     ------
@@ -58,7 +58,7 @@ class Goal:
     tolerance_nm: float
     tasks: tuple[str, ...] = ("circle",)
     level: float = 0.1
-    radius_um: float = 100.0
+    radius_um: float | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.tolerance_nm) and self.tolerance_nm > 0):

@@ -19,19 +19,21 @@ from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.measure.sweeps import Sweeps, as_plan, join
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.envelope import require_within_envelope
+from fpcal_bayes.model.margin import normal_draws, prior_draws
 from fpcal_bayes.tracking.alarms import HOURS_PER_WEEK, Limits
 from fpcal_bayes.tracking.drift import HOURS_PER_DAY, DriftModel, State
 from fpcal_bayes.tracking.tracker import Track
 
 
-def task_sweeps(model: CavityModel, values: Floats, poses: Floats) -> Sweeps:
+def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: SweepLimits | None = None) -> Sweeps:
     """Sweeps of one joint through points of tasks, as a plan, labelled by their joint.
 
     Visibility is judged at the free parameters `values` (n_free,); `poses` (n_poses, n_joints) are in um and rad. Those
     of the n_poses * n_joints sweeps that lose the fringes are left out. `InputError` if the mirror is out of sight at
     zero.
     """
-    limits = SweepLimits()
+    limits = SweepLimits() if limits is None else limits
     low, high = visible_ranges(model, values, limits)
     n_poses, n_joints = poses.shape
     start = np.repeat(np.clip(poses, low, high), n_joints, axis=0)
@@ -88,19 +90,29 @@ class Policy:
     calibration: Sweeps  # sweeps of a full calibration, as a plan
     # of the tests for changes; they say what a look at the robot can show
     limits: Limits = field(default_factory=Limits)
+    motion: SweepLimits = field(default_factory=SweepLimits)  # what sweeps keep to
 
     @classmethod
-    def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, costs: Costs, calibration: Sweeps) -> "Policy":
+    def of(
+        cls,
+        drift: DriftModel,
+        model: CavityModel,
+        goal: Goal,
+        costs: Costs,
+        calibration: Sweeps,
+        motion: SweepLimits | None = None,
+    ) -> "Policy":
         """A policy that chooses among random sweeps and those of a calibration, whatever these measured.
 
         Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt. `InputError` if
         the joint limits leave no room for sweeps.
         """
         cell, values = model.cell, drift.parameters.nominal
-        single = calibration.take(calibration.kind == "sweep")
-        random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0))
+        motion = SweepLimits() if motion is None else motion
+        single = calibration.take((calibration.kind == "sweep") & motion.hold(calibration))
+        random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0), limits=motion)
         pool = join([_plain(single), _plain(random)], file="candidates")
-        return cls(drift, model, goal, costs, _steady(model, values, pool), calibration)
+        return cls(drift, model, goal, costs, _steady(model, values, pool), calibration, motion=motion)
 
     def choose(self, forecast: Forecaster, state: State, n: int) -> Sweeps:
         """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
@@ -139,7 +151,7 @@ class Policy:
     def _pool(self, forecast: Forecaster) -> "_Pool":
         """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
-        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses)))
+        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses, self.motion)))
         candidates = join([near, self.candidates], file="candidates")
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma_um)
         return _Pool(candidates, rows * self.drift.scale)
@@ -251,7 +263,8 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     Raises
     ------
     InputError
-        If `now_h` lies before the last session, a task cannot be driven, or the tolerance cannot be met.
+        If `now_h` lies before the last session, a task cannot be driven, the tolerance cannot be met, or the sweeps may
+        leave the cell's envelope.
     """
     last = track.last
     if not now_h >= last.time_h:
@@ -260,11 +273,20 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
         )
     model = CavityModel.of(track.cell, track.drift.parameters)
     forecast = Forecaster.of(track.drift, model, goal, last.state.mean)
-    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session))
+    state = forecast.ahead(last.state, now_h - last.time_h)
+    # A robot that moved by itself is known as before its first calibration only.
+    values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
+    known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
+    motion = SweepLimits().within_envelope(model, known)
+    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session), motion)
     due = track.calibration_due
     reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
-    return policy.decide(forecast, forecast.ahead(last.state, now_h - last.time_h), reason, diagnosed)
+    decision = policy.decide(forecast, state, reason, diagnosed)
+    if decision.sweeps is not None:
+        planned, file = decision.sweeps, f"sweeps of the {decision.action} session"
+        require_within_envelope(model, known, planned.q_start, planned.q_end, file=file)
+    return decision
 
 
 def valid_until(track: Track, goal: Goal) -> float:

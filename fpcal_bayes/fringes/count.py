@@ -12,7 +12,6 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit
 from fpcal_bayes.fringes.profile import legendre
-from fpcal_bayes.fringes.solve import change_of
 
 #: Probability of another count, or of the other sign, from which on a reading does not stand.
 _COUNT_RISK, _SIGN_RISK = 1e-3, 1e-4
@@ -35,6 +34,11 @@ class Reading:
     fringes: float = np.nan  # that passed, those that passed back included
     turns: tuple[float, ...] = ()  # places s on the sweep, from -1 to 1, at which L turns
     reversals: tuple[float, ...] = ()  # joint positions of the same, in um or rad
+    #: set_out, late, uneven: Place at which the mirror set out, how far the joint had moved by then, in um or rad, and
+    #: whether it then left the joint's course.
+    set_out: float = -1.0
+    late: float = 0.0
+    uneven: bool = False
     refused: str = ""  # why the trace gives no number at all; empty where it gives one
     doubt: str = ""  # why the number is not to be relied on; empty where it is
     alternatives: tuple[float, ...] = ()  # other changes, in um, that the trace allows
@@ -64,7 +68,8 @@ class Reading:
         Returns in um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly
         correlated.
         """
-        rows = legendre(s)[:, 1:] - legendre(np.array([-1.0]))[:, 1:]
+        degree = len(self.profile)
+        rows = legendre(np.maximum(s, self.set_out), degree)[:, 1:] - legendre(np.array([self.set_out]), degree)[:, 1:]
         changes = rows @ self.profile
         covariance = rows @ self.profile_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
         return changes, covariance
@@ -125,7 +130,7 @@ def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDeci
     fits: distinct profiles of one trace.
     sign_sources: the most trustworthy first; the first that tells the sign by itself is named as its source.
     """
-    dl, sd = np.array([change_of(fit) for fit in fits]).T
+    dl, sd = np.array([fit.change for fit in fits]).T
     both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])
     weights = np.tile([fit.evidence for fit in fits], 2)
     for sign_source in sign_sources:

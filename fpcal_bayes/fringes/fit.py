@@ -11,7 +11,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
-from fpcal_bayes.fringes.profile import DisplacementProfile, legendre
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, end_weights, legendre, lengths_at
 from fpcal_bayes.fringes.samples import Samples
 
 #: The cell's priors are widened by this factor: they direct a fit but shall not pull it.
@@ -50,7 +50,7 @@ LIVELY = Nuisance(offset=_OFFSET, gain=_GAIN, fade=(0.6, 0.2, 0.02, 0.01))
 class Fit:
     """A signal fitted."""
 
-    #: profile, covariance: Coefficients of the profile in um, shape (DEGREE,), and their covariance.
+    #: profile, covariance: Coefficients of the profile in um, DEGREE or more, and their covariance.
     profile: Floats
     covariance: Floats
     #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
@@ -61,6 +61,16 @@ class Fit:
     evidence: float  # logarithm, up to a constant that fits of one trace share
     residual_squares: float  # sum over readings of the squared residuals of averages, times their count, in V^2
     freedom: float  # number of averages less the effective number of unknowns
+    #: ends, ends_variance: Places at which the mirror is when the joint starts and ends, and what not knowing them adds
+    #: to the variance of the change, in um^2.
+    ends: tuple[float, float] = (-1.0, 1.0)
+    ends_variance: float = 0.0
+
+    @property
+    def change(self) -> tuple[float, float]:
+        """L(end) - L(start) and its standard deviation, in um."""
+        weights = end_weights(len(self.profile), self.ends)
+        return float(weights @ self.profile), float(np.sqrt(weights @ self.covariance @ weights + self.ends_variance))
 
     @property
     def amplitude(self) -> float:
@@ -70,10 +80,10 @@ class Fit:
     def phase(self, s: Floats, phase_per_um: float) -> Floats:
         """Phase of the fringes at places `s` (n,), in rad."""
         at = sum(self.nuisance.counts) + 1 + HARMONICS
-        return np.asarray(self.unknowns[at] + phase_per_um * (legendre(s)[:, 1:] @ self.profile))
+        return np.asarray(self.unknowns[at] + phase_per_um * lengths_at(self.profile, s))
 
-    def signal(self, s: Floats, time: Floats, phase_per_um: float) -> Floats:
-        """The fitted signal at places `s` and times `time` from -1 to 1, each of shape (n,), in V."""
+    def signal(self, s: Floats, time: Floats, phase_per_um: float, turn: Floats | float = 0.0) -> Floats:
+        """The fitted signal in V at places `s` and times `time` from -1 to 1, (n,); `turn` is added to its phase."""
         n_offset, n_gain, n_fade = self.nuisance.counts
         u = self.unknowns
         over_time, over_place = legendre(time), legendre(s)
@@ -82,10 +92,15 @@ class Fit:
         at = n_offset + n_gain
         envelope = np.exp(logarithm + over_place[:, 1 : n_fade + 1] @ u[at : at + n_fade])
         at += n_fade
-        f = self.phase(s, phase_per_um)
+        f = self.phase(s, phase_per_um) + turn
         cyclic = np.stack([np.cos(2 * f), np.sin(2 * f), np.cos(3 * f), np.sin(3 * f)], axis=1)
         wave = np.cos(f) + cyclic @ u[at + 1 : at + 1 + HARMONICS]
         return np.asarray(offset + u[at] * envelope**2 + envelope * wave)
+
+    def misses(self, samples: Samples, phase_per_um: float) -> float:
+        """Sum over readings of the squared residuals of averages, times their count, in V^2."""
+        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um)
+        return float(samples.count @ left**2)
 
 
 def fit_course(
@@ -104,7 +119,7 @@ def fit_course(
 
     samples: signal along the sweep.
     profile: prior of the profile; it is widened.
-    start: coefficients to start from, shape (DEGREE,), in um.
+    start: coefficients to start from, in um, as many as the prior's or fewer.
     phase_per_um: 4 pi n / wavelength.
     noise: standard deviation of one reading, in V.
     mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with
@@ -112,10 +127,13 @@ def fit_course(
     warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
     """
     mean, modes_um = _modes(profile)
-    over_place, over_time = legendre(samples.s), legendre(samples.time)
-    base = phase_per_um * (over_place[:, 1:] @ mean)
-    modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1:] @ modes_um))
-    z = np.linalg.lstsq(modes_um, (start if warm is None else warm.profile) - mean, rcond=None)[0]
+    degree = len(mean)
+    over_place, over_time = legendre(samples.s, max(degree, DEGREE)), legendre(samples.time)
+    base = phase_per_um * (over_place[:, 1 : degree + 1] @ mean)
+    modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1 : degree + 1] @ modes_um))
+    first, off = start if warm is None else warm.profile, -mean
+    off[: len(first)] += first
+    z = np.linalg.lstsq(modes_um, off, rcond=None)[0]
     phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
@@ -168,8 +186,8 @@ def _modes(profile: DisplacementProfile) -> tuple[Floats, Floats]:
 def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tuple[float, float]:
     """Phase at the sweep's middle and mean amplitude of the fringes for a profile's phase `f` (n,)."""
     root = np.sqrt(samples.count)
-    columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)])
-    solution = np.linalg.lstsq(columns * root[:, None], samples.signal * root, rcond=1e-6)[0]
+    columns = np.column_stack([over_time[:, :3], np.cos(f), np.sin(f)]) * root[:, None]
+    solution = np.linalg.lstsq(columns.T @ columns, columns.T @ (samples.signal * root), rcond=1e-12)[0]
     c, s = solution[3], solution[4]
     widest = float(np.ptp(samples.signal))
     return float(np.arctan2(-s, c)), float(np.clip(np.hypot(c, s), 0.05 * widest, 2.0 * widest))

@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fading import fading_priors
-from fpcal_bayes.fringes.profile import estimated_profiles, prior_profiles
+from fpcal_bayes.fringes.profile import estimated_profiles, lengths_at, prior_profiles
 from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
 from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
@@ -82,7 +82,11 @@ def ingest(
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
     if not parts:
-        raise InputError(f"{sweeps.file}: no sweep can be used; {doubtful.label[0]}: {doubtful.reason[0]}")
+        reasons: dict[str, list[str]] = {}
+        for label, why in zip(doubtful.label.tolist(), doubtful.reason.tolist(), strict=True):
+            reasons.setdefault(why, []).append(label)
+        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
+        raise InputError(f"{sweeps.file}: no sweep can be used; {told}")
     rows = join(parts, sweeps.file)
     check_sweeps(rows, cell)
     return Ingested(
@@ -92,7 +96,7 @@ def ingest(
         samples=tuple(None if each is None else each.samples for each in recorded),
         scans_before=before,
         scans_after=after,
-        warnings=tuple(_warnings(index, doubtful, before, after)),
+        warnings=tuple(_warnings(index, readings, doubtful, before, after)),
     )
 
 
@@ -274,6 +278,7 @@ def _doubtful(
 
 def _warnings(
     index: TraceIndex,
+    readings: Sequence[Reading | None],
     doubtful: DoubtfulRecord,
     before: Sequence[ScanReading | None],
     after: Sequence[ScanReading | None],
@@ -287,6 +292,25 @@ def _warnings(
         for name, scan in zip(("before", "after"), scans, strict=True):
             if scan is not None and not scan.good and sweeps.kind[i] != "absolute":
                 said.append(f"{sweeps.label[i]}: the scan {name} it is not used: {scan.refused or scan.doubt}")
+    for i, reading in enumerate(readings):
+        first, last = before[i], after[i]
+        if reading is None or not reading.good or reading.signed or not (first and last and first.good and last.good):
+            continue
+        told = f"{last.length - first.length:.3f} +- {np.hypot(first.sigma, last.sigma):.3f} um"
+        said.append(f"{sweeps.label[i]}: no sign: the scans say {told}, the trace +-{reading.dl:.3f} um")
+    astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
+    if astray:
+        names = ", ".join(each.label for each in astray[:5]) + (", ..." if len(astray) > 5 else "")
+        late = max(_missed(each) for each in astray)
+        said.append(
+            f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
+            "is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
+        )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")
     return said
+
+
+def _missed(reading: Reading) -> float:
+    """Change of L in um that a mirror missed which set out late."""
+    return float(np.abs(np.diff(lengths_at(reading.profile, np.array([-1.0, reading.set_out])))[0]))

@@ -13,6 +13,19 @@ HARMONICS = 4
 
 
 @compiled
+def legendre_table(s: Floats, degree: int) -> Floats:
+    """Legendre polynomials P_0 .. P_degree at `s` (n,), shape (n, degree + 1)."""
+    table = np.empty((s.size, degree + 1))
+    for i in range(s.size):
+        table[i, 0] = 1.0
+        if degree > 0:
+            table[i, 1] = s[i]
+        for k in range(2, degree + 1):
+            table[i, k] = ((2.0 * k - 1.0) * s[i] * table[i, k - 1] - (k - 1.0) * table[i, k - 2]) / k
+    return table
+
+
+@compiled
 def turned_bins(
     signal: Floats, place: Ints, base: Floats, bend: Floats, bends: Floats, n_bins: int
 ) -> NDArray[np.complex128]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.kernels import legendre_table
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -47,12 +48,24 @@ class DisplacementProfile:
 
 def legendre(s: Floats, degree: int = DEGREE) -> Floats:
     """Legendre polynomials P_0 .. P_degree at `s` (n,), shape (n, degree + 1)."""
-    return np.asarray(np.polynomial.legendre.legvander(s, degree), dtype=float)
+    return legendre_table(np.asarray(s, dtype=float), degree)
 
 
-def end_weights() -> Floats:
-    """Weights (DEGREE,) of a profile's coefficients in L(end) - L(start): 2 for odd polynomials, 0 for even ones."""
-    return np.asarray(1.0 - (-1.0) ** np.arange(1, DEGREE + 1), dtype=float)
+def end_weights(degree: int = DEGREE, ends: tuple[float, float] = (-1.0, 1.0)) -> Floats:
+    """Weights (degree,) of a profile's coefficients in the change of L between two places."""
+    return np.asarray(np.diff(legendre(np.array(ends), degree)[:, 1:], axis=0)[0])
+
+
+def lengths_at(profile: Floats, s: Floats) -> Floats:
+    """Lengths less their mean, in um, at places `s` (n,) by coefficients (degree,) of any degree."""
+    return legendre(s, len(profile))[:, 1:] @ profile
+
+
+def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:
+    """The same for a mirror that leaves its joint's course: polynomials up to `degree`, their sds `size` / n in um."""
+    room = degree - len(profile.mean)
+    covariance = np.pad(profile.covariance, (0, room)) + np.diag((size / np.arange(1.0, degree + 1)) ** 2)
+    return DisplacementProfile(np.pad(profile.mean, (0, room)), covariance)
 
 
 def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:

@@ -7,10 +7,12 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
-from fpcal_bayes.fringes.fit import LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.profile import DisplacementProfile
+from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
+from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow
+from fpcal_bayes.fringes.misfit import fringes_seen
+from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
-from fpcal_bayes.fringes.solve import FringeSolution, change_of, path_fringes, rescaled, solve, with_noise
+from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, rescaled, solve, with_noise
 
 #: Samples a fringe below which a trace is refused, on average and where L moves fastest.
 SPARSE, SPARSEST = 3.0, 2.1
@@ -22,8 +24,16 @@ _VAGUE = 0.03
 _FEWEST_FRINGES = 0.9
 #: Residuals this much above the campaign's noise mean that the sweep was not what it should have been.
 _MISFIT = 3.0
-#: With no campaign to compare with: and residuals above this share of the fringe amplitude.
+#: The same above the noise that the cell states, where residuals exceed this share of the fringe amplitude too.
 _VISIBLE = 0.05
+#: Residuals of a mirror that goes its own way may reach this share of the fringe amplitude.
+_ROUGH = 0.25
+#: Phase errors of blocks, in rad, and their mean square by the noise, above which a fit does not hold.
+_OFF_PHASE, _OFF_SQUARE = 0.3, 25.0
+#: Fringes that a mirror may stand still or go astray before the joint's position means nothing.
+_ASTRAY = 2.0
+#: What an uneven course adds to the standard deviation of an expected change, in um.
+_UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
 _DRIFTED = 0.02
 #: Weight, in readings, of the campaign's noise against a trace's own.
@@ -71,19 +81,69 @@ def read_traces(
         None if why else solve(each.samples, each.profile, each.phase_per_um, noise, mirror_light, each.fading)
         for each, why in zip(recorded, faults, strict=True)
     ]
-    pool = _Pool.of([solution.best for solution in solutions if solution is not None]) or _NoPool(noise)
+    pool = _Pool.of([solution.best for solution in solutions if solution is not None]) or _NoPool()
     readings = []
     for each, why, solution in zip(recorded, faults, solutions, strict=True):
-        if why or solution is None:
-            readings.append(Reading(each.label, refused=why or "no fringes are seen", phase_per_um=each.phase_per_um))
+        if why:
+            readings.append(Reading(each.label, refused=why, phase_per_um=each.phase_per_um))
             continue
-        sd, excess = pool.noise_of(solution.best)
-        if abs(np.log(sd / solution.best.noise)) > 0.05:
-            solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
-        else:
-            solution = rescaled(solution, sd)
-        readings.append(_reading(each, solution, excess))
+        if solution is not None:
+            sd, _ = pool.noise_of(solution.best)
+            if abs(np.log(sd / solution.best.noise)) > 0.05:
+                solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
+            else:
+                solution = rescaled(solution, sd)
+        found = _followed(each, solution, noise, mirror_light)
+        if found is None or _faint(found.solution.best, each.samples):
+            readings.append(Reading(each.label, refused=_unseen(each), phase_per_um=each.phase_per_um))
+            continue
+        readings.append(_reading(each, found, _excess(found, pool, noise)))
     return readings
+
+
+def _followed(
+    each: Recorded, solution: FringeSolution | None, noise: float | None, mirror_light: float
+) -> Followed | None:
+    """The course of the mirror: the joint's where that explains the trace."""
+    smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
+    if smooth is not None and smooth.errors.probability > UNLIKELY:
+        return smooth
+    nuisance = CALM if smooth is None else smooth.solution.best.nuisance
+    sd = noise or 0.005 * float(np.ptp(each.samples.signal))
+    course = None if smooth is None else smooth.solution
+    found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light)
+    if smooth is not None and (found is None or not found.astray):
+        found = smooth
+    if found is None:
+        return None
+    # What is left beyond noise counts as slow noise.
+    slow = max(1.0, found.errors.excess) ** 0.5
+    return replace(found, solution=rescaled(found.solution, slow * found.solution.best.noise))
+
+
+def _faint(fit: Fit, samples: Samples) -> bool:
+    return bool(fit.amplitude < _FAINT * fit.noise / np.sqrt(max(1.0, len(samples) / 50)))
+
+
+def _unseen(each: Recorded, seen: float | None = None) -> str:
+    """Why a trace is not read where its fringes are not those that the joint lets expect."""
+    seen, expected = (
+        fringes_seen(each.samples) if seen is None else seen,
+        path_fringes(each.profile.mean, each.phase_per_um),
+    )
+    if seen < _ASTRAY:
+        return "no fringes are seen"
+    return f"{expected:.0f} fringes expected, {seen:.0f} seen: check the joint's unit and scale"
+
+
+def _excess(found: Followed, pool: "_Pool | _NoPool", stated: float | None) -> float:
+    """Residuals relative to what the campaign lets expect, and to what the cell states where they are seen by eye."""
+    fit = found.solution.best
+    own = np.sqrt(fit.residual_squares / fit.freedom) if fit.freedom > 3 else fit.noise
+    # A mirror that goes its own way is held against its fringes alone.
+    if found.astray and own < _ROUGH * fit.amplitude:
+        return 1.0
+    return max(pool.noise_of(fit)[1], float(own / stated) if stated and own > _VISIBLE * fit.amplitude else 1.0)
 
 
 @dataclass(frozen=True)
@@ -122,17 +182,12 @@ class _Pool:
         return float(np.sqrt(square)), float(excess)
 
 
-@dataclass(frozen=True)
 class _NoPool:
-    """Too few traces to share a noise: each has its own, held against what the cell states, if it does."""
-
-    stated: float | None
+    """Too few traces to share a noise: each has its own."""
 
     def noise_of(self, fit: Fit) -> tuple[float, float]:
-        """As `_Pool.noise_of`; residuals that are small beside the fringes are no misfit, whatever the cell states."""
-        own = np.sqrt(fit.residual_squares / fit.freedom) if fit.freedom > 3 else fit.noise
-        excess = own / self.stated if self.stated and own > _VISIBLE * fit.amplitude else 1.0
-        return fit.noise, float(excess)
+        """As `_Pool.noise_of`."""
+        return fit.noise, 1.0
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:
@@ -141,11 +196,15 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _reading(each: Recorded, solution: FringeSolution, excess: float) -> Reading:
+def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
+    solution, late, missing = found.solution, *found.missed()
     prior = SignSource(each.profile.dl, 1.5 * each.profile.dl_sd, "prior")
-    verdict = decide(solution.fits, (*each.sign_sources, prior))
+    # A mirror that goes its own way may change by another length than the joint lets expect.
+    room = late + missing + _UNEVEN * found.uneven
+    expected = [replace(source, sd=float(np.hypot(source.sd, room))) for source in (*each.sign_sources, prior)]
+    verdict = decide(solution.fits, expected)
     fit = verdict.fit
-    dl, sd = change_of(fit)
+    dl, sd = fit.change
     sign = -1.0 if verdict.mirrored else 1.0
     if not verdict.signed and sign * dl < 0:
         sign = -sign
@@ -161,8 +220,11 @@ def _reading(each: Recorded, solution: FringeSolution, excess: float) -> Reading
         phase_per_um=each.phase_per_um,
         fit=fit,
     )
-    if fit.amplitude < _FAINT * fit.noise / np.sqrt(max(1.0, len(each.samples) / 50)):
-        return replace(known, refused="no fringes are seen")
+    if found.astray:
+        per_um = each.phase_per_um / (2.0 * np.pi)
+        wanted = path_fringes(each.profile.mean, each.phase_per_um)
+        if abs(fringes - wanted) > _ASTRAY + (6.0 * each.profile.dl_sd + late + missing) * per_um:
+            return replace(known, refused=_unseen(each, fringes))
     if density < SPARSE or least < SPARSEST:
         seen = f"{min(density, least):.2g} samples a fringe"
         return replace(known, refused=f"sparse: {seen}, expected {SPARSE:g} or more")
@@ -175,7 +237,10 @@ def _reading(each: Recorded, solution: FringeSolution, excess: float) -> Reading
         sign_source=verdict.sign_source,
         turns=tuple(turns.tolist()),
         reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
-        doubt=_doubt(verdict, sd, excess, fringes),
+        set_out=found.set_out,
+        late=(found.set_out + 1.0) / 2.0 * abs(each.end - each.start),
+        uneven=found.uneven,
+        doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),
         profile=sign * fit.profile,
         profile_covariance=fit.covariance,
@@ -183,13 +248,36 @@ def _reading(each: Recorded, solution: FringeSolution, excess: float) -> Reading
     )
 
 
-def _doubt(verdict: CountDecision, sd: float, excess: float, fringes: float) -> str:
+def _doubt(verdict: CountDecision, sd: float, excess: float, fringes: float, astray: bool) -> str:
     if verdict.doubtful:
         return f"another count of fringes is possible (probability {verdict.other_counts:.2g})"
+    if astray and sd > _VAGUE:
+        return f"the signal does not follow a smooth sweep (sigma {1e3 * sd:.0f} nm)"
     if fringes < _FEWEST_FRINGES or sd > _VAGUE:
         return f"too few fringes to measure with ({fringes:.2f}, sigma {1e3 * sd:.0f} nm)"
     if excess > _MISFIT:
         return f"the signal does not follow a smooth sweep (residuals {excess:.1f} times the noise)"
+    return ""
+
+
+def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float) -> str:
+    """Why a reading is not relied on by what the mirror did."""
+    late, missing = found.missed()
+    fringe = 2.0 * np.pi / each.phase_per_um
+    errors = found.errors
+    if np.sqrt(np.mean(errors.phase**2)) > _OFF_PHASE or errors.excess > _OFF_SQUARE:
+        return f"the signal does not follow a smooth sweep (phase errors {errors.excess**0.5:.1f} times the noise)"
+    if late > _ASTRAY * fringe:
+        return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
+    if missing > 3.0 * sd:
+        return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
+    for source in each.sign_sources:
+        off = min(abs(verdict.fit.change[0] - source.dl), abs(verdict.fit.change[0] + source.dl))
+        if source.sd < fringe / 8.0 and off > 6.0 * np.hypot(source.sd, sd) + _UNEVEN * found.uneven + late:
+            return (
+                f"{off / fringe:.1f} fringes beside what {source.source} expects: a jump within the trace, or the cell "
+                "has moved"
+            )
     return ""
 
 
@@ -200,7 +288,7 @@ def _turns(fit: Fit) -> Floats:
     roots = slope.roots() if np.abs(slope.coef).max() > 0 else np.zeros(0)
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
     turns = list(real[(real > -1) & (real < 1)])
-    least = 3.0 * change_of(fit)[1] + 1e-3
+    least = 3.0 * fit.change[1] + 1e-3
     # The smallest swing goes first, with the turn that ends it, until all that is left is certain.
     while turns:
         lengths = series(np.array([-1.0, *turns, 1.0]))
@@ -214,8 +302,7 @@ def _turns(fit: Fit) -> Floats:
 
 def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[float, float]:
     """Samples a fringe along a profile: on average over the moving part, and where it is least dense."""
-    series = np.polynomial.legendre.Legendre([0.0, *profile])
-    lengths = series(samples.s)
+    lengths = lengths_at(profile, samples.s)
     turned = np.abs(np.diff(lengths)) * phase_per_um / (2.0 * np.pi)
     moving = np.abs(np.diff(samples.s)) > 0.05 * 2.0 / len(samples)
     passed = float(turned.sum())

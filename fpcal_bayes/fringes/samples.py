@@ -17,6 +17,10 @@ FEWEST = 8
 _HOLE_STEPS, _HOLE_SHARE = 6.0, 0.02
 #: Equal readings in a row at the top or the bottom of a signal that make it clipped.
 _FLAT_RUN, _FLAT_SHARE = 3, 0.004
+#: More of them than this many times the readings a few steps beside: clipped, and not a coarse converter.
+_CROWDED = 2.0
+#: A signal above this many times the full scale is not in volts.
+_OTHER_UNIT = 1.5
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,10 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.signal)
+
+    def part(self, kept: NDArray[np.bool_]) -> "Samples":
+        """Those samples that are kept."""
+        return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept])
 
     def binned(self, n_bins: int) -> "Samples":
         """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""
@@ -98,15 +106,30 @@ def fault(samples: Samples, full_scale: float | None = None) -> str:
 
 
 def _clipped(signal: Floats, full_scale: float | None) -> str:
-    top, bottom = signal.max(), signal.min()
-    if full_scale is not None and (signal >= full_scale * (1 - 1e-9)).any():
-        return f"saturated: the signal reaches the full scale of {full_scale:g} V"
+    top, bottom = float(signal.max()), float(signal.min())
+    if full_scale is not None and top > _OTHER_UNIT * full_scale:
+        unit = "counts of the converter" if (signal == np.rint(signal)).all() else "millivolts, 0.001 of it"
+        return f"expected volts up to the full scale of {full_scale:g} V, found {bottom:g} to {top:g}: perhaps {unit}"
+    if full_scale is not None and top >= full_scale * (1 - 1e-9):
+        return f"saturated: the signal reaches the full scale of {full_scale:g} V{_remedy(signal, top)}"
     for extreme, name in ((top, "top"), (bottom, "bottom")):
         flat = signal == extreme
         run, share = _longest_run(flat), float(flat.mean())
-        if run >= _FLAT_RUN and share > _FLAT_SHARE and flat.sum() > _FLAT_RUN:
-            return f"saturated: {int(flat.sum())} samples stand at the {name}, {extreme:g} V"
+        if run < _FLAT_RUN or share <= _FLAT_SHARE or flat.sum() <= _FLAT_RUN:
+            continue
+        # Steps of a coarse converter make flat tops too, but never crowd an extreme more than the steps beside it.
+        away = np.abs(signal - extreme)
+        near = (away <= max(4.0 * float(away[~flat].min()), 0.004 * (top - bottom))) & ~flat
+        if flat.sum() > _CROWDED * near.sum():
+            return f"saturated: {int(flat.sum())} samples stand at the {name}, {extreme:g} V{_remedy(signal, extreme)}"
     return ""
+
+
+def _remedy(signal: Floats, extreme: float) -> str:
+    """How much less gain a signal cut off at an extreme needs, by the share of a sine that is cut off."""
+    cut = float((signal == extreme).mean() if extreme < signal.mean() else (signal >= extreme).mean())
+    share = 0.45 * (1.0 + np.cos(np.pi * min(cut, 0.9)))
+    return f"; lower the gain to {share:.2f} of it" if extreme > 0 else ""
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:

@@ -83,9 +83,9 @@ def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: 
 
 def _levelled(samples: Samples, basis: Floats) -> Floats:
     """The signal without its mean, slope and bow."""
-    root = np.sqrt(samples.count)
     low = basis[:, :3]
-    level = np.linalg.lstsq(low * root[:, None], samples.signal * root, rcond=None)[0]
+    weighted = low.T * samples.count
+    level = np.linalg.solve(weighted @ low, weighted @ samples.signal)
     return np.asarray(samples.signal - low @ level)
 
 
@@ -118,7 +118,9 @@ def _by_transform(
     spectrum = scipy.fft.fft(bins, n_fast, axis=1)
     frequency = scipy.fft.fftfreq(n_fast, width)
     order = np.argsort(frequency, kind="stable")
-    order = order[(frequency[order] >= slopes[0]) & (frequency[order] <= slopes[1])]
+    # The neighbours beyond either end stand for a range narrower than a step.
+    step = 1.0 / (n_fast * width)
+    order = order[(frequency[order] > slopes[0] - step) & (frequency[order] < slopes[1] + step)]
     total = float((used.count * signal**2).sum() * used.count.sum())
     power = 2.0 * np.abs(spectrum[:, order]) ** 2 / total
     if power.size == 0:

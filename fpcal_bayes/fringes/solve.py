@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance, fit_course
-from fpcal_bayes.fringes.profile import DisplacementProfile, end_weights, legendre
+from fpcal_bayes.fringes.profile import DisplacementProfile, legendre, lengths_at
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.search import find_profiles
 
@@ -54,14 +54,14 @@ def solve(
     sd = noise if noise else 0.005 * float(np.ptp(samples.signal))
     chosen = found
     if len(found) > 1:
-        used = samples.binned(_bins(found, phase_per_um, _CHOICE_BINS))
+        used = samples.binned(bins(found, phase_per_um, _CHOICE_BINS))
         first = _distinct(
             [fit_course(used, profile, c, phase_per_um, nuisance=CALM, noise=sd, max_steps=20) for c in found]
         )
         # An envelope that CALM cannot follow spoils all fits alike: the others get their chance with fading.
         least = first[0].evidence - 0.5 * abs(first[0].evidence) - _HOPELESS
         chosen = np.array([fit.profile for fit in first[:3] if fit.evidence > least])
-    used = samples.binned(_bins(chosen, phase_per_um, _FINAL_BINS))
+    used = samples.binned(bins(chosen, phase_per_um, _FINAL_BINS))
 
     def fit(start: Floats, nuisance: Nuisance) -> Fit:
         return fit_course(
@@ -74,7 +74,7 @@ def solve(
         max((fit(c, fading), fit(c, CALM)), key=lambda f: f.evidence - doubt * (f.nuisance is CALM)) for c in chosen
     ]
     solution = FringeSolution(tuple(_distinct(fits)), used)
-    own = _noise(solution.best, sd)
+    own = noise_of(solution.best, sd)
     if abs(np.log(own / sd)) > 0.2:
         solution = with_noise(solution, profile, phase_per_um, own, mirror_light)
     least = solution.best.evidence - _HOPELESS
@@ -108,6 +108,7 @@ def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
             fit,
             covariance=fit.covariance * (noise / fit.noise) ** 2,
             unknowns_covariance=fit.unknowns_covariance * (noise / fit.noise) ** 2,
+            ends_variance=fit.ends_variance * (noise / fit.noise) ** 2,
             noise=noise,
         )
         for fit in solution.fits
@@ -117,17 +118,18 @@ def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
 
 def path_fringes(profile: Floats, phase_per_um: float, grid: Floats = _GRID) -> float:
     """Fringes that pass along a profile (DEGREE,), those that pass back included."""
-    lengths = legendre(grid)[:, 1:] @ profile
+    lengths = lengths_at(profile, grid)
     return float(np.abs(np.diff(lengths)).sum() * phase_per_um / (2.0 * np.pi))
 
 
-def _noise(fit: Fit, before: float) -> float:
+def noise_of(fit: Fit, before: float) -> float:
     """Noise of one reading by the residuals, held to what was presumed as far as they are few."""
     weight = 4.0
     return float(np.sqrt((weight * before**2 + fit.residual_squares) / (weight + max(fit.freedom, 0.0))))
 
 
-def _bins(profiles: Floats, phase_per_um: float, a_fringe: int) -> int:
+def bins(profiles: Floats, phase_per_um: float, a_fringe: int) -> int:
+    """Averages of a sweep that give a fringe `a_fringe` of them where profiles (n, degree) are fastest."""
     slopes = np.abs(np.diff(legendre(_GRID)[:, 1:] @ profiles.T, axis=0)).max() / (_GRID[1] - _GRID[0])
     return max(_FEWEST_BINS, int(np.ceil(2.0 * slopes * phase_per_um / (2.0 * np.pi) * a_fringe)))
 
@@ -140,9 +142,3 @@ def _distinct(fits: Sequence[Fit]) -> list[Fit]:
         if all(min(np.abs(fit.profile - k.profile).max(), np.abs(fit.profile + k.profile).max()) > near for k in kept):
             kept.append(fit)
     return kept
-
-
-def change_of(fit: Fit) -> tuple[float, float]:
-    """L(end) - L(start) of a fit and its standard deviation, in um."""
-    weights = end_weights()
-    return float(weights @ fit.profile), float(np.sqrt(weights @ fit.covariance @ weights))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.misfit import PhaseErrors
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile
 from fpcal_bayes.fringes.samples import Samples, fault
 from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, solve
@@ -25,6 +26,9 @@ FEWEST_FRINGES, SPARSE = 2.0, 3.0
 _RISK = 1e-3
 #: The cell's prior of the length is widened by this factor, and is at least this share of the length.
 _WIDENED, _LEAST_SHARE = 2.0, 0.2
+
+#: A length known less well, in um, and a mean square of errors that no explanation comes below, are refused.
+_VAGUE, _UNEXPLAINED = 0.4, 30.0
 
 
 @dataclass(frozen=True)
@@ -88,10 +92,12 @@ def read_wavelength_scan(
     solution = solve(samples, DisplacementProfile(mean, covariance), 4.0 * np.pi, noise)
     if solution is None:
         return ScanReading(refused="no fringes are seen")
-    return _reading(solution, samples, half, wavelength_share)
+    return _reading(solution, samples, float(middle), float(half), wavelength_share)
 
 
-def _reading(solution: FringeSolution, samples: Samples, half: float, wavelength_share: float) -> ScanReading:
+def _reading(
+    solution: FringeSolution, samples: Samples, middle: float, half: float, wavelength_share: float
+) -> ScanReading:
     best = solution.best
     fringes = path_fringes(best.profile, 4.0 * np.pi)
     if best.amplitude < 3.0 * best.noise:
@@ -100,7 +106,15 @@ def _reading(solution: FringeSolution, samples: Samples, half: float, wavelength
         return ScanReading(
             refused=f"sparse: {len(samples) / fringes:.2g} samples a fringe, expected {SPARSE:g} or more"
         )
-    length, sd = abs(float(best.profile[0])) / half, float(np.sqrt(best.covariance[0, 0])) / half
+    slope, sd = float(best.profile[0]), float(np.sqrt(best.covariance[0, 0]))
+    errors = PhaseErrors.of(best, solution.samples, 4.0 * np.pi)
+    bent, bent_sd, rest = errors.straightened(half / middle)
+    slope, sd = slope + bent / (4.0 * np.pi), max(sd, bent_sd / (4.0 * np.pi))
+    if sd > _VAGUE * half or rest > _UNEXPLAINED:
+        off = float(np.sqrt(np.mean(errors.phase**2)))
+        why = f"the phase leaves a line by {off:.2g} rad: the laser hops, its tuning ripples or L drifts"
+        return ScanReading(fringes=fringes, refused=why)
+    length, sd = abs(slope) / half, sd / half
     weights = np.exp(np.array([fit.evidence for fit in solution.fits]) - best.evidence)
     others = float(weights[1:].sum() / weights.sum())
     doubt = ""

@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_envelope import read_envelope
@@ -22,6 +22,9 @@ from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, 
 from fpcal_bayes.model.priors import LogNormal, Marginal, TruncatedNormal, Uniform
 
 SCHEMA = "fpcal-cell/1"
+
+#: A prior narrower than this, in um, deg or ppm, holds the parameter; zero says so.
+_LEAST_SD = 1e-9
 
 #: Units a motion controller may count in: um or rad per unit.
 CONTROLLER_UNITS = {
@@ -105,17 +108,27 @@ def load_cell(
     return cell if opd is None else cell.with_opd(opd)
 
 
+#: Whether somebody has looked which way the axes go.
+_CHECKED = "handedness_checked"
+
+
 class _Reader(Tables):
     """Turns the tables of one file into a cell."""
 
     def cell(self, table: dict[str, Any]) -> Cell:
-        self.keys(table, "", {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task"})
+        self.keys(
+            table,
+            "",
+            {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task", "handedness_checked"},
+        )
+        if not isinstance(table.get(_CHECKED, False), bool):
+            raise self.error(_CHECKED, f"expected true or false, found {literal(table[_CHECKED])}")
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
-        wavelength = self.number(optics, "optics", "wavelength_nm", low=0.1, high=100_000.0) * 1e-3
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=200.0, high=20_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 
@@ -148,6 +161,7 @@ class _Reader(Tables):
             wavelength=wavelength,
             opd=opd,
             optical_axis=optical_axis,
+            handedness_checked=table.get(_CHECKED, False),
             drift=self.drifts(joint_tables, extrinsic, parameters),
             optics=self.interferometer(optics, wavelength),
             mechanics=self.mechanics(table, joint_tables, joints),
@@ -180,6 +194,10 @@ class _Reader(Tables):
             limits = table[f"limits_{unit}"]
             if not (isinstance(limits, list) and len(limits) == 2 and all(map(is_number, limits))):
                 raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {literal(limits)}")
+            if max(map(abs, limits)) > largest(unit):
+                raise self.error(
+                    f"{place}.limits_{unit}", f"expected at most {largest(unit):g}, found {literal(limits)}"
+                )
             low, high = (float(x) * SCALES[unit] for x in limits)
             if not low < high:
                 raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {literal(limits)}")
@@ -233,7 +251,10 @@ class _Reader(Tables):
         self.keys(table, place, {"prior", f"nominal_{unit}", "optional", *allowed})
 
         def length(stem: str, *, low: float = -math.inf, default: float | None = None) -> float:
-            return self.number(table, place, f"{stem}_{unit}", low=low, default=default) * SCALES[unit]
+            value = self.number(table, place, f"{stem}_{unit}", low=low, default=default)
+            if stem == "prior_sd" and 0.0 < value < _LEAST_SD:
+                raise self.error(f"{place}.{stem}_{unit}", f"expected 0 (held) or at least {_LEAST_SD:g}")
+            return value * SCALES[unit]
 
         flag = table.get("optional", optional)
         if not isinstance(flag, bool):
@@ -251,7 +272,7 @@ class _Reader(Tables):
                     raise InputError("a uniform prior: expected low < nominal < high")
             elif kind == "log-normal":
                 nominal = length("nominal")
-                prior = LogNormal(nominal, self.number(table, place, "prior_factor"))
+                prior = LogNormal(nominal, self.number(table, place, "prior_factor", high=1e3))
             else:
                 nominal = length("nominal", default=0.0)
                 low = nominal if kind == "half-normal" else -math.inf if ends[0] is None else ends[0]

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.typing import Bools, Ints
 from fpcal_bayes.io.csv import Records
 from fpcal_bayes.io.hdf5 import Reader, put_array
@@ -80,6 +80,12 @@ LEADING, MEASUREMENT, OPTIONAL, PLAN, INDEX = map(_named, ("leading", "measureme
 #: Of an index: the light and the air, in the order of `TraceIndex`, and the files of wavelength scans.
 CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
 SCANS = ("scan_before", "scan_after")
+
+#: Ranges of numbers that are narrower than `largest`; a sigma outside stands in another unit.
+PLAUSIBLE = {
+    "sigma_um": (1e-6, 1e4, "expected a standard deviation above zero, in um: 1e-06 to 10000"),
+    "temperature_c": (-200.0, 200.0, "expected a temperature in degrees Celsius, -200 to 200"),
+}
 
 _UNITS = ("um", "deg", "h", "c", "nm", "hpa", "pct", "s", "v")
 _MOST_READINGS = 1000
@@ -171,6 +177,11 @@ def get_columns(reader: Reader, group: Any, cell: Cell, *, plan: bool) -> dict[s
     joint = joint_columns(cell)[0]
     expected = len(table[joint])
     for name, values in table.items():
+        stated, unit = group[name].attrs.get("unit"), name.rpartition("_")[2]
+        if stated is not None and unit in _UNITS and reader.text_attribute(group[name], "unit") != unit:
+            raise InputError(
+                f"{reader.path}: {group.name}/{name}: expected the unit {unit}, found {str(stated)[:20]!r}"
+            )
         if len(values) != expected:
             where = f"{reader.path}: {group.name}/{name}"
             raise InputError(f"{where}: expected {expected} values as in {joint}, found {len(values)}")
@@ -234,6 +245,10 @@ def from_columns(
             refuse(np.isinf(values), name, "expected a finite number or nothing")
         else:
             refuse(~np.isfinite(values), name, "expected a finite number")
+        if not is_text(name):
+            most = largest(name)
+            low, high, expected = PLAUSIBLE.get(name, (-most, most, f"expected {-most:g} to {most:g}"))
+            refuse((values < low) | (values > high), name, expected)
     if "session" in table:
         refuse(table["session"] == "", "session", "expected the name of a session")
     for name in ("utc", "expires_utc"):

@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.sweeps import unpacked
@@ -17,10 +18,9 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA, STATUSES, Estimate
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge, knowledge_of
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, Trust, trust_of
+from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, UNRECORDED, Trust, trust_of
 
-#: Numbers of this size are no lengths or angles, and their squares still fit a double.
-_LARGEST = 1e100
+#: Variances below this are no uncertainties.
 _SMALLEST = 1e-100
 
 
@@ -54,12 +54,13 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
         )
     found = _Reader(str(path), cell).estimate(content)
-    if CONTENT_HASH in content:
-        rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
-        if content[CONTENT_HASH] != content_sha256(rest):
-            raise InputError(
-                f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
-            )
+    if CONTENT_HASH not in content:
+        return replace(found, trust=found.trust.because(UNRECORDED))
+    rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
+    if content[CONTENT_HASH] != content_sha256(rest):
+        raise InputError(
+            f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
+        )
     return found
 
 
@@ -93,23 +94,38 @@ class _Reader(Tables):
                 raise self.error(f"parameters.{p.name}.unit", f"expected {p.unit!r}")
             if entry.get("status") not in STATUSES:
                 raise self.error(f"parameters.{p.name}.status", f"expected one of {', '.join(STATUSES)}")
-            values.append(self.number(entry, f"parameters.{p.name}", "value", largest=_LARGEST) * p.scale)
+            most = largest(p.unit)
+            values.append(self.number(entry, f"parameters.{p.name}", "value", low=-most, high=most) * p.scale)
             status.append(entry["status"])
+        covariance = self.covariance(content.get("covariance"), parameters, status)
+        for p, variance in zip(parameters, np.diag(covariance).tolist(), strict=True):
+            self.agree(stated[p.name], p.name, variance**0.5 / p.scale)
         known = self.mechanics(content.get("mechanics"), parameters)
-        time_h = self.number(content, "", "time_h", largest=_LARGEST, default=0.0)
+        time_h = self.number(content, "", "time_h", default=0.0)
         until = content.get("valid_until_h")
         return Estimate(
             cell=self.cell,
             parameters=parameters,
             values=np.array(values),
-            covariance=self.covariance(content.get("covariance"), parameters, status),
+            covariance=covariance,
             status=tuple(status),
             time_h=time_h,
-            valid_until_h=None if until is None else self.number(content, "", "valid_until_h", largest=_LARGEST),
+            valid_until_h=None if until is None else self.number(content, "", "valid_until_h"),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
             trust=self.trust(content.get("trust"), known is not None),
             mechanics=known,
         )
+
+    def agree(self, entry: dict[str, Any], name: str, sd: float) -> None:
+        """What a file says twice must be the same: sd and covariance, value and mean."""
+        most = largest("um")
+        for key, other, what in (("sd", sd, "covariance.matrix"), ("mean", entry["value"], "value")):
+            if key in entry:
+                stated = self.number(entry, f"parameters.{name}", key, low=-most, high=most)
+                if abs(stated - other) > 1e-6 * max(abs(stated), abs(other), sd):
+                    raise self.error(
+                        f"parameters.{name}.{key}", f"{stated:g} and {what} ({other:g}) contradict each other"
+                    )
 
     def mechanics(self, stated: Any, parameters: ParameterSet) -> MechanicsKnowledge | None:
         """What is known of the error motions; nothing is asked of it where the mechanism is taken as perfect."""
@@ -146,7 +162,7 @@ class _Reader(Tables):
             matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
-        if not np.isfinite(matrix).all() or not np.abs(matrix).max(initial=0.0) < _LARGEST:
+        if not np.abs(matrix).max(initial=0.0) <= largest("um") ** 2:
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")

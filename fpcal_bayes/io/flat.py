@@ -28,7 +28,7 @@ def write_flat(path: Path, content: Mapping[str, Any]) -> None:
     check_flat(path)
     for name in FUNCTIONS:
         beside = path.parent / name
-        if not beside.exists():
+        if not beside.exists() and (path.is_file() or not path.exists()):
             write_text(beside, data_file(f"matlab/{name}").read_text(encoding="utf-8"))
     if path.suffix.lower() == ".json":
         write_json(path, dict(content))

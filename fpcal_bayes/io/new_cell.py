@@ -1,15 +1,13 @@
 """A new cell file, commented and ready to fill in, from a layout; and links from a table of modified DH parameters."""
 
-import csv
-import io
-import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import read_text
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.model.axes import direction_words
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, JointKind
 from fpcal_bayes.model.cell.layout import Layout
@@ -62,36 +60,24 @@ def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
     InputError
         If the file is anything else.
     """
-    rows = list(csv.reader(io.StringIO(read_text(Path(path)))))
-    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
-    head = rows[0] if rows else []
-    if head not in (list(_DH_COLUMNS), [*_DH_COLUMNS, "beta_deg"]):
-        raise located(path, f"expected the columns {','.join(_DH_COLUMNS)}, then beta_deg if wanted", row=1)
+    records = read_records(Path(path))
+    texts = [[text.strip() for text in row] for row in records.texts]
+    records = replace(records, header=[name.strip() for name in records.header], texts=texts)
+    records.require_header(_DH_COLUMNS, ("beta_deg",))
+    columns = records.columns()
     kinds: list[JointKind] = []
-    links = np.zeros((len(rows) - 1, 5))
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(head):
-            raise located(path, f"expected {len(head)} fields, found {len(row)}", row=number)
-        found: JointKind | None = next((kind for kind in JOINT_UNITS if row[0] in (kind, kind[0])), None)
+    for text, row in zip(columns["kind"], records.rows.tolist(), strict=True):
+        found: JointKind | None = next((kind for kind in JOINT_UNITS if text in (kind, kind[0])), None)
         if found is None:
-            raise located(path, f"expected prismatic or revolute, found {row[0]!r:.40}", row=number, column="kind")
+            raise located(path, f"expected prismatic or revolute, found {text!r:.40}", row=row, column="kind")
         kinds.append(found)
-        values = [_number(path, number, name, text) for name, text in zip(head[1:], row[1:], strict=True)]
-        alpha, a, theta, d, *beta = values
-        links[number - 2] = [*(beta or [0.0]), alpha, a, theta, d]
     if not kinds:
         raise InputError(f"{path}: expected a row for each joint")
+    links = np.zeros((len(kinds), 5))
+    for i, name in enumerate(("beta_deg", *_DH_COLUMNS[1:])):
+        if name in columns:
+            links[:, i] = records.numbers(name, columns[name], finite=True, expected="expected a finite number")
     return tuple(kinds), links
-
-
-def _number(path: str | Path, row: int, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise located(path, f"expected a finite number, found {text!r:.40}", row=row, column=column)
-    return value
 
 
 def new_cell_text(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records
 
@@ -24,5 +24,9 @@ def read_path(path: str | Path) -> Floats:
     n = len(shown)
     if n < 2:
         raise InputError(f"{path}: {n} row{'' if n == 1 else 's'}, expected a path of two or more")
+    for row, name in np.argwhere(np.abs(shown) > [largest(name) for name in COLUMNS]):
+        raise located(
+            path, f"expected at most {largest(COLUMNS[name]):g}", row=int(records.rows[row]), column=COLUMNS[name]
+        )
     shown *= np.repeat([1.0, np.pi / 180.0], 3)
     return shown

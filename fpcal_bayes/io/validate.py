@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Collection
 from typing import Any
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, largest
 
 
 def shown(value: object) -> str:
@@ -22,10 +22,10 @@ def literal(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def is_number(value: object, largest: float = math.inf) -> bool:
-    """Whether a value is a finite number, smaller in size than `largest`."""
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number."""
     try:
-        return isinstance(value, int | float) and not isinstance(value, bool) and abs(float(value)) < largest
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(float(value))
     except OverflowError:
         return False
 
@@ -86,13 +86,13 @@ class Tables:
         *,
         low: float = -math.inf,
         high: float = math.inf,
-        largest: float = math.inf,
         default: float | None = None,
     ) -> float:
-        """A finite number from `low` to `high`; one as large as `largest` counts as infinite."""
+        """A finite number from `low` to `high`, by default as large as its unit allows."""
         value = table.get(key, default)
-        if value is None or not is_number(value, largest):
+        if value is None or not is_number(value):
             raise self.error(_at(place, key), f"expected a finite number, found {self.shown(value)}")
+        low, high = max(low, -largest(key)), min(high, largest(key))
         if not low <= value <= high:
             raise self.error(_at(place, key), f"expected a number from {low:g} to {high:g}, found {self.shown(value)}")
         return float(value)

@@ -6,6 +6,7 @@ from fpcal_bayes.core.lazy import lazy
 _PLACES = {
     "PROTOCOLS": "protocol",
     "Sweeps": "sweeps",
+    "Trace": "traces",
     "TraceIndex": "recordings",
     "Truth": "truth",
     "drive_of_sweeps": "drive",
@@ -15,6 +16,7 @@ _PLACES = {
     "pool": "sweeps",
     "protocol_by_name": "protocol",
     "read_often": "protocol",
+    "single_sweep": "protocol",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
-from fpcal_bayes.measure.traces import Trace, WavelengthScan, check_scan, check_trace
+from fpcal_bayes.measure.traces import Trace, WavelengthScan, check_scan, check_trace, plausible_wavelength
 from fpcal_bayes.model.cell.cell import Cell
 
 
@@ -63,9 +63,14 @@ def check_index(index: TraceIndex, cell: Cell) -> None:
         if bad.any():
             raise located(sweeps.file, expected, row=int(sweeps.rows[np.argmax(bad)]), column=column)
 
-    refuse(~np.isnan(index.wavelength) & ~(index.wavelength > 0), "wavelength_nm", "expected a wavelength above zero")
+    light = ~np.isnan(index.wavelength) & ~plausible_wavelength(index.wavelength)
+    refuse(light, "wavelength_nm", "expected a wavelength in nm, 200 to 20000")
     refuse(~np.isnan(index.temperature_c) & ~(abs(index.temperature_c) < 200), "temperature_c", "expected -200 to 200")
-    refuse(~np.isnan(index.pressure_hpa) & ~(index.pressure_hpa > 0), "pressure_hpa", "expected a pressure above zero")
+    refuse(
+        ~np.isnan(index.pressure_hpa) & ~((index.pressure_hpa > 0) & (index.pressure_hpa < 1e4)),
+        "pressure_hpa",
+        "expected 0 to 10000",
+    )
     humid = (index.humidity_pct >= 0) & (index.humidity_pct <= 100)
     refuse(~np.isnan(index.humidity_pct) & ~humid, "humidity_pct", "expected 0 to 100")
     for i, trace in enumerate(index.traces):

@@ -13,6 +13,7 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell, check_joints
+from fpcal_bayes.model.envelope import behind_the_fibre
 
 Texts = NDArray[np.str_]
 
@@ -20,6 +21,8 @@ KINDS = ("sweep", "absolute", "path")
 MAX_TEXT = 1000
 #: Sessions share readings by chance with a larger probability than this.
 _CHANCE = 1e-6
+#: With a larger sigma, in um, fringes are counted: readings of one sweep then agree by chance.
+_COUNTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -274,6 +277,16 @@ def _check_distinct(sweeps: Sweeps) -> None:
                 )
 
 
+def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
+    """Rows that stand earlier too, poses and dL to the last digit, shape (n,); counts of whole fringes do repeat."""
+    seen: set[tuple[float, ...]] = set()
+    again = np.zeros(len(sweeps), dtype=bool)
+    for i, key in enumerate(map(tuple, np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist())):
+        again[i] = key in seen and sweeps.kind[i] == "sweep" and sweeps.sigma[i] < _COUNTED
+        seen.add(key)
+    return again
+
+
 def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:
     """The same sweeps to be measured in a session to come: nothing in them was measured."""
     n = len(sweeps)
@@ -290,6 +303,10 @@ def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") 
     )
 
 
+#: Absolute lengths that say where the fibre stands.
+_SCANS = 100
+
+
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     """Hold sweeps to the rules that no single field shows."""
     if len(sweeps) == 0:
@@ -303,6 +320,11 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     for q, end in ((sweeps.q_start, "start"), (sweeps.q_end, "end")):
         names = [f"{joint}_{end}_{unit}" for joint, unit in columns]
         check_joints(cell, q, sweeps.file, sweeps.rows.tolist(), names)
+    alike: dict[str, str] = {}
+    for name in sweeps.sessions:
+        other = alike.setdefault(" ".join(name.casefold().split()), name)
+        differ = f"sessions {other!r:.60} and {name!r:.60} differ by case or blanks only, expected one name for each"
+        refuse((sweeps.session == name) & (other != name), "session", differ)
     refuse(~np.isin(sweeps.kind, KINDS), "kind", f"expected one of {', '.join(KINDS)}")
     still = (sweeps.q_start == sweeps.q_end).all(axis=1) & (sweeps.kind == "sweep")
     refuse(still, f"{columns[0][0]}_end_{columns[0][1]}", "start and end are the same, expected a sweep that moves")
@@ -319,6 +341,19 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     refuse(
         bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}"
     )
+
+    # Rows that no cell gives. Lengths tell nothing of it: on the perpendicular path they are sizes.
+    known = np.flatnonzero(sweeps.absolute & (sweeps.dl > 0) & np.isfinite(sweeps.sigma))[:_SCANS]
+    starts = np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start)
+    poses = np.vstack([starts, sweeps.q_end])
+    behind, lengths = behind_the_fibre(cell, poses, (sweeps.q_end[known], sweeps.dl[known], sweeps.sigma[known]))
+    if behind.any():
+        worst = int(np.argmax(behind))
+        what = (
+            f"the mirror stands behind the fibre (L = {lengths[worst]:.4g} um expected): no cell gives such a row; "
+            "check sign, unit and zero of the joints, and the gap of the cell"
+        )
+        raise located(sweeps.file, what, row=int(sweeps.rows[worst % len(sweeps)]))
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str], int] = {}

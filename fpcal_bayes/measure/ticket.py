@@ -66,6 +66,11 @@ class Ticket:
         return {"ticket": self.name, "session": str(self.plan.session[0]), "n_rows": len(self.rows()), **said}
 
 
+def empty_ticket(file: str) -> Ticket:
+    """A ticket that asks for nothing."""
+    return Ticket(file, None, np.zeros(0, dtype=np.int64))
+
+
 #: How far a measured row may stand from the ticket's: what controllers miss, not another sweep.
 _NEAR_UM, _NEAR_DEG = 1.0, 0.05
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.typing import Floats
 
 #: Tells the line of a sample in its file.
@@ -72,6 +72,11 @@ def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
         )
 
 
+def plausible_wavelength(wavelength: Floats) -> NDArray[np.bool_]:
+    """Whether wavelengths in um (n,) are those of a laser that an interferometer is built with."""
+    return np.asarray((wavelength >= 0.2) & (wavelength <= 20.0))
+
+
 def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way.
 
@@ -79,11 +84,10 @@ def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
     """
     file = scan.file or "scan"
     _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
-    low = scan.wavelength <= 0
-    if low.any():
-        raise located(
-            file, "expected a wavelength above zero", row=_line(line_of, int(np.argmax(low))), column=SCAN_COLUMNS[0]
-        )
+    wrong = ~plausible_wavelength(scan.wavelength)
+    if wrong.any():
+        row = _line(line_of, int(np.argmax(wrong)))
+        raise located(file, "expected a wavelength in nm, 200 to 20000", row=row, column=SCAN_COLUMNS[0])
     steps = np.diff(scan.wavelength)
     turned = steps * (scan.wavelength[-1] - scan.wavelength[0]) <= 0
     if turned.any():
@@ -104,10 +108,10 @@ def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | Non
     if len(set(n.values())) > 1 or any(len(shape) != 1 for shape in n.values()):
         raise InputError(f"{file}: expected columns of one length, found {n}")
     for name, values in columns.items():
-        bad = ~np.isfinite(values)
+        bad = ~(np.abs(values) <= largest(name))
         if bad.any():
             first = int(np.argmax(bad))
-            found = f"expected a finite number, found {values[first]}"
+            found = f"expected a finite number up to {largest(name):g}, found {values[first]:g}"
             raise located(file, found, row=_line(line_of, first), column=name)
     if len(values) < 2:
         raise InputError(f"{file}: {len(values)} samples, expected two or more")

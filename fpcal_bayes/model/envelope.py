@@ -2,22 +2,30 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.joint_path import JointPath, in_turn, sweep_path, task_path
-from fpcal_bayes.model.margin import SIGMAS, Known, margin, require_envelope
+from fpcal_bayes.model.margin import SIGMAS, Known, gap_is_known, margin, require_envelope
 
 #: Without a measured gap a joint may move along the beam by this share of the nominal gap, to hold a task's plane.
 _BLIND_SHARE = 0.01
+_MEASURE_GAP = "measure it by a wavelength scan (a row of kind absolute), or state gap_um and gap_sd_um in [envelope]"
 #: A joint within this of the beam moves along it, as a cosine (60 deg).
 _ALONG_BEAM = 0.5
+#: Standard deviations by which a length is below zero that no cell can have given.
+_LIKELY = 2.0
+#: Share of a joint's range that gives way at a time; turns of more than this are looked at between their ends, in rad.
+_CUT, _TURN_STEP = 0.02, float(np.radians(30.0))
+#: Draws that ranges are found with, and rows that share the risk: a plan has fewer, and is looked at again as a whole.
+_FEW, _ROWS = 400, 100
 
 
 @dataclass(frozen=True)
@@ -88,22 +96,68 @@ def breaches(
     return [Breach(row, what) for row, what in sorted(seen.items())]
 
 
-def within(model: CavityModel, draws: Floats, q_start: Floats, q_end: Floats, *, of: int = 1) -> Bools:
-    """Whether each sweep (n_rows, n_joints) stays in the envelope, without the ways between them; shape (n_rows,).
+def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Ranges of the joints within `low` to `high` (n_joints,) in which every pose stays in the envelope.
 
-    Parameters
-    ----------
-    of
-        How many rows the plan will have that the sweeps are candidates of: they share the risk.
+    Whatever the order in which joints move, a way between two such poses stays there too. Where the whole ranges do
+    not, the joint gives way whose return towards joint zero helps the worst pose most.
+
+    Raises
+    ------
+    InputError
+        If the cell may leave its envelope at joint zero already.
     """
-    inside: Bools = np.ones(len(q_start), dtype=bool)
-    if model.cell.envelope is None:
-        return inside
-    found = breaches(model, draws, sweep_path(model.cell, q_start, q_end, ways=False), rows=of)
-    outside = {breach.row for breach in found}
-    for row, moved in enumerate(q_start != q_end):
-        inside[row] = row not in outside and not in_turn(model.cell, moved)
-    return inside
+    cell, at = model.cell, home(model.cell)
+    if cell.envelope is None:
+        return low, high
+    envelope, low, high = cell.envelope, low.copy(), high.copy()
+    width = high - low
+    along, most = (np.zeros(0, dtype=int), 0.0) if gap_is_known(model, draws) else _along_beam(model, draws)
+    low[along], high[along] = np.maximum(low[along], at[along] - most), np.minimum(high[along], at[along] + most)
+
+    few = draws[:_FEW]
+
+    def excess(q: Floats) -> Floats:
+        found = margin(model, few, _poses(q), rows=_ROWS)
+        near = 1.0 - found.least_gap / envelope.least_gap if found.known else np.full(len(q), -np.inf)
+        tilted, aside = found.most_tilt / envelope.max_tilt, found.most_aside / envelope.mirror_radius
+        over: Floats = np.maximum(near, np.maximum(tilted, aside) - 1.0)
+        return over
+
+    if excess(at[None])[0] > 0:
+        raise InputError(
+            f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0].what}"
+        )
+    while True:
+        box = _lattice(cell, low, high)
+        over = excess(box)
+        worst = int(np.argmax(over))
+        if over[worst] <= 0:
+            return low, high
+        pose = box[worst]
+        back = np.tile(pose, (len(pose), 1))
+        step = np.minimum(_CUT * width, np.abs(pose - at))
+        np.fill_diagonal(back, pose - np.sign(pose - at) * step)
+        ends = ((pose == low) | (pose == high)) & (step > 0)
+        gains = np.where(ends, (over[worst] - excess(back)) / np.where(ends, step, 1.0) * width, 0.0)
+        joint = int(np.argmax(gains))
+        # As far as the slope says, but in steps, for other poses and joints may come to matter more.
+        far = width[joint] * np.clip(over[worst] / max(gains[joint], 1e-9), _CUT / 4.0, 4.0 * _CUT)
+        side = high if pose[joint] == high[joint] else low
+        side[joint] = pose[joint] - np.sign(pose[joint] - at[joint]) * min(far, abs(pose[joint] - at[joint]))
+
+
+def _poses(q: Floats) -> JointPath:
+    """Poses alone, without steps."""
+    n = len(q)
+    return JointPath(q, np.arange(n), np.zeros(n, dtype=bool), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
+
+
+def _lattice(cell: Cell, low: Floats, high: Floats) -> Floats:
+    """Poses of a box of joints: its corners, and places between for joints that turn."""
+    ends = zip(low.tolist(), high.tolist(), cell.revolute, strict=True)
+    values = [np.unique(np.linspace(a, b, 3 + 2 * int((b - a) / _TURN_STEP) if turns else 2)) for a, b, turns in ends]
+    return np.array(list(product(*values)))
 
 
 def require_within_envelope(
@@ -148,8 +202,10 @@ def require_within_envelope(
         raise located(file, found[0].what, row=row + 1 if rows is None else rows[row])
 
 
-def require_task_within_envelope(model: CavityModel, draws: Floats, q: Floats, *, name: str) -> None:
-    """Refuse a task through joint vectors `q` (n_points, n_joints) that may leave the cell's envelope.
+def require_task_within_envelope(
+    model: CavityModel, draws: Floats, q: Floats, *, name: str, start: Floats | None = None, exact: bool = False
+) -> None:
+    """Refuse a task through `q` (n_points, n_joints), from `start` or joint zero, that may leave the cell's envelope.
 
     Raises
     ------
@@ -158,7 +214,7 @@ def require_task_within_envelope(model: CavityModel, draws: Floats, q: Floats, *
     """
     if model.cell.envelope is None or not len(q):
         return
-    found = breaches(model, draws, task_path(model.cell, q))
+    found = breaches(model, draws, task_path(model.cell, q, start), exact=exact)
     if found:
         raise InputError(f"task {name!r}, point {found[0].row + 1}: {found[0].what}")
 
@@ -180,30 +236,63 @@ def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, fil
         raise located(file, what, row=int(rows[path.row[worst]]))
 
 
-def no_envelope_text(cell: Cell) -> str | None:
-    """One sentence for a cell without an envelope, or with one but no gap that a plan can start from, else None."""
-    if cell.envelope is None:
-        return f"cell {cell.name!r} states no [envelope]: nothing keeps the mirror off the fibre"
-    return None
+def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats]) -> tuple[Bools, Floats]:
+    """At which poses (n, n_joints) the mirror stands behind the fibre whatever is likely of the cell, and the lengths.
+
+    Parameters
+    ----------
+    seen
+        Poses, lengths and standard deviations of lengths that were measured: (n_seen, n_joints), (n_seen,) twice. The
+        gap that the envelope states counts as one at joint zero.
+    """
+    model, at = CavityModel.of(cell.with_opd("axis")), home(cell)[None]
+    gap = () if cell.envelope is None or cell.envelope.gap is None else (cell.envelope.gap, cell.envelope.gap_sd or 0.0)
+    stated = np.array(gap).reshape(-1, 2)
+    poses = np.vstack([q, seen[0], at[: len(stated)]])
+    lengths, jacobian = model.predict_with_jacobian(model.free.nominal, model.pose_rows(poses))
+    rows = jacobian * model.free.prior_sd
+    n = len(q)
+    # What the prior leaves of the lengths, given those that are known.
+    noise = np.diag(np.concatenate([seen[2], stated[:, 1]]) ** 2)
+    gain = np.linalg.solve(rows[n:] @ rows[n:].T + noise, rows[n:] @ rows[:n].T).T
+    expected = lengths[:n] + gain @ (np.concatenate([seen[1], stated[:, 0]]) - lengths[n:])
+    variance = (rows[:n] ** 2).sum(axis=1) - (gain * (rows[:n] @ rows[n:].T)).sum(axis=1)
+    _, facing, _, _ = Known.of(model, model.free.nominal).facing(q)
+    behind = (expected < -_LIKELY * np.sqrt(np.maximum(variance, 0.0))) | (facing[0] <= 0)
+    # The literal reading of the paper has the light run along the mirror.
+    return behind & (cell.optical_axis != "z"), expected
+
+
+def no_envelope_text(model: CavityModel, draws: Floats) -> list[str]:
+    """A sentence for a cell without an envelope, or with one but no gap that draws could tell."""
+    name = repr(model.cell.name)
+    if model.cell.envelope is None:
+        return [f"cell {name} states no [envelope]: nothing keeps the mirror off the fibre"]
+    if gap_is_known(model, draws):
+        return []
+    return [f"cell {name}: the gap is not known, so that nothing moves along the beam: {_MEASURE_GAP}"]
+
+
+def _along_beam(model: CavityModel, draws: Floats) -> tuple[Ints, float]:
+    """Joints that move along the beam, and how far each may while nobody knows the gap."""
+    cell, mean = model.cell, draws.mean(axis=0)
+    vector = model.vector(mean)
+    directions, _ = joint_axes(cell, vector, home(cell))
+    along = np.abs(directions @ chain.optical_axis(cell, vector)) > _ALONG_BEAM
+    ahead, facing, _, _ = Known.of(model, mean).facing(home(cell)[None])
+    return np.flatnonzero(along & ~cell.revolute), _BLIND_SHARE * abs(float(ahead[0, 0] / facing[0, 0]))
 
 
 def _blind(model: CavityModel, draws: Floats, path: JointPath) -> list[tuple[int, str]]:
     """Rows that move along the beam while nobody knows the gap."""
-    cell, vector = model.cell, model.vector(draws.mean(axis=0))
-    directions, _ = joint_axes(cell, vector, home(cell))
-    along = np.abs(directions @ chain.optical_axis(cell, vector)) > _ALONG_BEAM
-    joints = np.flatnonzero(along & ~cell.revolute)
-    ahead, facing, _, _ = Known.of(model, draws[0]).facing(home(cell)[None])
-    most = _BLIND_SHARE * abs(float(ahead[0, 0] / facing[0, 0]))
+    cell = model.cell
+    joints, most = _along_beam(model, draws)
     found = []
     for row in np.unique(path.row):
         mine = path.q[path.row == row][:, joints]
         far = np.abs(mine - home(cell)[joints]).max(axis=0, initial=0.0)
         if (far > most).any():
             name = f"q{joints[int(np.argmax(far))] + 1}"
-            what = (
-                f"moves {name} along the beam by {far.max():.4g} um while the gap is not known: measure it by a "
-                "wavelength scan (a row of kind absolute), or state gap_um and gap_sd_um in [envelope]"
-            )
+            what = f"moves {name} along the beam by {far.max():.4g} um while the gap is not known: {_MEASURE_GAP}"
             found.append((int(row), what))
     return found

@@ -56,6 +56,19 @@ def in_turn(cell: Cell, moved: Bools) -> bool:
     return len(joints) > 1 and not any(joints <= set(group) for group in groups)
 
 
+def travel_seconds(cell: Cell, moves: Floats) -> Floats:
+    """Time that moves (..., n_joints) take, shape (...): joints that may move at once do, the others take turns."""
+    times = np.abs(moves) / speeds(cell)
+    if cell.envelope is None:
+        return np.asarray(times.max(axis=-1))
+    left, seconds = set(range(len(cell.joints))), np.zeros(times.shape[:-1])
+    for group in sorted(cell.envelope.together, key=len, reverse=True):
+        if left & set(group):
+            seconds = seconds + times[..., sorted(left & set(group))].max(axis=-1)
+            left -= set(group)
+    return np.asarray(seconds + times[..., sorted(left)].sum(axis=-1))
+
+
 def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True) -> JointPath:
     """The path of sweeps that are driven in their order, each (n_rows, n_joints).
 
@@ -86,8 +99,8 @@ def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True)
     return _joined(cell, parts, rows, between, steps)
 
 
-def task_path(cell: Cell, q: Floats) -> JointPath:
-    """The path of a task through joint vectors `q` (n_points, n_joints), from joint zero to the first and so on.
+def task_path(cell: Cell, q: Floats, start: Floats | None = None) -> JointPath:
+    """The path of a task through joint vectors `q` (n_points, n_joints), from `start`, joint zero by default.
 
     Between points joints that no group moves at once take an unknown order: every pose between counts.
     """
@@ -95,7 +108,7 @@ def task_path(cell: Cell, q: Floats) -> JointPath:
     rows: list[Ints] = []
     between: list[Bools] = []
     steps, count = [], 0
-    before = home(cell)
+    before = home(cell) if start is None else start
     for row, point in enumerate(q):
         way = _box(cell, before, point) if row == 0 or in_turn(cell, before != point) else point[None][:0]
         if row > 0:

@@ -64,17 +64,20 @@ class Margin:
 def estimate_draws(estimate: Estimate, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityModel, Floats]:
     """The model of an estimate's parameters and draws of them, shape (n, n_free), from its covariance."""
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
-    values, vectors = np.linalg.eigh(estimate.covariance)
-    spread = np.random.default_rng(seed).standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0.0, None))
-    return model, estimate.values + spread @ vectors.T
+    return model, normal_draws(estimate.values, estimate.covariance, n, seed)
 
 
 def prior_draws(cell: Cell, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityModel, Floats]:
     """The model of a cell's free parameters and draws of their priors, as normal ones, shape (n, n_free)."""
-    free = cell.free
-    return CavityModel.of(cell), free.nominal + free.prior_sd * np.random.default_rng(seed).standard_normal(
-        (n, len(free))
-    )
+    return CavityModel.of(cell), normal_draws(cell.free.nominal, np.diag(cell.free.prior_sd**2), n, seed)
+
+
+def normal_draws(mean: Floats, covariance: Floats, n: int = N_DRAWS, seed: int = 0) -> Floats:
+    """Draws of a normal distribution whose covariance may be singular, shape (n, len(mean))."""
+    values, vectors = np.linalg.eigh(covariance)
+    spread = np.random.default_rng(seed).standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0.0, None))
+    draws: Floats = mean + spread @ vectors.T
+    return draws
 
 
 @dataclass(frozen=True)
@@ -223,6 +226,11 @@ def _gap(told: Known, envelope: Envelope) -> tuple[Floats, float] | None:
         if sd < envelope.gap_sd:
             return np.zeros(len(draws)), 0.0
     return envelope.gap - length, envelope.gap_sd
+
+
+def gap_is_known(model: CavityModel, draws: Floats) -> bool:
+    """Whether the cell's envelope or the draws say how far mirror and fibre are apart."""
+    return _gap(Known.of(model, draws), require_envelope(model.cell)) is not None
 
 
 def _prior_sd(model: CavityModel) -> float:

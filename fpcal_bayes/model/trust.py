@@ -4,8 +4,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from fpcal_bayes.core.linalg import plain
+
 #: Fits whose data, or data and prior, are met with a smaller probability are poor.
 POOR_FIT_BELOW = 1e-3
+
+#: With fewer rows than this beyond those that the parameters absorb, no fit is too good or as good as another.
+LEAST_EXPECTED = 5.0
 
 Verdict = Literal["usable", "doubtful", "unusable"]
 
@@ -24,6 +29,7 @@ KINDS: dict[str, bool] = {
     "too-good-fit": False,
     "second-solution": False,
     "signs": False,
+    "duplicates": False,
     "nothing-determined": False,
     "mechanics": False,
     "residuals": False,
@@ -76,7 +82,9 @@ class Trust:
 
 
 #: What is held against a result of a program that kept no verdict.
-UNRECORDED = Reason("unrecorded", "the file is of an older program and holds no verdict on the fit")
+UNRECORDED = Reason(
+    "unrecorded", "the file holds no hash or no verdict of the program that made it: what it says cannot be checked"
+)
 
 
 #: What is held against a result that leaves out mechanics which the cell states.
@@ -127,6 +135,11 @@ class FitEvidence:
     sum_of_squares: float  # of data and prior
     p_total: float  # probability of a larger sum_of_squares
     rank: int
+    worst: str  # the rows farthest from the fit, for a person
+    # the same three of the readings' noise alone, error motions not counted: what sigma_um is held against
+    chi2_noise: float
+    expected_noise: float
+    p_noise: float
 
 
 def judge_fit(fit: FitEvidence, *more: Reason) -> Trust:
@@ -135,27 +148,27 @@ def judge_fit(fit: FitEvidence, *more: Reason) -> Trust:
 
 
 def _reasons(fit: FitEvidence) -> Iterable[Reason]:
+    chi2 = f"chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} (p = {fit.p_value:.1e})"
     if not fit.converged:
         text = f"the fit did not converge from {fit.starts} starting points: do not use this estimate"
-        yield Reason("not-converged", text)
+        yield Reason("not-converged", f"{text}; farthest from it: {fit.worst}; fpcal doctor tries what may be wrong")
     if fit.p_value < POOR_FIT_BELOW:
         yield Reason(
             "poor-fit",
-            f"poor fit: chi-square of the data {fit.chi2_data:.1f}, expected {fit.expected:.1f} "
-            f"(p = {fit.p_value:.1e}): the path model or sigma_um is wrong, some sweeps are off, "
-            "or held values are stale",
+            f"poor fit: {chi2}: the path model or sigma_um is wrong, some sweeps are off, or held values are stale; "
+            "fpcal doctor tries what may be wrong",
         )
     elif fit.p_total < POOR_FIT_BELOW:
         yield Reason(
             "poor-fit",
-            f"poor fit: sum of squares {fit.sum_of_squares:.1f} over data and prior, expected {fit.n_rows} "
+            f"poor fit: sum of squares {plain(fit.sum_of_squares)} over data and prior, expected {fit.n_rows} "
             f"(p = {fit.p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
-            "something that is not free (a gain, a runout)",
+            "something that is not free (a gain, a runout); fpcal doctor tries what may be wrong",
         )
-    elif fit.p_value > 1.0 - POOR_FIT_BELOW and fit.expected > 5.0:
+    elif fit.p_noise > 1.0 - POOR_FIT_BELOW and fit.expected_noise > LEAST_EXPECTED:
         yield Reason(
             "too-good-fit",
-            f"the fit is too good: chi-square of the data {fit.chi2_data:.3g}, expected {fit.expected:.1f}: "
+            f"the fit is too good: chi-square of the data {fit.chi2_noise:.3g}, expected {fit.expected_noise:.1f}: "
             "sigma_um is too large, and every band with it",
         )
     if fit.rank == 0:

@@ -8,8 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.envelope import require_task_within_envelope, safe_ranges
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.inverse import InverseModel, JointSolutions
+from fpcal_bayes.model.margin import estimate_draws, prior_draws
 from fpcal_bayes.motion.placement import Placement, turns
 from fpcal_bayes.motion.tasks import Task, follow_offsets
 from fpcal_bayes.motion.validity import StaleEstimateWarning, read_now, stale_text
@@ -27,7 +30,7 @@ class Controller:
     Parameters
     ----------
     estimate
-        An estimate of a cell with six joints; from a file, a posterior or the tracker.
+        An estimate of a cell with six joints or fewer; from a file, a posterior or the tracker.
     q
         Where the joints stand, shape (n_joints,), in um and rad; by default at zero.
     now_h
@@ -44,7 +47,7 @@ class Controller:
     Raises
     ------
     InputError
-        If the cell has other than six joints, `q` lies outside its limits, or the estimate is not to be used.
+        If the cell has more than six joints, `q` lies outside its limits, or the estimate is not to be used.
     """
 
     def __init__(
@@ -129,7 +132,8 @@ class Controller:
         Raises
         ------
         InputError
-            If it is no pose, or the joints cannot take it; the controller stays where it is then.
+            If it is no pose, the joints cannot take it, or the way there may leave the cell's envelope; the controller
+            stays where it is then.
         """
         return self._go(self.joints(pose))
 
@@ -153,7 +157,7 @@ class Controller:
         Raises
         ------
         InputError
-            If the joints cannot take the pose; the controller stays where it is then.
+            As `move_to`.
         """
         pose = self.pose
         pose[:3, :3] = turns(np.radians(_triple(rotation_deg, "rotation_deg"))[None])[0] @ pose[:3, :3]
@@ -181,7 +185,8 @@ class Controller:
         Raises
         ------
         InputError
-            If `pose` is no pose, a step is not above zero or asks for more than a million points.
+            If `pose` is no pose, a step is not above zero or asks for more than a million points, or the path may leave
+            the cell's envelope.
         """
         if not (step_um > 0 and step_deg > 0):
             raise InputError(f"steps {step_um:g} um, {step_deg:g} deg: expected numbers above zero")
@@ -193,6 +198,7 @@ class Controller:
             known = found.q[np.isfinite(found.q).all(axis=1)]
             ratio = float((np.abs(np.diff(known, axis=0)) / steps).max(initial=0.0))
             if ratio <= 1.0:
+                self._require_within(found.q[found.ok])
                 return found
             points = max(points + 1, int(np.ceil((points - 1) * ratio)) + 1)
         raise InputError(
@@ -219,10 +225,27 @@ class Controller:
         self._told = False
         self._estimate, self._vector = estimate, estimate.vector()
         self._placement = Placement.of(estimate.cell, self._vector)
+        self._known: tuple[CavityModel, Floats, Floats, Floats] | None = None
+
+    def _require_within(self, q: Floats) -> None:
+        """Refuse a path (n_points, n_joints) from where the joints stand that may leave the cell's envelope."""
+        cell = self._estimate.cell
+        if cell.envelope is None:
+            return
+        if self._known is None:
+            model, draws = estimate_draws(self._estimate) if self._estimate.trust.usable else prior_draws(cell)
+            low, high = (np.where(np.isfinite(end), end, np.sign(end) * np.pi) for end in (cell.low, cell.high))
+            self._known = model, draws, *safe_ranges(model, draws, low, high)
+        model, draws, low, high = self._known
+        ends = np.vstack([self._q, q])
+        # Inside these ranges no way is too near, so that only longer looks take their time.
+        if not ((ends >= low) & (ends <= high)).all():
+            require_task_within_envelope(model, draws, q, name="move", start=self._q)
 
     def _go(self, found: JointSolutions) -> Floats:
         if not found.ok:
             raise InputError(f"the pose cannot be taken: {found.texts()}")
+        self._require_within(found.q[None])
         self._q = found.q
         return self.q
 

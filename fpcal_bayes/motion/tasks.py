@@ -83,7 +83,7 @@ class Task:
         )
 
 
-def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
+def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = None, n_points: int = 61) -> Task:
     """A task as a joint path.
 
     All tasks start from the aligned pose, q0: mirror normal Zt along +Yf, Xt along Xf, and the mirror point that
@@ -95,13 +95,14 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float = 100.0, n
     cell: with six joints, or with fewer: points that ask for a direction that it has not say so.
     vector: model vector that the joint path is found with, shape (model size,), in um and rad.
     name: one of `TASKS`, or of the cell's own.
-    radius: of the circle, in um.
+    radius: of the circle, in um; by default see `default_radius`.
     n_points: points of the path, both ends included; the circle ends where it starts.
     """
     own = {task.name: task for task in cell.tasks}
     if name not in TASKS and name not in own:
         known = ", ".join([*TASKS, *own])
         raise InputError(f"unknown task {name!r}: expected one of {known}, or the name of a path CSV")
+    radius = default_radius(cell) if radius is None else radius
     if not (np.isfinite(radius) and radius > 0):
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
@@ -171,8 +172,12 @@ def default_radius(cell: Cell) -> float:
     return half_line(cell) / 1.5
 
 
-def possible_tasks(cell: Cell, names: Sequence[str] = TASKS, *, radius: float = 100.0) -> tuple[str, ...]:
-    """Those of some built-in tasks that the nominal cell has the axes for; other names stay."""
+def possible_tasks(cell: Cell, names: Sequence[str] | None = None, *, radius: float | None = None) -> tuple[str, ...]:
+    """Those of some built-in tasks that the nominal cell has the axes for; other names stay.
+
+    By default all of them, and the cell's own.
+    """
+    names = (*TASKS, *(task.name for task in cell.tasks)) if names is None else names
     if len(cell.joints) == 6:
         return tuple(names)
     vector = cell.parameters.nominal
@@ -193,7 +198,7 @@ def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
     return _follow(cell, vector, placement, Path(path).name, offsets, np.arange(1.0, len(offsets) + 1.0), "point")
 
 
-def find_task(cell: Cell, vector: Floats, task: str, *, radius: float = 100.0, n_points: int = 61) -> Task:
+def find_task(cell: Cell, vector: Floats, task: str, *, radius: float | None = None, n_points: int = 61) -> Task:
     """A task by name, or a user's path by file name; as `task_path` and `user_path`.
 
     Raises

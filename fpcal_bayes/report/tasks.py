@@ -8,6 +8,7 @@ from fpcal_bayes.analysis.tasks import TaskNumbers, correlated_inputs
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
+from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import Task
 from fpcal_bayes.report.table import Table, plain_table
 
@@ -52,12 +53,17 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
     return content
 
 
-def prediction_table(predictions: list[TaskPrediction], tolerance: float | None, title: str) -> Table:
-    """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding."""
+def prediction_table(predictions: list[TaskPrediction], tolerances: list[float | None], title: str) -> Table:
+    """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding.
+
+    tolerances: of each task, in um, or None.
+    """
+    asked = dict.fromkeys(limit for limit in tolerances if limit is not None)
+    exceeds = ["P(> tolerance)"] if len(asked) > 1 else [f"P(> {1e3 * limit:g} nm)" for limit in asked]
     heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]
-    heads += ["normal 95 % [deg]", "turn 95 % [deg]", *([] if tolerance is None else [f"P(> {1e3 * tolerance:g} nm)"])]
+    heads += ["normal 95 % [deg]", "turn 95 % [deg]", *exceeds]
     table = plain_table(title, heads)
-    for prediction in predictions:
+    for prediction, tolerance in zip(predictions, tolerances, strict=True):
         found = TaskNumbers.of(prediction, tolerance)
         table.add_row(
             found.task.name,
@@ -73,7 +79,7 @@ def prediction_table(predictions: list[TaskPrediction], tolerance: float | None,
                 if prediction.trust.usable
                 else ["not to be used", *[""] * 4]
             ),
-            *([] if tolerance is None else ["" if found.exceeds is None else f"{found.exceeds:.3f}"]),
+            *("" if found.exceeds is None else f"{found.exceeds:.3f}" for _ in exceeds),
         )
     return table
 
@@ -89,6 +95,22 @@ def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
         lines.append(f"{word}, pk-pk [nm]: " + ", ".join(f"{name} {middle:.1f}" for name, (middle, _) in told))
     points = dict.fromkeys(str(len(found.task)) for found in numbers)
     return [*lines, f"return errors grow with the number of points of a path, here {' or '.join(points)}"]
+
+
+def tolerance_lines(task: OwnTask, found: dict[str, float | None]) -> list[str]:
+    """What is said of the tolerances of a cell's own task, and which of them nothing judges yet."""
+    told = [
+        f"P({name} > {1e3 * limit:g} nm) = {found[name]:.3f}"
+        if name == "beam"
+        else f"P({name} > {np.degrees(limit):.4g} deg) = {found[name]:.3f}"
+        for name, limit in task.tolerances.items()
+        if found[name] is not None
+    ]
+    silent = [name for name in task.tolerances if name in ("x", "z")]
+    lines = [f"task {task.name}: {', '.join(told)}"] if told else []
+    if silent:
+        lines.append(f"task {task.name}: the tolerance of {' and '.join(silent)} is not judged yet")
+    return lines
 
 
 def reach_warnings(task: Task) -> list[str]:

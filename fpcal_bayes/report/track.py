@@ -50,6 +50,8 @@ def verdict_lines(track: Track) -> list[str]:
         for outcome in track.outcomes
         if outcome.verdict != "as-modelled" and outcome.evidence
     ]
+    known = track.outcomes[0].trust.reasons
+    lines += [r.text for r in track.trust.reasons if r.kind == "not-converged" and r not in known]
     if track.calibration_due is not None:
         lines.append(f"a full calibration is due: the robot itself moved before session {track.calibration_due}")
     return lines

@@ -11,7 +11,27 @@ from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import require_in_front, require_within_envelope
+from fpcal_bayes.model.joint_path import sweep_path
 from fpcal_bayes.simulator.machine import Machine
+
+
+def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
+    """Refuse sweeps that a cell could not make: the mirror stands behind the fibre, or leaves the envelope on the way.
+
+    Raises
+    ------
+    InputError
+        At the first such row.
+    """
+    model = CavityModel.of(cell, truth.parameters)
+    for name in sweeps.sessions:
+        part = sweeps.of_session(name)
+        values = truth.at(float(np.clip(part.time_h[0], truth.times_h[0], truth.times_h[-1])))
+        rows, path = part.rows.tolist(), sweep_path(cell, part.q_start, part.q_end, ways=False)
+        if cell.optical_axis != "z":
+            require_in_front(model, values, path, file=part.file, rows=rows)
+        require_within_envelope(model, values, part.q_start, part.q_end, file=part.file, rows=rows, exact=True)
 
 
 def noise_free(
@@ -50,8 +70,9 @@ def simulate(
     Raises
     ------
     InputError
-        As `simulate_um`.
+        As `simulate_um` and `require_drivable`.
     """
+    require_drivable(cell, truth, sweeps)
     return simulate_um(
         cell, truth, sweeps, sigma=1e-3 * np.asarray(sigma_nm, dtype=float), seed=seed, machine_seed=machine_seed
     )

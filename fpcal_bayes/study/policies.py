@@ -16,7 +16,7 @@ from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.motion.tasks import task_path
+from fpcal_bayes.motion.tasks import default_radius, task_path
 from fpcal_bayes.study.base import Results, Study, Summary
 from fpcal_bayes.study.drifting_week import HOURS, STEP, DriftingWeek, Rule, Setting, follow, simulate_week
 from fpcal_bayes.tracking.drift import State
@@ -128,7 +128,8 @@ class Policies(Study):
     def settings(self) -> dict[str, Any]:
         """Goal, policies, noise and weeks."""
         goal = self.goal
-        wanted = {"tolerance_um": goal.tolerance_um, "tasks": list(goal.tasks), "radius_um": goal.radius_um}
+        radius = default_radius(self.cell) if goal.radius_um is None else goal.radius_um
+        wanted = {"tolerance_um": goal.tolerance_um, "tasks": list(goal.tasks), "radius_um": radius}
         weeks = {"sigma_um": self.sigma, "hours": self.hours, "harder": self.harder}
         return wanted | weeks | {"policies": list(self.policies)}
 

@@ -59,11 +59,12 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Any]:
         "distributed.scheduler.worker-ttl": None,
     }
     # Workers that come and go are news to Dask; here they are expected.
-    for name in ("distributed", "distributed.nanny", "distributed.scheduler", "tornado.application"):
+    for name in ("distributed", "distributed.nanny", "distributed.scheduler", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with contextlib.ExitStack() as open_until_end, dask.config.set(settings):
+    with contextlib.ExitStack() as open_until_end:
+        folder = open_until_end.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+        open_until_end.enter_context(dask.config.set({**settings, "temporary-directory": folder}))
         if scheduler is None:
-            folder = open_until_end.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
             address = open_until_end.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.files import content_sha256, exclusive, replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
@@ -169,30 +169,26 @@ class Appender:
 
     def __init__(self, path: Path, offset: int, size: int) -> None:
         self._path, self._offset, self._size = path, offset, size
-        try:
+        with self._writing():
             self._file = path.open("rb+", buffering=0)
-        except OSError as error:
-            raise self._error(error) from error
 
     def put(self, number: int, row: bytes) -> None:
         """Write the bytes of replicate `number` (see `packed`)."""
-        try:
+        with self._writing():
             self._file.seek(self._offset + number * self._size)
             self._file.write(row)
-        except OSError as error:
-            raise self._error(error) from error
 
     def close(self) -> None:
         """Wait until all rows are on the disk."""
-        try:
+        with self._writing(), self._file:
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise self._error(error) from error
-        finally:
-            self._file.close()
 
-    def _error(self, error: OSError) -> InputError:
-        return InputError(f"{self._path}: cannot be written ({error.strerror})")
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be written ({reason(error)})") from error
 
 
 def _checksums(rows: NDArray[np.void]) -> NDArray[np.uint32]:

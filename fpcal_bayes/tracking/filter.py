@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from fpcal_bayes.core.linalg import symmetric
+from fpcal_bayes.core.linalg import covariance_root, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
@@ -19,6 +19,10 @@ from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
 _STEP_TOLERANCE = 1e-3
 _MAX_STEPS = 50
 _SLOW = 0.3
+#: Gauss-Newton steps before Newton steps take over: where the rows bend more than they tell, the former creep.
+_PATIENCE = 10
+#: Where no step lowers the sum of squares beyond its rounding, a state this near to rest has come to rest.
+_AT_REST = 0.05
 #: What rounding may add to the sum of squares.
 _ROUNDING = 1e-9
 
@@ -110,7 +114,7 @@ def update(state: State, measurement: Measurement) -> Update:
     mean, pull = prior, np.zeros_like(prior)
     cost = float(misfit @ misfit)
     converged, last = False, np.inf
-    for _ in range(_MAX_STEPS):
+    for number in range(_MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
         rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
         total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
@@ -123,7 +127,9 @@ def update(state: State, measurement: Measurement) -> Update:
         # Where curvature makes the steps shrink slowly, one step takes the sum of those to come.
         slowness = length / last
         last = length
-        if _SLOW < slowness < 1.0:
+        if number >= _PATIENCE:
+            step = _newton(measurement, covariance, mean, pull, misfit, jacobian)
+        elif _SLOW < slowness < 1.0:
             step, last = step * min(1.0 / (1.0 - slowness), 20.0), np.inf
         for _ in range(10):
             trial = prior + covariance @ (pull + step)
@@ -133,6 +139,7 @@ def update(state: State, measurement: Measurement) -> Update:
                 break
             step = step / 2.0
         else:
+            converged = length < _AT_REST
             break
         mean, pull, misfit, jacobian, cost = trial, pull + step, found, slope, trial_cost
     # Linear in the state from here on: one exact update from the prediction.
@@ -142,6 +149,23 @@ def update(state: State, measurement: Measurement) -> Update:
     filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
     after = replace(state, mean=prior + filtered.x, covariance=symmetric(filtered.P))
     return Update(after, innovation, filtered.K, misfit, jacobian, converged)
+
+
+def _newton(
+    measurement: Measurement, covariance: Floats, mean: Floats, pull: Floats, misfit: Floats, jacobian: Floats
+) -> Floats:
+    """The step of `pull` by the full second derivatives; uphill directions are turned downhill."""
+    bend, sd = np.zeros_like(covariance), np.sqrt(np.diag(covariance))
+    for i in np.flatnonzero(sd > 0):
+        shift = np.zeros_like(mean)
+        shift[i] = 1e-3 * sd[i]
+        ahead, behind = (measurement.linearise(mean + way * shift)[1] for way in (1.0, -1.0))
+        bend[:, i] = (behind - ahead).T @ misfit / (2.0 * shift[i])
+    second, root = jacobian.T @ jacobian + symmetric(bend), covariance_root(covariance)
+    sizes, directions = np.linalg.eigh(np.eye(len(mean)) + symmetric(root.T @ second @ root))
+    away = pull - jacobian.T @ misfit
+    scores = -directions @ ((directions.T @ (root.T @ away)) / np.maximum(np.abs(sizes), 1e-3))
+    return -away - second @ (root @ scores)
 
 
 def inflate(state: State, sd: Floats) -> State:

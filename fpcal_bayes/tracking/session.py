@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -15,6 +16,8 @@ from fpcal_bayes.tracking.filter import Innovation, Update, inflate, kelvin_betw
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.sessions import mean_temperature
 
+#: Rows that lie closer to the prediction than chance allows this often have too large a sigma.
+_TOO_GOOD = 1e-6
 #: Sizes of a knock that are tried, in units of `Limits.jump`.
 _STEP_SIZES = (1.0, 3.0, 10.0)
 
@@ -75,6 +78,12 @@ def take_in(
     measurement = SweepMeasurement.of(drift, model, used, predicted.mean)
     taken = update(predicted, measurement)
     after, found = judge.session(predicted, taken)
+    squared, dof = taken.innovation.squared, taken.innovation.dof
+    if chi2_tail(squared, dof) > 1.0 - _TOO_GOOD:
+        warnings.append(
+            f"the {dof} rows lie far closer to what was predicted than sigma_um says (innovation {squared:.2g}, "
+            f"expected {dof}): sigma_um is too large, so that they tell next to nothing"
+        )
     if found:
         correction = correct_slips(used, measurement, taken.innovation, predicted, judge.jumps())
         warnings += correction.warnings

@@ -7,11 +7,15 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
-from fpcal_bayes.core.times import clock, read_time
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.core.times import clock, iso, read_time
+from fpcal_bayes.measure.sweeps import Sweeps, join, repeated_rows
 
 #: How far a clock may be ahead of this machine's.
 _CLOCK_SLACK_H = 0.1
+#: How far clock times and hours may part: less than summer time anywhere.
+_CLOCK_STEP_H = 0.4
+#: Units that hours are mistaken for, as so many in an hour.
+_UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 
 
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
@@ -34,9 +38,9 @@ def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
                 row=int(after.rows[np.argmin(after.time_h)]),
                 column="time_h",
             )
+    _check_clocks(parts)
     _refuse_duplicates(parts)
     _refuse_future(parts, now_h)
-    _check_clocks(parts)
     return parts
 
 
@@ -77,6 +81,11 @@ def hours_of(text: str, sweeps: Sweeps) -> float:
     return float(sweeps.time_h[row[0]]) + (wanted - clock(str(sweeps.utc[row[0]]))).total_seconds() / 3600.0
 
 
+def hours_at(moment: float, sweeps: Sweeps) -> float | None:
+    """A Unix time in hours since the campaign began; None where no row carries a clock time."""
+    return hours_of(iso(moment), sweeps) if (sweeps.utc != "").any() else None
+
+
 def hours_now(sweeps: Sweeps, otherwise: float) -> float:
     """The clock of this machine in hours since the campaign began, or `otherwise` if no row carries a clock time."""
     if not (sweeps.utc != "").any():
@@ -98,14 +107,18 @@ def _refuse_duplicates(parts: list[Sweeps]) -> None:
                     row=int(part.rows[i]),
                 )
             seen[key] = int(i)
-    for before, after in pairwise(parts):
-        if session_sha256(before) == session_sha256(after):
-            raise located(
-                after.file,
-                f"session {after.session[0]!s} repeats session {before.session[0]!s}, expected each session once",
-                row=int(after.rows[0]),
-                column="session",
-            )
+    for number, after in enumerate(parts):
+        for before in parts[:number]:
+            # What was sent again under another name or time is no new measurement.
+            again = repeated_rows(join([before, after]))[len(before) :]
+            if 2 * again.sum() > len(after):
+                raise located(
+                    after.file,
+                    f"session {after.session[0]!s} repeats session {before.session[0]!s} to the last digit, expected "
+                    "each session once",
+                    row=int(after.rows[np.argmax(again)]),
+                    column="session",
+                )
 
 
 def _refuse_future(parts: list[Sweeps], now_h: float | None) -> None:
@@ -132,13 +145,30 @@ def _refuse_future(parts: list[Sweeps], now_h: float | None) -> None:
 
 
 def _check_clocks(parts: list[Sweeps]) -> None:
-    """Clock times must run the same way as hours."""
-    timed = [(part, i) for part in parts for i in np.flatnonzero(part.utc != "")[-1:]]
-    for (before, i), (after, j) in pairwise(timed):
-        if clock(str(after.utc[j])) < clock(str(before.utc[i])):
-            raise located(
-                after.file,
-                f"sessions {before.session[0]!s} and {after.session[0]!s} stand in another order by utc than by time_h",
-                row=int(after.rows[j]),
-                column="utc",
-            )
+    """Clock times and hours of all sessions must differ by one constant."""
+    seen: list[tuple[float, float, Sweeps]] = []
+    for part in parts:
+        rows = np.flatnonzero(part.utc != "")
+        if not len(rows):
+            continue
+        hours = np.array([clock(str(part.utc[i])).timestamp() / 3600.0 for i in rows])
+        # A session may stand at one time: any of its rows may be the one that time_h means.
+        since = hours - part.time_h[rows]
+        if len(set(part.time_h[rows].tolist())) > 1 and np.ptp(since) > _CLOCK_STEP_H:
+            row = int(part.rows[rows[np.argmax(np.abs(since - np.median(since)))]])
+            text = f"utc and time_h of session {part.session[0]!s} part by {np.ptp(since):.4g} h, expected one gap"
+            raise located(part.file, text, row=row, column="utc")
+        low, high = float(hours.min() - part.time_h[rows].max()), float(hours.max() - part.time_h[rows].min())
+        for first, last, other in seen:
+            if low > last + _CLOCK_STEP_H or high < first - _CLOCK_STEP_H:
+                apart = float(part.time_h[rows[-1]] - other.time_h[0]), hours[-1] - (first + float(other.time_h.max()))
+                unit = next((name for name, size in _UNITS.items() if abs(apart[0] / (size * apart[1]) - 1) < 0.05), "")
+                hint = f" (time_h looks like {unit})" if unit else " (summer time, a zone, or a clock that was set?)"
+                raise located(
+                    part.file,
+                    f"from session {other.session[0]!s} to {part.session[0]!s} utc counts {apart[1]:.4g} h and time_h "
+                    f"{apart[0]:.4g} h, expected the same{hint}",
+                    row=int(part.rows[rows[-1]]),
+                    column="utc",
+                )
+        seen.append((low, high, part))

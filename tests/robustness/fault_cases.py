@@ -35,6 +35,8 @@ class Case:
         return cls(words[0], words, tuple(inputs.split()), tuple(outputs.split()))
 
 
+#: Modified DH parameters of a robot.
+AXES = "prismatic,0,10,5,20\nprismatic,-90,0,90,0\nrevolute,-80,100,40,-20\nrevolute,70,0,-15,50\n"
 COVERAGE = "study coverage --replicates 4 --workers 1 --protocol sweeps.csv"
 #: Quick commands, then slower ones that only the whole study runs.
 QUICK = (
@@ -49,19 +51,28 @@ QUICK = (
     Case.of("control --estimate estimate.json --task circle -o out.mat", "estimate.json", "out.mat"),
     Case.of("task-error estimate.json --task circle --json out.json", "estimate.json", "out.json"),
     Case.of("track campaign.h5 --estimate out.json", "campaign.h5", "out.json"),
+    Case.of("cell cell.toml --figure out.svg --json out.json", "cell.toml", "out.svg out.json"),
+    Case.of("cell --from-dh axes.csv -o out.toml", "axes.csv", "out.toml"),
+    Case.of("append campaign.h5 session.csv --json out.json", "campaign.h5 session.csv", "out.json"),
+    Case.of("export asked.csv -o out.csv", "asked.csv", "out.csv"),
+    Case.of("export asked.csv -o out.mat", "asked.csv", "out.mat"),
+    Case.of("import moves.csv -o out.h5", "moves.csv", "out.h5"),
 )
 SLOW = (
     Case.of("observe sweeps.csv --json out.json --html out.html", "sweeps.csv", "out.json out.html"),
     Case.of("compare sweeps.csv --models opd=axis,opd=perpendicular --json out.json", "sweeps.csv", "out.json"),
     Case.of(
-        "plan --n 2 --draws 2 --candidates 40 --variations 2 --after sweeps.csv -o out.csv", "sweeps.csv", "out.csv"
+        "plan --n 2 --draws 2 --candidates 40 --variations 2 --after sweeps.csv -o out.csv --rows rows.h5 "
+        "--figure out.svg --json out.json",
+        "sweeps.csv",
+        "out.csv rows.h5 out.svg out.json",
     ),
-    Case.of("sample sweeps.csv -o out.nc --draws 50", "sweeps.csv", "out.nc"),
-    Case.of("track sessions.csv --json out.json", "sessions.csv", "out.json"),
-    Case.of("decide campaign.h5 --json out.json", "campaign.h5", "out.json"),
+    Case.of("sample sweeps.csv -o out.nc --draws 50 --json out.json", "sweeps.csv", "out.nc out.json"),
+    Case.of("track sessions.csv --json out.json --flat flat.mat", "sessions.csv", "out.json flat.mat"),
+    Case.of("decide campaign.h5 -o out.csv --json out.json", "campaign.h5", "out.json"),
     Case.of("task-error posterior.nc --task circle --json out.json", "posterior.nc", "out.json"),
     Case.of("doctor campaign.h5 --json out.json", "campaign.h5", "out.json"),
-    Case.of("report campaign.h5 -o out.html", "campaign.h5", "out.html"),
+    Case.of("report campaign.h5 -o out.html --json out.json", "campaign.h5", "out.html out.json"),
     Case.of("simulate --protocol plan.csv --traces -o out.h5", "plan.csv", "out.h5"),
     Case.of("ingest index.h5 -o out.csv", "index.h5", "out.csv"),
     Case.of("ingest index.csv -o out.h5", "index.csv index_traces", "out.h5"),
@@ -89,6 +100,7 @@ def make_inputs(folder: Path, *, quick: bool) -> None:
         )
         for line in lines:
             in_process(line.split())
+        Path("axes.csv").write_text("kind,alpha_deg,a_um,theta_deg,d_um\n" + AXES)
         rows = Path("sweeps.csv").read_text().splitlines()
         first = [row.replace("full-T0", "a-day0") for row in rows[1:]]
         days = ["a-day0,0.0", "b-day1,24.0", "c-day2,48.0"]
@@ -100,6 +112,12 @@ def make_inputs(folder: Path, *, quick: bool) -> None:
         ]
         Path("sessions.csv").write_text("\n".join([rows[0], *first, *later]) + "\n")
         in_process(["simulate", "--protocol", "sessions.csv", "-o", "campaign.h5"])
+        new = [rows[0], *(row.replace("full-T0,0", "d-day3,72") for row in rows[1:9])]
+        Path("session.csv").write_text("\n".join(new) + "\n")
+        # Without what is measured: session, hour, label, six joints at both ends.
+        asked = [",".join(row.split(",")[:15]) for row in new]
+        Path("asked.csv").write_text("\n".join(asked) + "\n")
+        in_process(["export", "asked.csv", "-o", "moves.csv"])
         if not quick:
             in_process(["simulate", "-o", "ends.csv"])
             ends = Path("ends.csv").read_text().splitlines()

@@ -49,6 +49,8 @@ class Child:
     @staticmethod
     def _run(arguments: tuple[str, ...], folder: Path, prepare: Callable[[], None], writing: int) -> None:
         code = TRACEBACK
+        # What this program does about signals is not what the command does.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(writing, 2)
@@ -63,13 +65,13 @@ class Child:
                 sys.stderr.flush()
             os._exit(code)
 
-    def wait(self, kill_after: float | None = None) -> Outcome:
+    def wait(self, kill_after: float | None = None, by: int = signal.SIGKILL) -> Outcome:
         """The outcome; with `kill_after` the command is killed so many seconds from now, if it still runs."""
         began, killed = time.monotonic(), False
         limit = DEADLINE if kill_after is None else kill_after
         while os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
             if time.monotonic() - began > limit and not killed:
-                os.kill(self.pid, signal.SIGKILL)
+                os.kill(self.pid, signal.SIGKILL if kill_after is None else by)
                 killed = True
             time.sleep(0.002)
         with os.fdopen(self._reading, "rb") as pipe:
@@ -78,7 +80,7 @@ class Child:
         code = os.waitstatus_to_exitcode(status)
         if code < 0 and kill_after is None:
             return Outcome(TRACEBACK, f"ended by signal {-code}: {errors}")
-        return Outcome(None if code < 0 else code, errors)
+        return Outcome(None if code < 0 or code == 128 + by else code, errors)
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -1,10 +1,12 @@
 """Inject faults into every command, and see that each is one clear line, nothing is lost, and nothing half-written.
 
-Faults: an input cut at a random byte; SIGKILL at a random moment, then the command again; a disk that is full after
-some bytes; a folder that may not be written; a clock that jumps; two writers on one campaign. Each command runs in a
-process of its own, forked from this one, in a fresh folder.
+Faults: an input cut at a random byte, or changed as by a careless editor; SIGKILL or SIGTERM at a random moment, then
+the command again; a disk that is full after some bytes; a folder that may not be written; a clock that jumps; two
+writers on one campaign. Each command runs in a process of its own, forked from this one, in a fresh folder.
 
     python tests/robustness/faults.py --faults 2000
+    python tests/robustness/faults.py --faults 300 --kinds killed
+    python tests/robustness/faults.py --faults 2000 --kinds lexical
     python tests/robustness/faults.py --faults 100 --commands week study
 """
 
@@ -18,6 +20,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import contextlib
 import io
+import json
 import resource
 import shutil
 import signal
@@ -28,15 +31,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
-from itertools import chain, repeat
+from itertools import chain, cycle, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fault_cases import QUICK, SLOW, Case, make_inputs
 from fault_child import Child, Outcome, contents, is_part, meaning
+from lexical import faulty
 
 from fpcal_bayes.cli.main import main as fpcal
+from fpcal_bayes.core.files import CONTENT_HASH
 
 #: Of a user who owns nothing.
 NOBODY = 65534
@@ -59,6 +64,8 @@ class Injector:
         self.references: dict[Case, tuple[int | None, dict[str, Any], float]] = {}
         self.warmed: set[Case] = set()
         self.tmpfs: Path | None = None
+        #: Each case in turn, if all are to be met equally often.
+        self.even: Iterator[Case] | None = None
 
     @contextlib.contextmanager
     def bench(self, case: Case, place: Path | None = None) -> Iterator[Path]:
@@ -114,6 +121,8 @@ class Injector:
 
     def pick(self, *, costly: bool = False) -> Case:
         """A case; mostly a quick one for a fault that lets the command do all its work."""
+        if self.even is not None:
+            return next(self.even)
         quick = tuple(case for case in self.cases if case in QUICK)
         cases = quick if quick and costly and self.random.random() < 0.97 else self.cases
         return cases[self.random.integers(len(cases))]
@@ -148,14 +157,49 @@ class Injector:
         between = whole[:keep].endswith(b"\n") or whole[keep:].startswith(b"\n") or in_comment
         return path.suffix in (".csv", ".toml") and between
 
+    def lexical(self) -> None:
+        """One input is changed as text or bytes, whatever it means: the result is one line, or one that can be had."""
+        case = self.pick()
+        self.warm(case)
+        with self.bench(case) as there:
+            given = [path for name in case.inputs for path in [there / name, *sorted((there / name).glob("*"))]]
+            files = [path for path in given if path.is_file()]
+            path = files[self.random.integers(len(files))]
+            whole = path.read_bytes()
+            if path.suffix == ".json" and self.random.random() < 0.7:
+                # Of an older program; else the hash tells most faults.
+                older = {key: value for key, value in json.loads(whole).items() if key != CONTENT_HASH}
+                whole = json.dumps(older).encode()
+            name, content = faulty(whole, self.random, text=path.suffix in (".csv", ".toml", ".json"))
+            path.write_bytes(content)
+            before = contents(there)
+            outcome = Child(case.arguments, there).wait()
+            if outcome.code in (0, 1):
+                self.notes["lexical: the command came to its end"] += 1
+                said = [line for line in outcome.errors.splitlines() if not line.startswith("fpcal: ")]
+                if said or list(there.rglob(".fpcal-*")):
+                    self.problem(f"lexical {name} in {path.name}", case, outcome, f"said {said}, or left something")
+                return
+            self.check_refused(f"lexical {name} in {path.name}", case, outcome, before, there)
+            self.notes["lexical: refused in one line"] += outcome.one_line
+            if "to report it" in outcome.errors:
+                self.notes[f"lexical: not foreseen: {outcome.errors.split('; to report it')[0][:120]}"] += 1
+
     def killed(self) -> None:
-        """SIGKILL at a random moment, then the command again."""
-        case = self.pick(costly=True)
+        """SIGKILL or SIGTERM at a random moment, then the command again."""
+        case = self.pick(costly=self.even is None)
+        by = signal.SIGKILL if self.random.random() < 0.5 else signal.SIGTERM
         code, outputs, seconds = self.reference(case)
         with self.bench(case) as there:
             before = contents(there)
-            outcome = Child(case.arguments, there).wait(kill_after=float(self.random.uniform(0.0, 1.1) * seconds))
-            self.notes["killed: met the command under way"] += outcome.code is None
+            outcome = Child(case.arguments, there).wait(float(self.random.uniform(0.0, 1.1) * seconds), by)
+            self.notes[f"killed: {by.name} met the command under way"] += outcome.code is None
+            self.notes[f"killed: {by.name} on {case.name}"] += 1
+            asked = by == signal.SIGTERM and "interrupted" in outcome.errors
+            if asked and (left := list(there.rglob(".fpcal-*"))):
+                self.problem("asked to end", case, outcome, f"left behind: {left}")
+            if "Traceback" in outcome.errors:
+                self.problem("killed", case, outcome, "a traceback")
             after = contents(there)
             changed = [name for name, value in after.items() if before.get(name) != value]
             for name in changed:
@@ -168,6 +212,12 @@ class Injector:
             if lost := before.keys() - after.keys():
                 self.problem("killed", case, outcome, f"lost: {lost}")
             again = Child(case.arguments, there).wait()
+            if left := [*there.rglob(".fpcal-*"), *there.rglob("*.blocks"), *there.rglob("*.lock")]:
+                self.problem("killed, again", case, again, f"left behind: {left}")
+            if changed and "is there already" in again.errors and again.one_line:
+                # A session is appended once, a cell made once.
+                self.notes["killed: the work was done, and the next run says so"] += 1
+                return
             if again.code != code:
                 self.problem("killed, again", case, again, f"expected status {code}")
                 return
@@ -292,7 +342,8 @@ class Injector:
             time.sleep(float(self.random.uniform(0.0, 0.8) * seconds))
             two = Child(first, there)
             outcomes = [one.wait(), two.wait()]
-            refused = [o for o in outcomes if o.one_line and ("another fpcal" in o.errors or "replaced" in o.errors)]
+            words = ("has this file open", "another fpcal", "replaced")
+            refused = [o for o in outcomes if o.one_line and any(word in o.errors for word in words)]
             told = [o for o in outcomes if o.code == 0 and "not saved" in o.errors]
             self.notes["two writers: the second told"] += len(refused) + len(told)
             if len(refused) + sum(o.code == 0 for o in outcomes) != 2 or len(refused) == 2:
@@ -300,23 +351,24 @@ class Injector:
             if meaning(there / kept) != outputs[kept]:
                 self.problem("two writers", case, outcomes[1], f"{kept} holds something else")
 
-    def run(self, faults: int, minutes: float) -> None:
+    def run(self, faults: int, minutes: float, kinds: list[str] | None = None) -> None:
         """Inject so many faults of all kinds, fewer if time runs out."""
         end = time.monotonic() + 60.0 * minutes
         shares = {
-            self.truncated: 0.7, self.killed: 0.1, self.full_disk: 0.06, self.read_only: 0.08, self.clock: 0.04,
-            self.two_writers: 0.02,
+            self.truncated: 0.4, self.lexical: 0.3, self.killed: 0.1, self.full_disk: 0.06, self.read_only: 0.08,
+            self.clock: 0.04, self.two_writers: 0.02,
         }  # fmt: skip
-        if not self.shared():
+        shares = {kind: share for kind, share in shares.items() if kinds is None or kind.__name__ in kinds}
+        if not self.shared() and self.two_writers in shares:
             del shares[self.two_writers]
-        kinds, weights = list(shares), np.array(list(shares.values()))
+        every, weights = list(shares), np.array(list(shares.values()))
         for number in range(faults):
             if time.monotonic() > end:
                 break
             # Every kind is met early; then by share.
-            at = number if number < len(kinds) else self.random.choice(len(kinds), p=weights / weights.sum())
-            kinds[at]()
-            self.count[kinds[at].__name__] += 1
+            at = number if number < len(every) else self.random.choice(len(every), p=weights / weights.sum())
+            every[at]()
+            self.count[every[at].__name__] += 1
             if number % 20 == 19:
                 print(f"{number + 1} faults, {len(self.problems)} problems", file=sys.stderr, flush=True)
 
@@ -342,6 +394,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="inject no more after this time")
     parser.add_argument("--commands", nargs="+", metavar="NAME", help="faults of these commands only")
+    parser.add_argument("--kinds", nargs="+", metavar="KIND", help="truncated, lexical, killed, full_disk, ...")
+    parser.add_argument("--even", action="store_true", help="every command equally often, slow ones too")
     parser.add_argument("--quick", action="store_true", help="the quick commands only, and no disk of its own")
     options = parser.parse_args()
     # So that the small disk is unmounted when the study is stopped.
@@ -365,7 +419,8 @@ def main() -> int:
         injector = Injector(folder, known, np.random.default_rng(options.seed))
         with contextlib.ExitStack() as stack:
             injector.tmpfs = None if options.quick else stack.enter_context(small_disk(folder))
-            injector.run(options.faults, options.minutes)
+            injector.even = cycle(known) if options.even else None
+            injector.run(options.faults, options.minutes, options.kinds)
     for kind, count in injector.count.items():
         print(f"{kind.replace('_', ' '):12} {count:6}")
     for note, count in sorted(injector.notes.items()):

@@ -15,11 +15,14 @@ HERE = Path(__file__).parent
 CASE_A = HERE.parent / "data" / "case_a.csv"
 #: Each program with its options, and its share of the time.
 PROGRAMS = (
-    (("faults.py", "--faults", "400"), 0.25),
-    (("../rig_faults.py", "250"), 0.2),
-    (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.15),
-    (("determinism.py",), 0.2),
-    (("soak.py", "--weeks", "2", "--kills", "1"), 0.2),
+    (("faults.py", "--faults", "400"), 0.12),
+    (("faults.py", "--faults", "300", "--kinds", "killed", "--even"), 0.12),
+    (("faults.py", "--faults", "2000", "--kinds", "lexical", "--quick"), 0.1),
+    (("../rig_faults.py", "250"), 0.14),
+    (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.12),
+    (("determinism.py",), 0.15),
+    (("soak.py", "--weeks", "2", "--kills", "1"), 0.15),
+    (("loop.py", "--hours", "48", "--kills", "30"), 0.1),
 )
 
 

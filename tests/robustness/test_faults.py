@@ -9,7 +9,7 @@ PROGRAM = Path(__file__).parent / "faults.py"
 
 @pytest.mark.slow
 def test_fifty_faults():
-    """Cut inputs, kills, full disks, read-only folders, jumping clocks, two writers. The program injects thousands."""
+    """Faults of every kind: cut and changed inputs, kills, full disks and so on. The program injects thousands."""
     command = [sys.executable, str(PROGRAM), "--faults", "50", "--quick"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr

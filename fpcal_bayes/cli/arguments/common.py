@@ -10,6 +10,8 @@ Commands = Any  # argparse names the type of its subparsers only privately
 
 #: Error motions of the mechanism where the option is not given.
 MECHANICS = "stated"
+#: Of the option --radius-um.
+RADIUS_HELP = "of the circle (default: 100, less where the cell's limits are narrower)"
 
 
 class Folder(Path):
@@ -53,13 +55,15 @@ def add_prior(parser: argparse.ArgumentParser) -> None:
 def add_goal(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what the cell must hold."""
     parser.add_argument(
-        "--tolerance-nm", type=positive, default=50.0, help="largest peak to peak of a task's error (default: 50)"
+        "--tolerance-nm",
+        type=positive,
+        help="largest peak to peak of a task's error (default: 50, or as the cell states for a task of its own)",
     )
     parser.add_argument(
         "--task", metavar="TASK", action="append", help="to be held: circle (default), line-x, line-z, tilt-x, tilt-z, "
-        "spin, or PATH.csv; may be given several times"
+        "spin, one of the cell's own, or PATH.csv; may be given several times"
     )  # fmt: skip
-    parser.add_argument("--radius-um", type=positive, default=100.0, help="of the circle (default: 100)")
+    parser.add_argument("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     parser.add_argument("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
 
 
@@ -68,7 +72,7 @@ def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None
     parser.add_argument(
         "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
     )
-    parser.add_argument("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    parser.add_argument("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     parser.add_argument(
         "--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)"
     )
@@ -80,8 +84,8 @@ def positive(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"expected a number above zero, found {text!r}")
+    if not 1e-9 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
     return value
 
 

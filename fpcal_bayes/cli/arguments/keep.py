@@ -3,7 +3,17 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import (
+    RADIUS_HELP,
+    Commands,
+    Folder,
+    add_command,
+    add_goal,
+    add_json,
+    count,
+    positive,
+    seed,
+)
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -14,6 +24,10 @@ Without an estimate the plan is averaged over draws of the prior, so that it is 
 --reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
 task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
 --after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
+
+--commission writes small safe moves around joint zero for a new cell: once they are measured, fpcal doctor says which
+axis counts the other way, is swapped with another, or stands in another unit, and what to look at: lengths cannot tell
+the cell from its mirror images.
 
 SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
 readings of each as rows of one group, for other programs.
@@ -28,8 +42,9 @@ def plan(commands: Commands) -> None:
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    add("--radius-um", type=positive, default=100.0, metavar="R", help="of the circle (default: 100)")
+    add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
     add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
@@ -90,6 +105,25 @@ def track(commands: Commands) -> None:
     add_json(parser)
 
 
+def _add_costs(parser: argparse.ArgumentParser) -> None:
+    """Add what measuring costs and how far ahead is looked."""
+    add = parser.add_argument
+    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
+    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
+    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
+    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
+    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
+    add(
+        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
+        "be trusted (default: 1)"
+    )  # fmt: skip
+    add(
+        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
+        "can show a change of the robot itself (default: 24)"
+    )  # fmt: skip
+    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
+
+
 _DECIDE = """\
 hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
 error of the tasks; full: calibrate in full, since the robot itself moved or no few sweeps reach the tolerance.
@@ -110,22 +144,44 @@ def decide(commands: Commands) -> None:
         "--now", metavar="TIME_H|UTC", help="time of the decision (default: this clock where rows carry utc, else the "
         "last session)"
     )  # fmt: skip
-    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
-    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
-    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
-    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
-    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
-    add(
-        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
-        "be trusted (default: 1)"
-    )  # fmt: skip
-    add(
-        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
-        "can show a change of the robot itself (default: 24)"
-    )  # fmt: skip
-    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
+    _add_costs(parser)
     add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
     add_json(parser)
+
+
+_KEEP = """\
+Does what `fpcal track`, `fpcal decide` and `fpcal report` do, again whenever CAMPAIGN has changed and every MIN
+minutes: estimate and ticket are replaced in one step, states are saved in an HDF5 campaign. Whoever measures does so
+when TICKET has rows, and hands over by `fpcal append CAMPAIGN SESSION --ticket TICKET`, which empties the ticket. A
+ticket that is being measured stays as it is until its session has come, or it expires. Where the campaign cannot be
+read or the tolerance cannot be met the ticket is emptied. Whatever is in the way is said once and waited for. Rows need
+no clock times: the clock runs on from when a session was first seen.
+
+--rig measures each ticket on the live cell and hands it over. Ends with Ctrl-C.
+"""
+
+
+def keep(commands: Commands) -> None:
+    """Add ``fpcal keep``."""
+    parser = add_command(commands, "keep", "keep a cell calibrated: track, decide, publish, again and again", _KEEP)
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
+    add("--ticket", metavar="TICKET.csv", type=Path, required=True, help="what to measure now, or a header alone")
+    add("--estimate", metavar="E", type=Path, required=True, help="the current best estimate, JSON")
+    add("--flat", metavar="OUT", type=Path, help="the same flat, for MATLAB or LabVIEW: .json or .mat")
+    add("--report", metavar="R.html", type=Path, help="the campaign's page")
+    add("--rig", metavar="RIG", help="measure tickets on the live cell: RIG.toml")
+    add(
+        "--every-min",
+        type=positive,
+        default=15.0,
+        metavar="MIN",
+        help="longest time between two decisions (default: 15)",
+    )
+    add("--look-s", type=positive, default=5.0, metavar="S", help="time between two looks at the campaign (default: 5)")
+    add("--once", action="store_true", help="one round, then end")
+    add_goal(parser)
+    _add_costs(parser)
 
 
 _APPEND = """\

@@ -11,6 +11,8 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import safe_ranges
+from fpcal_bayes.model.joint_path import travel_seconds
 
 
 @dataclass(frozen=True)
@@ -21,9 +23,6 @@ class SweepLimits:
     # deg, with both goniometers at 3 deg.
     tilt: float = float(np.radians(4.3))
     fringe_rate: float = 1000.0  # fringes (changes of lambda/2) a second that can be counted
-    # travel_speed, turn_speed: of the joints, a second
-    travel_speed: float = 100.0
-    turn_speed: float = float(np.radians(2.0))
     settling: float = 1.0  # seconds to wait before a reading
     # free_travel, free_turn: how far a joint without limit is moved, to either side of zero
     free_travel: float = 150.0
@@ -31,37 +30,71 @@ class SweepLimits:
     # factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more than
     # half a fringe: counting fringes takes the wrong sign there
     reversal_variance: float = 1.0
+    # lowest and highest value of each joint, within its limits, or None: those
+    reach: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and (value >= 0 if name == "settling" else value > 0)):
+            if name != "reach" and not (np.isfinite(value) and (value >= 0 if name == "settling" else value > 0)):
                 raise InputError(f"limit {name} of a sweep: expected a number above zero, found {value:g}")
         if self.tilt >= np.pi / 2:
             raise InputError(f"limit tilt of a sweep: expected less than 90 deg, found {np.degrees(self.tilt):g}")
 
+    def within_envelope(self, model: CavityModel, draws: Floats) -> "SweepLimits":
+        """The same within the cell's envelope, with draws (n_draws, n_free) of what is known.
+
+        Every pose that such sweeps, and the ways between them in any order, may take stays in the envelope.
+        """
+        envelope = model.cell.envelope
+        if envelope is None:
+            return self
+        low, high = safe_ranges(model, draws, *self.ranges(model.cell))
+        return replace(
+            self,
+            tilt=min(self.tilt, envelope.max_tilt),
+            fringe_rate=min(self.fringe_rate, envelope.max_fringe_rate),
+            reach=(tuple(low.tolist()), tuple(high.tolist())),
+        )
+
+    def hold(self, sweeps: Sweeps) -> Bools:
+        """Whether both ends of each sweep stay within `reach`, shape (n,)."""
+        if self.reach is None:
+            return np.ones(len(sweeps), dtype=bool)
+        ends = np.stack([sweeps.q_start, sweeps.q_end])
+        inside: Bools = ((ends >= self.reach[0]) & (ends <= self.reach[1])).all(axis=(0, 2))
+        return inside
+
     def ranges(self, cell: Cell) -> tuple[Floats, Floats]:
         """Lowest and highest value of each joint, shape (n_joints,) each."""
+        if self.reach is not None:
+            return np.array(self.reach[0]), np.array(self.reach[1])
         free = np.where(cell.revolute, self.free_turn, self.free_travel)
         low = np.where(np.isfinite(cell.low), cell.low, -free)
         high = np.where(np.isfinite(cell.high), cell.high, free)
         return low, high
 
-    def seconds(self, cell: Cell, moves: Floats) -> Floats:
-        """Time that moves (..., n_joints) take, all joints at once; shape (...)."""
-        speeds = np.where(cell.revolute, self.turn_speed, self.travel_speed)
-        return (np.abs(moves) / speeds).max(axis=-1)
-
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:
-    """Positions of the joints that each motion controller moves; a joint without controller stands alone.
+    """Positions of the joints that move in step: of one controller, and of one group of the cell's envelope.
 
-    Only joints of one controller move in step.
+    A joint without controller stands alone.
     """
     by_name: dict[str, list[int]] = {}
     for position, joint in enumerate(cell.joints):
         name = f"joint {position}" if joint.controller is None else f"controller {joint.controller.name}"
         by_name.setdefault(name, []).append(position)
-    return [np.array(positions) for positions in by_name.values()]
+    if cell.envelope is None:
+        return [np.array(positions) for positions in by_name.values()]
+    alone = [(i,) for i in range(len(cell.joints))]
+    shared = {
+        tuple(sorted(set(p) & set(group))) for p in by_name.values() for group in (*cell.envelope.together, *alone)
+    }
+    # Of groups that overlap only the larger counts.
+    kept: list[tuple[int, ...]] = []
+    for group in sorted(shared, key=lambda group: (-len(group), group)):
+        if group and not set(group) & {i for other in kept for i in other}:
+            kept.append(group)
+    return [np.array(group) for group in sorted(kept)]
 
 
 #: Shares of joints at rest that stand at the end of their range or at zero; the others stand anywhere.
@@ -191,7 +224,7 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
     visible = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
     lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
     fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
-    slow = fringes <= limits.fringe_rate * limits.seconds(cell, end - start)
+    slow = fringes <= limits.fringe_rate * travel_seconds(cell, end - start)
     return visible & slow & (lengths > 0).all(axis=1)
 
 

@@ -27,7 +27,9 @@ from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_gro
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.joint_path import travel_seconds
 
 #: A task is left undetermined if more than this share of its standard deviation is left.
 LEFT_SHARE = 0.1
@@ -60,22 +62,22 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
     return sentences
 
 
-def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
+def in_short_order(cell: Cell, sweeps: Sweeps) -> Sweeps:
     """Sweeps of a plan ordered and turned round such that the way between them is short.
 
     A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of the
     way are turned round while that shortens it (2-opt, Croes 1958).
     """
     ends = np.stack([sweeps.q_start, sweeps.q_end])
-    order, turned = _nearest(cell, ends, limits)
+    order, turned = _nearest(cell, ends)
     while True:
         first, last = ends[turned, order], ends[1 - turned, order]
         before = np.vstack([np.zeros((1, ends.shape[2])), last[:-1]])
         # Turning round sweeps i to j replaces the way into i and the way out of j; nothing follows the last.
-        into = limits.seconds(cell, first - before)
+        into = travel_seconds(cell, first - before)
         out = np.append(into[1:], 0.0)
-        to_last = limits.seconds(cell, last[None, :] - before[:, None])
-        from_first = limits.seconds(cell, first[:, None] - np.vstack([first[1:], first[:1]])[None, :])
+        to_last = travel_seconds(cell, last[None, :] - before[:, None])
+        from_first = travel_seconds(cell, first[:, None] - np.vstack([first[1:], first[:1]])[None, :])
         from_first[:, -1] = 0.0
         change = np.where(np.tri(len(order), dtype=bool).T, to_last + from_first - into[:, None] - out[None, :], 0.0)
         i, j = (int(k) for k in np.unravel_index(np.argmin(change), change.shape))
@@ -88,20 +90,27 @@ def in_short_order(cell: Cell, sweeps: Sweeps, limits: SweepLimits) -> Sweeps:
     )
 
 
+def in_safe_order(ground: Ground, sweeps: Sweeps, file: object = "plan") -> Sweeps:
+    """Sweeps `in_short_order`; `InputError` if one of them, or a way between them, may leave the cell's envelope."""
+    ordered = in_short_order(ground.cell, sweeps)
+    require_within_envelope(ground.model, ground.draws, ordered.q_start, ordered.q_end, file=file)
+    return ordered
+
+
 def duration(cell: Cell, sweeps: Sweeps, readings: int, limits: SweepLimits) -> float:
     """Seconds from joint vector zero through all sweeps in their order: ways, sweeps, and settling at each reading."""
     before = np.vstack([np.zeros((1, len(cell.joints))), sweeps.q_end[:-1]])
-    moving = limits.seconds(cell, sweeps.q_start - before) + limits.seconds(cell, sweeps.q_end - sweeps.q_start)
+    moving = travel_seconds(cell, sweeps.q_start - before) + travel_seconds(cell, sweeps.q_end - sweeps.q_start)
     return float(moving.sum() + limits.settling * (1 + readings) * len(sweeps))
 
 
-def _nearest(cell: Cell, ends: Floats, limits: SweepLimits) -> tuple[Ints, Ints]:
+def _nearest(cell: Cell, ends: Floats) -> tuple[Ints, Ints]:
     """Sweeps taken from the nearest end each time: their order, and whether each is turned round."""
     n = ends.shape[1]
     order, turned, left = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.ones(n, dtype=bool)
     here = np.zeros(ends.shape[2])
     for step in range(n):
-        ways = np.where(left, limits.seconds(cell, ends - here), np.inf)
+        ways = np.where(left, travel_seconds(cell, ends - here), np.inf)
         side, sweep = (int(k) for k in np.unravel_index(np.argmin(ways), ways.shape))
         order[step], turned[step], left[sweep] = sweep, side, False
         here = ends[1 - side, sweep]
@@ -124,7 +133,7 @@ class PlanSettings:
     iterations: int = 100  # steps of the descent at the end; 0 of both keeps to the candidates
     several: bool = True  # also move several joints of one controller at once
     seed: int = 0
-    limits: SweepLimits = field(default_factory=SweepLimits)
+    limits: SweepLimits = field(default_factory=SweepLimits)  # the planner holds them to the cell's envelope
 
 
 class Planner:
@@ -137,7 +146,9 @@ class Planner:
         self, ground: Ground, settings: PlanSettings | None = None, tolerances: Mapping[str, float] | None = None
     ) -> None:
         self.ground = ground
-        self.settings = settings = PlanSettings() if settings is None else settings
+        settings = PlanSettings() if settings is None else settings
+        limits = settings.limits.within_envelope(ground.model, ground.draws)
+        self.settings = settings = replace(settings, limits=limits)
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
         self.candidates = candidate_sweeps(
             ground.cell,
@@ -280,7 +291,7 @@ def plan(
     *,
     estimate: Estimate | None = None,
     tasks: Sequence[str] = DEFAULT_TASKS,
-    radius_um: float = 100.0,
+    radius_um: float | None = None,
     readings: int = 2,
     sigma_nm: float = 5.0,
     draws: int = 64,
@@ -297,7 +308,7 @@ def plan(
     estimate
         What is known of the cell; by default its prior, averaged over `draws` draws of it.
     tasks, radius_um
-        Tasks that count, and the radius of the circle.
+        Tasks that count, and the radius of the circle (by default see `default_radius`).
     readings
         Readings of each sweep after its start.
     sigma_nm
@@ -308,7 +319,8 @@ def plan(
     Raises
     ------
     InputError
-        If the estimate is not to be used, a task is unknown or out of reach, or `n` is not possible.
+        If the estimate is not to be used, a task is unknown or out of reach, `n` is not possible, or sweeps may leave
+        the cell's envelope.
     """
     if estimate is not None and not estimate.trust.usable:
         raise InputError(f"nothing is planned from this estimate: {estimate.trust.against}")
@@ -317,4 +329,4 @@ def plan(
         ground = prior_ground(cell, tasks=tasks, radius=radius_um, draws=draws, seed=seed)
     else:
         ground = estimate_ground(estimate, tasks=tasks, radius=radius_um)
-    return in_short_order(cell, Planner(ground, settings).best(n).sweeps, settings.limits)
+    return in_safe_order(ground, Planner(ground, settings).best(n).sweeps)

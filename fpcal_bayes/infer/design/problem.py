@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.margin import normal_draws
 from fpcal_bayes.motion.tasks import find_task
 
 #: Tasks that a plan serves unless others are named.
@@ -36,7 +38,7 @@ class Goals:
 
 
 def goals_of(
-    model: CavityModel, values: Floats, tasks: Sequence[str], *, radius: float = 100.0, points: int = POINTS
+    model: CavityModel, values: Floats, tasks: Sequence[str], *, radius: float | None = None, points: int = POINTS
 ) -> Goals:
     """The tasks, names or path files, at each draw, as a controller with these parameters would drive them.
 
@@ -64,7 +66,7 @@ def goals_of(
     return Goals(values[kept], stacked, len(values) - len(kept))
 
 
-def _at(model: CavityModel, values: Floats, name: str, radius: float, points: int) -> Floats:
+def _at(model: CavityModel, values: Floats, name: str, radius: float | None, points: int) -> Floats:
     """Derivatives of a task's points by the free parameters, shape (points, n_free)."""
     task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
     if not task.ok.any() or not np.isfinite(task.start).all():
@@ -90,6 +92,11 @@ class Ground:
     def cell(self) -> Cell:
         """The cell that is planned for."""
         return self.model.cell
+
+    @cached_property
+    def draws(self) -> Floats:
+        """Draws of what is known of the free parameters, shape (n_draws, n_free)."""
+        return normal_draws(self.centre, self.covariance)
 
     def design(self, sweeps: Sweeps, *, readings: int, sigma: float) -> Design:
         """The sweeps as candidates (see `sweep_rows`)."""
@@ -130,7 +137,7 @@ def prior_ground(
     cell: Cell,
     *,
     tasks: Sequence[str] = DEFAULT_TASKS,
-    radius: float = 100.0,
+    radius: float | None = None,
     draws: int = 64,
     points: int = POINTS,
     seed: int = 0,
@@ -143,7 +150,7 @@ def prior_ground(
 
 
 def estimate_ground(
-    estimate: Estimate, *, tasks: Sequence[str] = DEFAULT_TASKS, radius: float = 100.0, points: int = POINTS
+    estimate: Estimate, *, tasks: Sequence[str] = DEFAULT_TASKS, radius: float | None = None, points: int = POINTS
 ) -> Ground:
     """A cell of which there is an estimate: its values and the covariance of all its parameters."""
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())

@@ -11,7 +11,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.fit.goodness import GoodnessOfFit, goodness_of_fit
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,
@@ -20,29 +19,33 @@ from fpcal_bayes.infer.fit.minimise import (
     sign_images,
     solution_rank,
 )
+from fpcal_bayes.infer.fit.mistakes import axis_rivals, second_solution
 from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
-from fpcal_bayes.infer.fit.problem import Problem, hold_rest
+from fpcal_bayes.infer.fit.problem import Problem, held_reasons, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
-from fpcal_bayes.infer.fit.spectrum import Spectrum, Status, spectrum_of, statuses
+from fpcal_bayes.infer.fit.spectrum import (
+    GoodnessOfFit,
+    Spectrum,
+    Status,
+    goodness_of_fit,
+    spectrum_of,
+    statuses,
+)
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.io.sweeps import packed
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import HELD_EXACT, FitEvidence, Reason, Trust, judge_fit
+from fpcal_bayes.model.trust import LEAST_EXPECTED, FitEvidence, Reason, judge_fit
 
 Hold = Literal["consider", "exact"]
 
 #: Below this probability of a sum of squares as large as the one found, other starts are tried.
 RETRY_BELOW = 1e-3
-#: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
-RIVAL_EXCESS = 9.2
 _RELINEARISATIONS = 100
-#: Held values move rows off their tangents by so many standard deviations at most, root mean square.
-_MOST_BEND = 3.0
 
 
 @dataclass(frozen=True)
@@ -89,11 +92,15 @@ class Identification:
         """Labels of the rows whose sign may be the other one, with that probability, likeliest first."""
         return _doubtful(self.problem.sweeps, self.signs)
 
+    @property
+    def undetermined(self) -> list[str]:
+        """Names of the free parameters along which the estimate is the prior."""
+        status = dict(zip(self.estimate.parameters.names, self.estimate.status, strict=True))
+        return [name for name in self.free.names if status[name] == "gauge"]
+
     def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
         """Labels of the rows with the largest standardised residuals, largest first."""
-        standardised = self.fit.standardised
-        order = np.argsort(-np.abs(standardised), kind="stable")[:n]
-        return [(str(self.problem.sweeps.label[i]), float(standardised[i])) for i in order]
+        return self.fit.largest(self.problem.sweeps.label.tolist(), n)
 
     def content(self) -> dict[str, Any]:
         """What ``identify --json`` writes, without schema and command."""
@@ -106,6 +113,7 @@ class Identification:
                 "p_value": self.fit.p_value,
                 "n_sweeps": len(self.problem.sweeps),
                 "rank": self.spectrum.rank,
+                "undetermined": self.undetermined,
                 "converged": self.converged,
                 "starts": self.starts,
                 "seconds": self.seconds,
@@ -179,12 +187,17 @@ def identify(
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
-    rival = _rival(model.free, solution, others)
-    machine, doubts = None, []
+    rival = second_solution(model.free.names, solution, others)
+    machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
-        machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
-        problem, solution = machine.problem, machine.solution
-        doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+        try:
+            machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
+        except np.linalg.LinAlgError:
+            lost = replace(solution, converged=False)
+        else:
+            problem, solution = machine.problem, machine.solution
+            doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+    solution = lost or solution
     unknowns = solution.unknowns
     own = model.free.positions(chosen.names)
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
@@ -192,6 +205,11 @@ def identify(
     status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
     by_name = dict(zip(chosen.names, status, strict=True))
     fit = goodness_of_fit(problem, unknowns)
+    noise_only = fit
+    if machine is not None:
+        # A machine that is better than its sheet leaves the rows closer to the fit than expected; not so the readings.
+        ideal = replace(problem, model=replace(problem.model, cell=cell.ideal), log_scales=None)
+        noise_only = goodness_of_fit(ideal.relinearised(unknowns), unknowns)
 
     evidence = FitEvidence(
         converged=solution.converged,
@@ -203,21 +221,17 @@ def identify(
         sum_of_squares=solution.sum_of_squares,
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
+        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.label.tolist(), 3)),
+        chi2_noise=noise_only.chi2_data,
+        expected_noise=noise_only.expected,
+        p_noise=noise_only.p_value,
     )
-    trust = judge_fit(evidence, *rival, *_doubt(_doubtful(used, signs)), *_held(problem, unknowns, hold, len(chosen)))
-    if machine is not None:
-        # A machine that is better than its sheet says leaves the rows closer to the fit than they are expected.
-        trust = Trust(tuple(reason for reason in trust.reasons if reason.kind != "too-good-fit"))
-    said = {reason.kind: reason.text for reason in trust.reasons}
-    trust = trust.because(*doubts)
-    warnings += [said.pop("not-converged")] if "not-converged" in said else []
-    if 0 < spectrum.rank < len(chosen):
-        gauges = ", ".join(p.name for p, s in zip(chosen, status, strict=True) if s == "gauge")
-        warnings.append(
-            f"the data determine {spectrum.rank} of {len(chosen)} combinations; along the others the estimate is the "
-            f"prior: {gauges or 'no single parameter stands out'}"
-        )
-    warnings += [*said.values(), *(doubt.text for doubt in doubts)]
+    trust = judge_fit(
+        evidence, *rival, *_doubt(used, signs), *held_reasons(problem, unknowns, exact=hold == "exact"), *doubts
+    )
+    if trust.usable and fit.expected > LEAST_EXPECTED:
+        trust = trust.because(*axis_rivals(problem, solution))
+    warnings += [reason.text for reason in trust.reasons]
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
@@ -313,43 +327,19 @@ def _fit(
     return problem, best, found, len(found)
 
 
-def _rival(free: ParameterSet, solution: Solution, others: Sequence[Solution]) -> list[Reason]:
-    """The second solution, where it counts for the posterior."""
-    if not others or others[0].sum_of_squares - solution.sum_of_squares >= RIVAL_EXCESS:
-        return []
-    rival = others[0]
-    apart = np.argsort(-np.abs(rival.unknowns - solution.unknowns)[: len(free)])[:3]
-    named = ", ".join(free.names[i] for i in sorted(apart))
-    text = (
-        f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
-        f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
-        "midpoints tell the two apart"
-    )
-    return [Reason("second-solution", text)]
-
-
-def _doubt(doubtful: Sequence[tuple[str, float]]) -> list[Reason]:
-    """The rows whose sign may be the other one."""
-    if not doubtful:
-        return []
-    named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
-    more = ", ..." if len(doubtful) > 5 else ""
-    text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
-    return [Reason("signs", text)]
-
-
-def _held(problem: Problem, unknowns: Floats, hold: Hold, n_chosen: int) -> list[Reason]:
-    """What is to be said of parameters that are held."""
-    bend = problem.bend(unknowns)
-    if bend > _MOST_BEND:
-        text = (
-            f"the held values are too uncertain to be held: rows bend by {bend:.0f} standard deviations over what the "
-            "data move them; free them too (--free all), with --prior START if nothing has changed since"
-        )
-        return [Reason("held-uncertain", text)]
-    if hold == "exact" and n_chosen < len(problem.model.cell.free):
-        return [Reason("held-exact", HELD_EXACT)]
-    return []
+def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
+    """Rows whose sign may be the other one, and rows that stand twice."""
+    found, doubtful, again = [], _doubtful(used, signs), repeated_rows(used)
+    if doubtful:
+        named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
+        more = ", ..." if len(doubtful) > 5 else ""
+        text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
+        found.append(Reason("signs", text))
+    if again.any():
+        named = ", ".join(map(str, used.rows[again][:5]))
+        text = f"{again.sum()} rows stand twice, to the last digit ({named} ...): they count twice; delete the copies"
+        found.append(Reason("duplicates", text))
+    return found
 
 
 def _estimate(

@@ -23,6 +23,8 @@ _POLISH_STEPS = 40
 #: Gauss-Newton goes on while each step shrinks the decrement at least to this share.
 _FAST = 0.05
 _MAX_EVALUATIONS = 400
+#: A step that is shortened to less than this share is tried along the bend of the valley; length of its differences.
+_CREEPS, _SHARE = 0.6, 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,10 @@ class Solution:
     converged: bool  # whether the Gauss-Newton decrement is below `DECREMENT_TOLERANCE`
 
 
-def solution_rank(solution: Solution) -> tuple[bool, float]:
-    """Order of solutions: converged ones first, then the lowest."""
-    return not solution.converged, solution.sum_of_squares
+def solution_rank(solution: Solution) -> float:
+    """Order of solutions: the lowest first; one that did not converge must be clearly lower, as beside a saddle."""
+    total = solution.sum_of_squares + (0.0 if solution.converged else MINIMUM_EXCESS)
+    return total if np.isfinite(total) else np.inf
 
 
 def minimise(problem: Problem, start: Floats) -> Solution:
@@ -72,7 +75,13 @@ def polished(problem: Problem, unknowns: Floats) -> Solution:
             break
         if newton:
             step = newton_step(problem, unknowns, residuals)
-        candidate, candidate_residuals, candidate_total = _shortened(problem, unknowns, step, total)
+        bend = np.zeros_like(step)
+        candidate, candidate_residuals, candidate_total = _shortened(problem, unknowns, step, bend, total)
+        if newton and np.linalg.norm(candidate - unknowns) < _CREEPS * np.linalg.norm(step):
+            bend = _bend(problem, unknowns, residuals, step)
+            around = _shortened(problem, unknowns, step, bend, total)
+            if around[2] < candidate_total:
+                candidate, candidate_residuals, candidate_total = around
         if candidate_total > total:
             # Not even a short step goes down: rounding, or Gauss-Newton misled by curvature.
             if newton:
@@ -88,16 +97,26 @@ def polished(problem: Problem, unknowns: Floats) -> Solution:
     return Solution(unknowns, total, bool(np.isfinite(total) and decrement < tolerance))
 
 
-def _shortened(problem: Problem, unknowns: Floats, step: Floats, total: float) -> tuple[Floats, Floats, float]:
-    """The step, halved until the sum of squares does not grow (or eight times)."""
+def _bend(problem: Problem, unknowns: Floats, residuals: Floats, step: Floats) -> Floats:
+    """How a curved valley turns away from a step in it: the geodesic acceleration of Transtrum and Sethna (2012)."""
+    width = _SHARE / max(float(np.linalg.norm(step)), _SHARE)
+    ahead, behind = (problem.residuals(unknowns + sign * width * step) for sign in (1.0, -1.0))
+    jacobian = problem.jacobian(unknowns)
+    return np.asarray(-linalg.lstsq(jacobian, (ahead - 2.0 * residuals + behind) / width**2, check_finite=False)[0])
+
+
+def _shortened(
+    problem: Problem, unknowns: Floats, step: Floats, bend: Floats, total: float
+) -> tuple[Floats, Floats, float]:
+    """The step along its bend, halved until the sum of squares does not grow (or eight times)."""
     for _ in range(8):
-        candidate = unknowns + step
+        candidate = unknowns + step + bend / 2.0
         residuals = problem.residuals(candidate)
         candidate_total = float(residuals @ residuals)
         # The last digits of the sum are rounding: equal within them counts as no worse.
         if candidate_total <= total * (1 + 1e-13):
             return candidate, residuals, min(candidate_total, total)
-        step = step / 2
+        step, bend = step / 2.0, bend / 4.0
     return candidate, residuals, np.inf
 
 

@@ -22,6 +22,10 @@ from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import HELD_EXACT, Reason
+
+#: Held values move rows off their tangents by so many standard deviations at most, root mean square.
+_MOST_BEND = 3.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,20 @@ def hold_rest(
     loose = cell.free.names if hold == "consider" else ()
     free = ParameterSet(p for p in cell.parameters if p.name in chosen or (p.name in loose and p.name not in known))
     return CavityModel.of(cell, free, vector), considered
+
+
+def held_reasons(problem: "Problem", unknowns: Floats, *, exact: bool) -> list[Reason]:
+    """What is to be said of parameters that are held."""
+    bend = problem.bend(unknowns)
+    if bend > _MOST_BEND:
+        text = (
+            f"the held values are too uncertain to be held: rows bend by {bend:.0f} standard deviations over what the "
+            "data move them; free them too (--free all), with --prior START if nothing has changed since"
+        )
+        return [Reason("held-uncertain", text)]
+    if exact and len(problem.model.free) < len(problem.model.cell.free):
+        return [Reason("held-exact", HELD_EXACT)]
+    return []
 
 
 @dataclass(frozen=True)

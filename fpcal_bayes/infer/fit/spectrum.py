@@ -1,12 +1,15 @@
-"""What a set of sweeps can tell about the parameters: rank, unobservable directions, status of each parameter."""
+"""What a set of sweeps tells of the parameters (rank, unobservable directions, status), and how well it is met."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.problem import Problem
 
 Status = Literal["identified", "weak", "gauge", "fixed"]
 
@@ -70,3 +73,37 @@ def statuses(null_share: Floats, posterior_share: Floats, weak_share: float = WE
         "gauge" if null > GAUGE_SHARE else "weak" if left > weak_share else "identified"
         for null, left in zip(null_share, posterior_share, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """How well the data are met at the maximum of the posterior."""
+
+    chi2_data: float  # sum of squares of the whitened data rows
+    expected: float  # its expected value: the number of rows less those that the parameters absorb
+    p_value: float  # probability of a larger value if model, prior and noise are right
+    standardised: Floats  # residual of each whitened row over its own standard deviation, shape (n_rows,)
+
+    def largest(self, labels: Sequence[str], n: int) -> list[tuple[str, float]]:
+        """Labels of the rows (n_rows,) with the `n` largest standardised residuals, largest first."""
+        order = np.argsort(-np.abs(self.standardised), kind="stable")[:n]
+        return [(labels[i], float(self.standardised[i])) for i in order]
+
+
+def goodness_of_fit(problem: Problem, unknowns: Floats) -> GoodnessOfFit:
+    """How well the data of a problem are met at `unknowns` (n_unknowns,)."""
+    residuals = problem.data_residuals(unknowns)
+    chi2_data = float(residuals @ residuals)
+    jacobian = problem.data_jacobian(unknowns)
+    orthonormal = linalg.qr(np.vstack([jacobian, np.eye(problem.n_unknowns)]), mode="economic")[0]
+    leverage = (orthonormal[: len(residuals)] ** 2).sum(axis=1)
+    standardised = residuals / np.sqrt(np.clip(1.0 - leverage, 1e-12, None))
+    # Under the model the residuals are N(0, I - H), so their sum of squares is a sum of chi-squares with weights 1 - h,
+    # h the eigenvalues of H; a scaled chi-square with the same mean and variance stands for it (Satterthwaite 1946).
+    shrink = linalg.svdvals(jacobian)[: problem.n_unknowns]
+    weights = np.ones(max(len(residuals), len(shrink)))
+    weights[: len(shrink)] = 1.0 / (1.0 + shrink**2)
+    weights = weights[: len(residuals)] if len(residuals) > len(shrink) else weights
+    mean, square = float(weights.sum()), float((weights**2).sum())
+    p_value = chi2_tail(chi2_data * mean / square, mean**2 / square)
+    return GoodnessOfFit(chi2_data, mean, p_value, standardised)

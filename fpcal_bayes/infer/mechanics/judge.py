@@ -23,6 +23,8 @@ from fpcal_bayes.model.mechanics.response import Responses, responses
 _LEVEL = 0.01
 #: A scale whose 95 % interval lies wholly above this factor on its sheet has absorbed something else.
 _BEYOND = 3.0
+#: Above this one no machine is so far off its sheet: the rows hold a mistake.
+_ABSURD = 30.0
 #: Orders that the fit leaves out, looked for in the residuals.
 _POLYNOMIALS, _HARMONICS = range(6, 11), range(5, 9)
 
@@ -86,13 +88,11 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
     found = []
     low, middle, high = fit.scales.quantiles()
     for name, lower, median, upper in zip(fit.scales.names, low, middle, high, strict=True):
-        if lower > _BEYOND:
-            found.append(
-                Doubt(
-                    "mechanics",
-                    f"{name}: the rows show {median:.2g} times the stated size (95 %: {lower:.2g} to {upper:.2g})",
-                )
-            )
+        text = f"{name}: the rows show {median:.2g} times the stated size (95 %: {lower:.2g} to {upper:.2g})"
+        if lower > _ABSURD:
+            found.append(Doubt("poor-fit", f"poor fit: {text}; fpcal doctor tries what may be wrong"))
+        elif lower > _BEYOND:
+            found.append(Doubt("mechanics", text))
     tests = term_tests(fit)
     found += [
         Doubt("residuals", f"{test.name}: the residuals show it beyond what is stated (p = {test.p_value:.1g})")

@@ -31,6 +31,8 @@ class AngularErrors:
     # angle of the rotation by which the true turn since the aligned pose differs from the one the estimate expects,
     # shape (n_draws, n_points)
     turn: Floats
+    # that rotation about Xf, Yf, Zf, shape (n_draws, n_points, 3)
+    about: Floats
 
 
 def task_rows(model: CavityModel, task: Task) -> Rows:
@@ -106,7 +108,7 @@ def angular_errors(
         slopes = [(a - b) / width[:, None, None] for a, b in zip(ahead, behind, strict=True)]
         change = np.atleast_2d(truth_values) - estimate_values
         tilt, since = (np.tensordot(change, slope, axes=1) for slope in slopes)
-    return AngularErrors(np.linalg.norm(tilt, axis=-1), np.linalg.norm(since, axis=-1))
+    return AngularErrors(np.linalg.norm(tilt, axis=-1), np.linalg.norm(since, axis=-1), since)
 
 
 def peak_to_peak(errors: Floats) -> Floats:

@@ -143,7 +143,7 @@ def predict_from_draws(
     return TaskPrediction(task, errors, sd, angles, linear=False, trust=trust or Trust())
 
 
-def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float = 100.0) -> Floats:
+def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float | None = None) -> Floats:
     """The draw (n_free,) whose cavity lengths along a task are nearest to the mean over all draws (n_draws, n_free).
 
     The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.

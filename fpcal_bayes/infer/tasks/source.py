@@ -8,6 +8,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.prediction import (
@@ -21,6 +22,7 @@ from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.margin import N_DRAWS, estimate_draws, prior_draws
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task, find_task
 
@@ -64,7 +66,7 @@ class Knowledge:
     # of the posterior, from its own file or from the estimate's; None where there is only the covariance
     draws: PosteriorDraws | None
 
-    def held(self, task: str, *, radius: float = 100.0) -> Estimate:
+    def held(self, task: str, *, radius: float | None = None) -> Estimate:
         """The estimate that the controller holds for a task."""
         if self.draws is None or self.estimate is not None:
             assert self.estimate is not None
@@ -82,7 +84,18 @@ class Knowledge:
         trust = self.draws.trust.because(*estimate.trust.reasons)
         return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
-    def plan(self, task: str, *, radius: float = 100.0, n_points: int | None = None) -> tuple[Estimate, Task]:
+    def drawn(self, estimate: Estimate) -> tuple[CavityModel, Floats]:
+        """The model, and draws (n_draws, n_free) of what is known: the posterior's, or of the estimate's covariance.
+
+        Of a cell whose estimate is not to be used the prior is known.
+        """
+        if not estimate.trust.usable:
+            return prior_draws(self.cell)
+        if self.draws is None:
+            return estimate_draws(estimate)
+        return CavityModel.of(self.cell, self.draws.parameters, estimate.vector()), self.draws.values[:N_DRAWS]
+
+    def plan(self, task: str, *, radius: float | None = None, n_points: int | None = None) -> tuple[Estimate, Task]:
         """The estimate that the controller holds for a task, and the joint path it makes with it.
 
         With mechanics a path has 31 points by default, since return errors make a peak to peak grow with their number.

@@ -232,7 +232,9 @@ class _Fit:
             for _ in range(12):
                 damped = np.vstack([triangle, np.sqrt(damping) * np.diag(np.linalg.norm(triangle, axis=0))])
                 step = np.linalg.lstsq(damped, np.concatenate([along, np.zeros(n)]))[0]
-                moved = self.look(state.scores + step, state.levels + _follow(state, answers, step), state.noise)
+                # Where the phases are far off their own full step may lead up, however short that of the parameters.
+                levels = state.levels + _follow(state, answers, step) / (1.0 + damping)
+                moved = self.look(state.scores + step, levels, state.noise)
                 # With noise on the length the weights move too, so the total may rise by a little.
                 if moved.total <= state.total * (1 + (1e-3 if self.length_noise else 1e-12)):
                     break

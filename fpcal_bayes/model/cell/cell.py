@@ -51,6 +51,8 @@ class Cell:
         Tasks of its own, beside those that every cell has.
     mechanics
         Sizes of the error motions, or None: the mechanism is taken as perfect. They stand outside `sha256`.
+    handedness_checked
+        Whether somebody has looked which way the axes go; lengths cannot tell a cell from its mirror images.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Cell:
     envelope: Envelope | None = None
     tasks: tuple[OwnTask, ...] = ()
     mechanics: Mechanics | None = None
+    handedness_checked: bool = False
 
     @cached_property
     def interferometer(self) -> Interferometer:

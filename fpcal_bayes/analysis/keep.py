@@ -1,0 +1,196 @@
+"""A cell is kept calibrated: followed, judged and published, round after round."""
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from fpcal_bayes.analysis.campaign import Followed, follow
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import exclusive, file_sha256, write_json
+from fpcal_bayes.core.times import clock, iso
+from fpcal_bayes.decision.decision import Costs, Decision
+from fpcal_bayes.decision.forecast import Goal
+from fpcal_bayes.decision.policy import decide_track, valid_until
+from fpcal_bayes.decision.ticket import basis_of, ticket_of
+from fpcal_bayes.io.campaign import write_campaign
+from fpcal_bayes.io.flat import write_flat
+from fpcal_bayes.io.sweeps import is_campaign_file
+from fpcal_bayes.io.tickets import read_ticket, write_ticket
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Ticket, empty_ticket
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import SCHEMA
+from fpcal_bayes.motion.flat import flat_content
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.record import decisions_of, record_of
+from fpcal_bayes.tracking.sessions import hours_of
+from fpcal_bayes.tracking.tracker import Track
+
+
+def follow_saved(
+    file: str | Path,
+    cell: Cell,
+    *,
+    now: str | float | None = None,
+    posterior: str | None = None,
+    anew: bool = False,
+) -> Followed:
+    """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
+
+    Arguments are those of `follow`.
+    """
+    with contextlib.ExitStack() as alone:
+        # Two that save their states in one campaign would each lose what the other found.
+        if is_campaign_file(file):
+            alone.enter_context(exclusive(Path(file)))
+        followed = follow(file, cell, now=now, posterior=posterior, anew=anew)
+        found, notes = followed.track, followed.notes
+        if followed.campaign is None or found.resumed == len(found.outcomes):
+            return followed
+        try:
+            before = followed.campaign.track
+            log = [] if before is None else decisions_of(before)
+            record = record_of(found, followed.sweeps, Limits(), log)
+            write_campaign(file, replace(followed.campaign, track=record), cell)
+        except InputError as error:
+            notes.append(f"the states are not saved: {error}")
+        return replace(followed, track=replace(found, data=found.data | {"sha256": file_sha256(Path(file))}))
+
+
+def published(found: Track, valid_until_h: float | None) -> dict[str, Any]:
+    """The current best estimate as JSON, with its fit and the verdict of its last session."""
+    fit = {"n_sweeps": sum(o.n_sweeps for o in found.outcomes), "nis": found.last.nis, "converged": found.converged}
+    said = {"verdict": found.last.verdict, "calibration_due": found.calibration_due is not None}
+    return found.estimate(valid_until_h).content() | {"fit": fit} | said
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files that a round replaces, each in one step."""
+
+    estimate: Path
+    ticket: Path
+    flat: Path | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """What a round found."""
+
+    followed: Followed
+    now_h: float
+    valid_until_h: float | None
+    decision: Decision | None  # None where the tolerance cannot be met
+    ticket: Ticket  # as it stands in the file now
+    notes: tuple[str, ...]
+
+
+class Keeper:
+    """Follows a campaign, decides and publishes, as often as it is asked to.
+
+    Parameters
+    ----------
+    campaign
+        CSV or HDF5; it may not be there yet.
+    goal, costs
+        What is to be held, and what measuring costs, given the campaign's sweeps.
+    outputs
+        What is published.
+    now
+        Unix time.
+    """
+
+    def __init__(
+        self,
+        campaign: str | Path,
+        cell: Cell,
+        goal: Goal,
+        costs: Callable[[Sweeps], Costs],
+        outputs: Outputs,
+        now: Callable[[], float],
+    ) -> None:
+        self._campaign, self._cell, self._goal, self._costs = campaign, cell, goal, costs
+        self._outputs, self._now = outputs, now
+
+    def round(self) -> Round:
+        """Follow, decide, publish.
+
+        Raises
+        ------
+        InputError
+            If the campaign cannot be read or followed.
+        """
+        cell, goal, outputs = self._cell, self._goal, self._outputs
+        moment = self._now()
+        followed = follow_saved(self._campaign, cell, now=moment)
+        found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
+        began = self._began(found, moment)
+        if (sweeps.utc != "").any():
+            now_h = max(found.last.time_h, hours_of(iso(moment), sweeps))
+        else:
+            now_h = max(found.last.time_h, (moment - began) / 3600.0)
+        until_h = self._valid_until(found, notes)
+        decision: Decision | None = None
+        try:
+            decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+        except InputError as error:
+            notes.append(f"nothing is decided: {error}")
+        remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}
+        content = published(found, until_h) | {"warnings": notes} | remembered
+        write_json(outputs.estimate, {"schema": SCHEMA, "command": "track", **content})
+        if outputs.flat is not None:
+            estimate = found.estimate(until_h)
+            if not estimate.data.get("utc"):
+                estimate = replace(estimate, data=estimate.data | {"utc": iso(began + 3600.0 * estimate.time_h)})
+            write_flat(outputs.flat, flat_content(estimate))
+        ticket = self._issue(decision, sweeps, moment)
+        return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
+
+    def withdraw(self) -> None:
+        """Empty the ticket: what it rests on is in doubt."""
+        pending = self._pending()
+        if pending is None or pending.plan is not None:
+            write_ticket(self._outputs.ticket, empty_ticket(str(self._outputs.ticket)), self._cell)
+
+    def _issue(self, decision: Decision | None, sweeps: Sweeps, moment: float) -> Ticket:
+        """Write the decision's ticket, unless one that rests on the same campaign is being measured."""
+        path, pending = self._outputs.ticket, self._pending()
+        if decision is not None and pending is not None and pending.plan is not None:
+            fresh = pending.name.startswith(f"{basis_of(sweeps)}-") and moment < pending.expires_utc
+            if fresh and str(pending.plan.session[0]) not in sweeps.sessions:
+                return pending
+        ticket = empty_ticket(str(path))
+        if decision is not None:
+            ticket = ticket_of(decision, sweeps, str(path), now_utc=moment)
+        if pending is None or pending.plan is not None or ticket.plan is not None:
+            write_ticket(path, ticket, self._cell)
+        return ticket
+
+    def _pending(self) -> Ticket | None:
+        """The ticket that is there, or None if none can be read."""
+        try:
+            return read_ticket(self._outputs.ticket, self._cell)
+        except InputError:
+            return None
+
+    def _began(self, found: Track, moment: float) -> float:
+        """Unix time at which the campaign began, by when its sessions were first seen; the last estimate remembers."""
+        # A session is seen when it was measured or later, so that the earliest guess is the nearest.
+        guess = moment - 3600.0 * found.last.time_h
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            before: Mapping[str, Any] = json.loads(self._outputs.estimate.read_text(encoding="utf-8"))
+            if before["calibration_session"] == found.outcomes[0].session:
+                return min(guess, clock(before["campaign_began_utc"]).timestamp())
+        return guess
+
+    def _valid_until(self, found: Track, notes: list[str]) -> float | None:
+        if not found.trust.usable:
+            return None
+        try:
+            return valid_until(found, self._goal)
+        except InputError as error:
+            notes.append(f"how long the estimate holds cannot be said: {error}")
+            return None

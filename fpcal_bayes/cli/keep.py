@@ -1,0 +1,101 @@
+"""``fpcal keep``: keep a cell calibrated, unattended."""
+
+import argparse
+from pathlib import Path
+
+from fpcal_bayes.analysis.append import append
+from fpcal_bayes.analysis.keep import Keeper, Outputs, Round
+from fpcal_bayes.analysis.watch import watch
+from fpcal_bayes.cli import measure
+from fpcal_bayes.cli.common import cell_of, console, warn
+from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.core.errors import HeldError, InputError
+from fpcal_bayes.io.flat import check_flat
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.campaign.page import write_campaign_report
+from fpcal_bayes.report.track import decision_sentence, time_text, verdict_lines
+from fpcal_bayes.rig.clock import Clock
+from fpcal_bayes.rig.reader import read_rig
+from fpcal_bayes.rig.settings import IDSDevice
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    cell = cell_of(options)
+    goal = goal_of(options, cell)
+    check_flat(options.flat)
+    clock = Clock()
+    if options.rig is not None:
+        rig = read_rig(options.rig, cell)
+        if not isinstance(rig.instrument, IDSDevice):
+            raise InputError(
+                f"{options.rig}: keep needs an interferometer that reads lengths: traces are to be ingested"
+            )
+        clock = rig.clock
+    warm_up_inverse(cell)
+    outputs = Outputs(options.estimate, options.ticket, options.flat)
+    keeper = Keeper(options.campaign, cell, goal, lambda sweeps: costs_of(options, sweeps), outputs, clock.now)
+    teller = _Teller(options)
+
+    def take_in(_again: bool) -> None:
+        try:
+            found = keeper.round()
+        except HeldError:
+            raise
+        except Exception:
+            keeper.withdraw()
+            raise
+        if options.report is not None:
+            write_campaign_report(options.campaign, cell, options.report, goal=goal, now=f"{found.now_h:.6f}")
+        teller.tell(found)
+        if options.rig is not None and found.ticket.plan is not None:
+            _measure(options, cell, found, clock)
+
+    if options.once:
+        take_in(False)
+        return 0
+    often = clock.wall(60.0 * options.every_min)
+    try:
+        watch(options.campaign, options.look_s, take_in, lambda text: warn([text]), at_least=often)
+    except (KeyboardInterrupt, SystemExit):
+        return 0
+
+
+def _measure(options: argparse.Namespace, cell: Cell, found: Round, clock: Clock) -> None:
+    """Drive the ticket and hand over what was measured."""
+    assert found.ticket.plan is not None
+    name = "".join(
+        letter if letter.isalnum() or letter in "-_" else "_" for letter in str(found.ticket.plan.session[0])
+    )
+    campaign = Path(options.campaign)
+    session = campaign.with_name(f"{campaign.stem}_{name}.h5")
+    words = {"output": session, "campaign": options.campaign, "estimate": str(options.estimate), "dry_run": False}
+    status = measure.run(argparse.Namespace(**vars(options) | words | {"ticket": str(options.ticket)}))
+    if status != 0:
+        raise InputError(f"{session}: the ticket is not measured to its end")
+    append(campaign, session, cell, ticket=options.ticket, now=clock.now())
+
+
+class _Teller:
+    """Says what is new since the last round."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._out = console(options)
+        self._said: set[str] = set()
+
+    def tell(self, found: Round) -> None:
+        """Print a line for a decision that differs from the last, and warnings once."""
+        track, last = found.followed.track, found.followed.track.last
+        where = f"session {last.session}"
+        if found.valid_until_h is not None:
+            where += f", valid until {time_text(found.valid_until_h, track.outcomes)}"
+        if found.decision is None:
+            what = "no ticket"
+        else:
+            what = found.decision.action if found.ticket.plan is None else decision_sentence(found.decision, track)
+        line = f"{where}: {what}"
+        if line not in self._said:
+            self._out.say(line)
+        new = [text for text in (*verdict_lines(track), *found.notes) if text not in self._said]
+        warn(new)
+        self._said = {line, *verdict_lines(track), *found.notes}

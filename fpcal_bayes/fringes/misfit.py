@@ -1,0 +1,126 @@
+"""What a fit leaves of a signal's phase, block by block: whether the model holds, and what else may explain it.
+
+Noise averages out over a block of samples; a mirror that sets out late or a laser that hops does not. Each block tells
+by how much the phase is off, and the noise is that from sample to sample, so that nothing which all traces share counts
+as noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.fit import Fit
+from fpcal_bayes.fringes.profile import legendre
+from fpcal_bayes.fringes.samples import Samples
+
+#: Blocks of a trace; the first and the last are halved this many times more towards the ends, where mirrors linger.
+_BLOCKS, _HALVINGS = 24, 5
+#: Odds that a scan is straight.
+_STRAIGHT = 20.0
+#: Rounds in which a block's phase is sought, until none changes by more than this, in rad.
+_ROUNDS, _SMALL = 5, 0.02
+#: Periods of a ripple that are tried, in a scan.
+_RIPPLES = np.arange(1.0, 11.0, 0.25)
+#: Swings of a signal count as fringes beyond this share of its half range to either side.
+_SWING = 0.35
+
+
+@dataclass(frozen=True)
+class PhaseErrors:
+    """Phase that a fit misses in each block of a trace."""
+
+    s: Floats  # middle of each block, (n_blocks,)
+    phase: Floats  # rad, (n_blocks,)
+    sd: Floats  # of each by the noise from sample to sample, rad, (n_blocks,)
+
+    @classmethod
+    def of(cls, fit: Fit, samples: Samples, phase_per_um: float) -> "PhaseErrors":
+        """Errors of a fit of `samples`."""
+        root, turn = np.sqrt(samples.count), np.zeros(len(samples))
+        edges = np.unique(np.rint(len(samples) * _EDGES).astype(np.int64))
+        sizes, total = np.diff(edges), np.zeros(len(edges) - 1)
+        for _ in range(_ROUNDS):
+            before, here, after = (
+                fit.signal(samples.s, samples.time, phase_per_um, turn + d) * root for d in (-1e-3, 0.0, 1e-3)
+            )
+            left, slope = samples.signal * root - here, (after - before) / 2e-3
+            weight = np.add.reduceat(slope**2, edges[:-1]) + 1e-12
+            found = np.clip(np.add.reduceat(left * slope, edges[:-1]) / weight, -1.0, 1.0)
+            total, turn = total + found, turn + np.repeat(found, sizes)
+            if (np.abs(found) < _SMALL + 3.0 * np.sqrt(np.mean(left**2) / weight)).all():
+                break
+        noise = max(float(np.sqrt(np.mean(np.diff(left) ** 2) / 2.0)), 1e-9 * fit.amplitude)
+        # At the tops alone a block tells nothing of its phase.
+        told = weight > 0.02 * sizes * float(np.mean(slope**2))
+        middle = np.add.reduceat(samples.s, edges[:-1]) / sizes
+        return cls(middle[told], total[told], noise / np.sqrt(weight[told]))
+
+    @property
+    def scores(self) -> Floats:
+        """Errors in standard deviations."""
+        return self.phase / self.sd
+
+    @property
+    def excess(self) -> float:
+        """Mean square of the scores: about one for a model that holds."""
+        return float(np.mean(self.scores**2))
+
+    @property
+    def probability(self) -> float:
+        """That noise alone leaves as much."""
+        return float(stats.chi2.sf(self.scores @ self.scores, len(self.s)))
+
+    def straightened(self, stretch: float) -> tuple[float, float, float]:
+        """A line's slope beside a hop, a ripple or a bow that may explain the errors of a wavelength scan.
+
+        stretch: half the range of 1 / wavelength over its middle; an error of the wavelength turns the phase by its
+        square.
+        Returns the slope in rad per unit of s and its standard deviation, those of all explanations averaged by how
+        well they do (Schwarz's criterion), and the mean square of the scores that the best of them leaves.
+        """
+        weight, line, felt = 1.0 / self.sd, legendre(self.s, 3), (1.0 + stretch * self.s) ** 2
+        # Either side of a hop may be the one that is told right; its own block is left out by a number of its own.
+        sides = [(at, side) for at in self.s[1:-1] for side in (self.s > at, self.s < at)]
+        hops = [np.column_stack([line[:, :2], felt * side, self.s == at]) for at, side in sides]
+        turns = np.pi * np.outer(_RIPPLES, self.s)
+        ripples = [np.column_stack([line[:, :2], felt * np.sin(turn), felt * np.cos(turn)]) for turn in turns]
+        found = []
+        for basis in (line[:, :2], *hops, *ripples, line[:, :3], line):
+            scaled = basis * weight[:, None]
+            covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12)
+            answer = covariance @ (scaled.T @ self.scores)
+            left = float(((self.scores - scaled @ answer) ** 2).sum())
+            found.append((left, answer[1], covariance[1, 1], basis.shape[1]))
+        left, slope, variance, count = np.array(found).T
+        rest = left / (len(self.s) - count)
+        factor = max(1.0, float(rest[np.argmin(left + count * np.log(len(self.s)))]))
+        # A line alone is as likely beforehand as this many times all its rivals together.
+        score = left / factor + count * np.log(len(self.s))
+        score[1:] += 2.0 * np.log(_STRAIGHT * len(left))
+        share = np.exp(-0.5 * (score - score.min()))
+        share /= share.sum()
+        mean = float(share @ slope)
+        return mean, float(np.sqrt(share @ (factor * variance + (slope - mean) ** 2))), factor
+
+
+def _edges() -> Floats:
+    ends = 2.0 ** -np.arange(_HALVINGS, -1.0, -1.0) / _BLOCKS
+    inner = np.arange(2, _BLOCKS - 1) / _BLOCKS
+    return np.concatenate([[0.0], ends, inner, 1.0 - ends[::-1], [1.0]])
+
+
+_EDGES = _edges()
+
+
+def fringes_seen(samples: Samples) -> float:
+    """Fringes that pass in a signal, by its swings alone; zero where it is noise."""
+    root = np.sqrt(samples.count)
+    level = legendre(samples.time, 3)
+    left = samples.signal - level @ np.linalg.lstsq(level * root[:, None], samples.signal * root)[0]
+    if np.std(np.diff(left)) > np.std(left):
+        return 0.0
+    low, high = np.quantile(left, (0.02, 0.98))
+    side = np.where(left > _SWING * high, 1, np.where(left < _SWING * low, -1, 0))
+    return float((np.diff(side[side != 0]) != 0).sum()) / 2.0

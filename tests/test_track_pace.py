@@ -32,7 +32,7 @@ def test_the_pace_is_learnt_and_named(monkeypatch, tmp_path, factor: float, word
     assert {outcome.verdict for outcome in found.outcomes} == {"as-modelled"}
     later = found.outcomes[1:]
     assert 0.5 < sum(o.nis for o in later) / sum(o.dof for o in later) < 1.6
-    assert [reason.kind for reason in found.trust.reasons] == ["drift"]
+    assert "drift" in [reason.kind for reason in found.trust.reasons]
     assert found.trust.usable
     if factor > 1:
         # Under the stated sizes the same sessions blame mirror or robot; the command learns the pace.

@@ -123,7 +123,7 @@ def protocol(cell: Cell, name: str) -> Sweeps:
     return join(parts)
 
 
-def _reachable(cell: Cell, rng: np.random.Generator) -> np.ndarray:
+def reachable(cell: Cell, rng: np.random.Generator) -> np.ndarray:
     """A geometry from the prior with which every task can be driven."""
     while True:
         vector = cell.parameters.nominal.copy()
@@ -140,7 +140,7 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
     sheet = sheet_of(name)
     rng = np.random.default_rng([seed, sum(map(ord, name))])
     free, model = cell.free, CavityModel.of(cell)
-    vector = _reachable(cell, rng)
+    vector = reachable(cell, rng)
     machine = Machine.draw(cell, machine_sizes, vector, rng, settings)
     drive = drive_of_sweeps(plan, sheet.minutes_per_sweep)
     measured = plan.with_measurement(machine.sweep(drive, _SIGMA), _SIGMA)

@@ -21,6 +21,8 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.model.mechanics.errors import known_task_errors
+from fpcal_bayes.motion.compensation import compensated
+from fpcal_bayes.motion.controller import Controller
 from fpcal_bayes.motion.tasks import task_path
 
 CELL = load_cell()
@@ -121,10 +123,34 @@ def test_observe_and_doctor_name_terms_and_leave_sigma_alone(folder):
     assert "sigma" not in kinds
 
 
-def test_a_track_says_what_it_leaves_out(folder):
-    run("track", folder / "sweeps.csv", "--json", folder / "track.json")
+def test_a_track_knows_the_error_motions(folder):
+    run("track", folder / "sweeps.csv", "--json", folder / "track.json", "--estimate", folder / "now.json")
     trust = json.loads((folder / "track.json").read_text())["trust"]
-    assert "mechanics-left-out" in {reason["kind"] for reason in trust["reasons"]}
+    assert "mechanics-left-out" not in {reason["kind"] for reason in trust["reasons"]}
+    assert (folder / "now.json").stat().st_size <= 500_000
+    assert read_estimate(folder / "now.json", CELL).mechanics is not None
+    tasks = []
+    for name in ("estimate", "now"):
+        run("task-error", folder / f"{name}.json", "--json", folder / "te.json", "--task", "circle")
+        tasks.append(json.loads((folder / "te.json").read_text())["tasks"]["circle"]["peak_to_peak_nm"])
+    # The track takes the sizes at their typical values, an identification draws them.
+    assert tasks[1]["median"] == pytest.approx(tasks[0]["median"], rel=0.35)
+
+
+def test_joints_make_up_for_the_known_motions_where_that_gains(folder):
+    found = {}
+    run("simulate", "-o", folder / "mid.csv", "--seed", 4, "--protocol", "paper-mid")
+    run("identify", folder / "mid.csv", "--json", folder / "mid.json")
+    for options in ((), ("--no-compensation",)):
+        run("control", "--estimate", folder / "mid.json", "--task", "tilt-x", "-o", folder / "j.csv", *options,
+            "--json", folder / "c.json")  # fmt: skip
+        found[options] = json.loads((folder / "c.json").read_text())["tasks"]["tilt-x"]
+    better, plain = found[()], found[("--no-compensation",)]
+    assert better["compensation"]["applied"]
+    assert not plain["compensation"]["applied"]
+    assert better["compensation"]["median_without_nm"] == pytest.approx(plain["peak_to_peak_nm"]["median"])
+    assert better["peak_to_peak_nm"]["median"] < 0.9 * plain["peak_to_peak_nm"]["median"]
+    assert max(better["sd_nm"]) < max(plain["sd_nm"])
 
 
 def test_curves_of_the_motions_stay_within_what_is_known(found):
@@ -178,3 +204,24 @@ def test_times_and_approach_are_read_and_written(tmp_path, folder):
     ):
         with pytest.raises(InputError, match=word.replace("+", r"\+")):
             write_csv(tmp_path / "bad.csv", replace(full, **change), CELL)
+
+
+def test_a_controller_makes_up_by_the_way_that_it_comes(folder):
+    estimate = read_estimate(folder / "mid.json", CELL)
+    task = task_path(CELL, estimate.vector(), "tilt-x", n_points=9)
+    better = compensated(estimate, task)
+    assert better.added is not None
+    there = Controller(estimate, task.start)
+    np.testing.assert_allclose(there.joints(task.poses).q, better.q, atol=1e-9)
+    np.testing.assert_allclose(
+        Controller(estimate, task.start, compensate=False).joints(task.poses).q, task.q, atol=1e-9
+    )
+    # It stands where it was sent, as far as the geometry tells, however often it moves.
+    for pose in task.poses[:3]:
+        there.move_to(pose)
+        np.testing.assert_allclose(there.pose, pose, atol=1e-6)
+    # From the other side the joint along the beam makes up for its reversal the other way.
+    one, other = (Controller(estimate, task.q[i]).joints(task.poses[4]).q for i in (0, -1))
+    moved = np.flatnonzero(one != other)
+    assert moved.tolist() == [1]
+    assert 0 < abs(one[1] - other[1]) < 0.2

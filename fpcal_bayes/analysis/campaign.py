@@ -18,6 +18,7 @@ from fpcal_bayes.infer.observability.observe import Observability, observe
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior, read_posterior_summary
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
+from fpcal_bayes.infer.tasks.source import path_points
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps
 from fpcal_bayes.measure.campaign import Campaign
@@ -26,6 +27,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
@@ -36,8 +38,8 @@ from fpcal_bayes.tracking.tracker import Track, estimate_of, track
 
 #: Of a posterior file: more tell no more.
 _MOST_DRAWS = 2000
-#: Points along each task, and errors that are drawn of it.
-_POINTS, _DRAWS = 61, 4000
+#: Errors that are drawn of each task.
+_DRAWS = 4000
 #: Longest time between two sessions that can show a change of the robot itself, as `fpcal decide` has it.
 _DIAGNOSIS_H = 24.0
 
@@ -69,7 +71,7 @@ class _Measured:
         draws = None if posterior is None else _draws(posterior, cell, drift)
         known, note = None, ""
         if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
-            known, note = resume(self.campaign.track, cell.ideal, drift, limits, self.parts, str(self.file))
+            known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
         found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=self.now_h)
         found = with_learnt_scale(
             found, lambda sized, first: track(cell, sweeps, drift=sized, limits=limits, known=first, now_h=self.now_h)
@@ -270,7 +272,8 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
 
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:
     try:
-        task = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=_POINTS)
+        path = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=path_points(estimate))
+        task = compensated(estimate, path) if goal.compensate else path
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
         return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance_um))
     except InputError as error:

@@ -257,6 +257,7 @@ def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Finding]:
     remedies = {
         "extrinsics-moved": "see what touched mirror or fibre; the track has followed it",
         "intrinsics-moved": "calibrate in full: the robot itself changed",
+        "mechanics-moved": "calibrate in full: the error motions of the joints changed",
     }
     for outcome in found.outcomes[1:]:
         if outcome.verdict != "as-modelled":

@@ -19,7 +19,9 @@ def run(options: argparse.Namespace) -> int:
     check_suffix(options.output)
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
-    estimate, task = knowledge.plan(options.task, radius=options.radius_um, n_points=options.points)
+    estimate, task = knowledge.plan(
+        options.task, radius=options.radius_um, n_points=options.points, compensate=options.compensate
+    )
     model, draws = knowledge.drawn(estimate)
     require_task_within_envelope(model, draws, task.q[task.ok], name=task.name)
     estimate = judged_at(estimate, read_now(options.now, estimate))

@@ -25,7 +25,7 @@ def goal_of(options: argparse.Namespace, cell: Cell) -> Goal:
     own = {task.name: 1e3 * task.tolerances["beam"] for task in cell.tasks if "beam" in task.tolerances}
     if options.tolerance_nm is None:
         options.tolerance_nm = min(own.get(name, _TOLERANCE_NM) for name in tasks) if tasks else _TOLERANCE_NM
-    return Goal(options.tolerance_nm, tasks, options.level, options.radius_um)
+    return Goal(options.tolerance_nm, tasks, options.level, options.radius_um, options.compensate)
 
 
 def costs_of(options: argparse.Namespace, sweeps: Sweeps) -> Costs:

@@ -37,7 +37,9 @@ def run(options: argparse.Namespace) -> int:
     out, content, predictions, budgets, warnings = console(options), {}, [], [], []
     own, tolerances, lines = {task.name: task for task in cell.tasks}, [], []
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
-        estimate, task = knowledge.plan(name, radius=options.radius_um, n_points=options.points)
+        estimate, task = knowledge.plan(
+            name, radius=options.radius_um, n_points=options.points, compensate=options.compensate
+        )
         warnings += reach_warnings(task)
         if options.task == "all" and not task.ok.any():
             continue

@@ -19,11 +19,10 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits
 from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.session import SessionOutcome, take_in
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift, take_in
 from fpcal_bayes.tracking.smoother import looked_at_again
-from fpcal_bayes.tracking.start import with_hidden_noise
 
 #: Measures a plan at a time in hours.
 Measure = Callable[[Sweeps, float], Sweeps]
@@ -68,7 +67,7 @@ def run_rule(
 ) -> Sessions:
     """Let a rule say when to measure what, from a calibration until `end_h`, and take in what is measured.
 
-    Sessions begin on multiples of `step_h`, at most one on each. The drift is that of the filter (`with_hidden_noise`).
+    Sessions begin on multiples of `step_h`, at most one on each. The drift is that of the filter (`followed_drift`).
     """
     done, now = Sessions([start], []), start.time_h
     while True:
@@ -91,7 +90,7 @@ def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: f
     Each session is planned for the last step at which the tolerance is still expected to hold; `InputError` if the
     tolerance cannot be met.
     """
-    drift, model, limits = with_hidden_noise(policy.drift, policy.model, start.state), policy.model, policy.limits
+    drift, model, limits = followed_drift(policy.drift, policy.model, start), policy.model, policy.limits
     policy = replace(policy, drift=drift)
     decisions: list[Decision] = []
     diagnosed = start.time_h
@@ -102,7 +101,7 @@ def run_policy(policy: Policy, start: SessionOutcome, measure: Measure, end_h: f
         if done.sweeps and is_diagnosis(drift, model, done.outcomes[-2], last, done.sweeps[-1], limits):
             diagnosed = now
         forecast = Forecaster.of(drift, model, policy.goal, last.state.mean)
-        due = f"the robot itself moved before session {last.session}" if last.verdict == "intrinsics-moved" else None
+        due = f"the robot itself moved before session {last.session}" if last.verdict in ROBOT_MOVED else None
         state = forecast.ahead(last.state, now - last.time_h)
 
         def plan_at(time_h: float) -> Sweeps:

@@ -23,6 +23,14 @@ Chooser = Callable[[Forecaster, State, int], Sweeps]
 _COST_STEPS = 40
 
 
+class UnattainableError(InputError):
+    """Not even a full calibration reaches the tolerance; `attainable_nm` is the least that can be met."""
+
+    def __init__(self, text: str, attainable_nm: float) -> None:
+        super().__init__(text)
+        self.attainable_nm = attainable_nm
+
+
 @dataclass(frozen=True)
 class Costs:
     """What measuring costs, and how it is done.
@@ -139,7 +147,7 @@ def decide(
     *,
     measure: bool = False,
 ) -> Decision:
-    """What to do now; `InputError` if not even a full calibration brings the tasks within the tolerance.
+    """What to do now; `UnattainableError` if not even a full calibration brings the tasks within the tolerance.
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
@@ -147,7 +155,7 @@ def decide(
 
     The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
     of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
-    measured in any case, so that the question is only what.
+    measured in any case, so that the question is only what; on a machine then what helps most, out of reach or not.
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))
@@ -182,11 +190,16 @@ def decide(
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
-        raise InputError(
+        least_nm = 1e3 * best.outlook.attainable(goal.level)
+        text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
-            f"met with probability {1.0 - goal.level:g} is {1e3 * best.outlook.attainable(goal.level):.1f} nm, right "
+            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
             f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
         )
+        if not measure or best is full or forecast.drift.motions is None:
+            raise UnattainableError(text, least_nm)
+        # A machine that was within reach before does what it can; no calibration that cannot help.
+        return made("extrinsic", 0.0, best, best.outlook, text)
     reason = calibration_due or f"no session of up to {costs.most_sweeps} sweeps brings {passes} below {goal.level:.0%}"
     return made("full", 0.0, full, full.outlook, reason)
 

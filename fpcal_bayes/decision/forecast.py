@@ -18,6 +18,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import quantile_band, symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
+from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.tracking.drift import DriftModel, State
@@ -48,6 +49,8 @@ class Goal:
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
     radius_um
         Radius of the circle; by default as far as the cell's limits let it be (`default_radius`).
+    compensate
+        Whether the controller makes up for the error motions that it knows of, where that gains.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class Goal:
     tasks: tuple[str, ...] = ("circle",)
     level: float = 0.1
     radius_um: float | None = None
+    compensate: bool = True
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.tolerance_nm) and self.tolerance_nm > 0):
@@ -112,36 +116,47 @@ class Forecaster:
     drift: DriftModel  # what the states mean and how they move
     goal: Goal  # what is to be held
     estimate: Floats  # mean of the state that the controller holds, shape (n_states,)
-    jacobian: Floats  # of all points of all tasks by the parameter states, shape (n_points, n_parameters), in um
+    jacobian: Floats  # of all points of all tasks by the states of cavity lengths, shape (n_points, n_lengths), in um
     tasks: tuple[slice, ...]  # the points of each task
     # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
-    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_parameters)
+    # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_lengths)
     basis: Floats
     factor: Floats
     draws: Floats  # standard normal, shape (rank, n_draws)
+    # of a machine: what is new each time, such as return errors, and what stays of the known motions, in um, shape
+    # (n_points, n_draws)
+    new: Floats | None = None
 
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, goal: Goal, mean: Floats) -> "Forecaster":
         """The forecast for the estimate that the controller holds, the mean of a state (n_states,)."""
         values = drift.values(mean)
         vector = model.vector(values)
-        counts = [_CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
+        machine = drift.motions is not None
+        counts = [PATH_POINTS if machine else _CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
             find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).driven()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
         ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()
+        poses = np.vstack(
+            [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
+        )
+        new = None
+        if drift.motions is not None:
+            moving = mean[drift.n_parameters : drift.n_lengths]
+            found = [drift.motions.path(vector, moving, task, _DRAWS, goal.compensate) for task in tasks]
+            tasks, new = [task for task, _, _ in found], np.vstack([each for _, _, each in found])
         jacobian = np.vstack([task_jacobian(model, values, task) for task in tasks]) * drift.scale
+        if drift.motions is not None:
+            jacobian = np.hstack([jacobian, np.vstack([states for _, states, _ in found])])
         left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
         kept = singular > _NEGLIGIBLE * goal.tolerance_um
         factor = singular[kept, None] * right[kept]
         draws = np.random.default_rng(0).standard_normal((len(factor), _DRAWS))
         slices = tuple(slice(a, b) for a, b in pairwise(ends))
-        poses = np.vstack(
-            [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
-        )
-        return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws)
+        return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws, new)
 
     def following(self, mean: Floats) -> "Forecaster":
         """The same for a controller that takes over another estimate; its tasks move by too little to matter."""
@@ -149,12 +164,13 @@ class Forecaster:
 
     def outlook(self, state: State) -> TaskForecast:
         """Error of the tasks if the truth is drawn from `state`."""
-        n = self.drift.n_parameters
+        n = self.drift.n_lengths
         spread = self.factor @ state.covariance[:n, :n] @ self.factor.T
-        offset = self.factor @ (state.mean - self.estimate)[:n]
+        offset = self.factor @ (state.mean[:n] - self.estimate[:n])
         change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
-        peaks = [peak_to_peak((self.basis[points] @ change).T) for points in self.tasks]
+        errors = self.basis @ change if self.new is None else self.basis @ change + self.new
+        peaks = [peak_to_peak(errors[points].T) for points in self.tasks]
         return TaskForecast(state.time_h, np.array(peaks))
 
     def ahead(self, state: State, hours: float) -> State:

@@ -55,7 +55,7 @@ _NUISANCE = 3.0
 
 @dataclass(frozen=True)
 class _Pool:
-    """Sweeps to choose from, and their whitened rows by the scaled state, shape (1, n_candidates, 1, n_parameters)."""
+    """Sweeps to choose from, and their whitened rows by the scaled state, shape (1, n_candidates, 1, n_lengths)."""
 
     candidates: Sweeps
     rows: Floats
@@ -119,7 +119,7 @@ class Policy:
         return self._choose_for_tasks(self._pool(forecast), forecast, state, n)
 
     def _choose_for_tasks(self, pool: "_Pool", forecast: Forecaster, state: State, n: int) -> Sweeps:
-        m = self.drift.n_parameters
+        m = self.drift.n_lengths
         tasks = {name: forecast.jacobian[points] for name, points in zip(self.goal.tasks, forecast.tasks, strict=True)}
         return pool.choose(state.covariance[:m, :m], tasks, n)
 
@@ -128,8 +128,9 @@ class Policy:
 
         Mirror and fibre may have jumped with it, so that sweeps which cannot tell the two apart are of no use.
         """
-        m, at = self.drift.n_parameters, watched(self.drift, self.limits)
-        jump = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
+        m, at = self.drift.n_lengths, watched(self.drift, self.limits)
+        jump = np.zeros(m)
+        jump[: self.drift.n_parameters] = self.limits.jump(self.drift) * np.where(self.drift.extrinsic, _NUISANCE, 0.0)
         jump[at] = self.limits.jump(self.drift)[at]
         wide = state.covariance[:m, :m] + np.diag(jump**2)
         whole = self._pool(forecast)
@@ -153,8 +154,16 @@ class Policy:
         values = self.drift.values(forecast.estimate)
         near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses, self.motion)))
         candidates = join([near, self.candidates], file="candidates")
-        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=self.costs.sigma_um)
-        return _Pool(candidates, rows * self.drift.scale)
+        sigma = self.costs.sigma_um
+        rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
+        rows = rows * self.drift.scale
+        if self.drift.motions is not None:
+            none = np.zeros(len(candidates))
+            # Each by itself: no drift between them.
+            alone = replace(candidates.with_measurement(none, none + sigma), t_start_h=none, t_end_h=none)
+            whitening, felt = self.drift.motions.rows(self.model, alone, values)
+            rows = (np.hstack([rows[0, :, 0] * sigma, felt]) / np.sqrt(whitening.variance)[:, None])[None, :, None]
+        return _Pool(candidates, rows)
 
     def decide(
         self,

@@ -5,6 +5,7 @@ from fpcal_bayes.core.lazy import lazy
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
     "Controller": "controller",
+    "compensated": "compensation",
     "TASKS": "tasks",
     "Task": "tasks",
     "task_path": "tasks",

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,6 +14,7 @@ from fpcal_bayes.model.envelope import require_task_within_envelope, safe_ranges
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.inverse import InverseModel, JointSolutions
 from fpcal_bayes.model.margin import estimate_draws, prior_draws
+from fpcal_bayes.motion.compensation import compensated, compensated_joints
 from fpcal_bayes.motion.placement import Placement, turns
 from fpcal_bayes.motion.tasks import Task, follow_offsets
 from fpcal_bayes.motion.validity import StaleEstimateWarning, read_now, stale_text
@@ -36,6 +38,9 @@ class Controller:
     now_h
         Tells the time in hours since the campaign began; by default this machine's clock does, where the estimate
         carries a clock time.
+    compensate
+        Make up for the error motions that the estimate knows, by the direction from which each joint comes; the pose
+        that the controller stands at is then the commanded one.
     accept_untrusted
         Drive with an estimate that is not to be used; without it such an estimate is refused.
 
@@ -57,11 +62,15 @@ class Controller:
         *,
         now_h: Callable[[], float] | None = None,
         accept_untrusted: bool = False,
+        compensate: bool = True,
     ) -> None:
         self._now_h, self._told, self._accept_untrusted = now_h, False, accept_untrusted
+        self._compensate = compensate
         self._inverse = InverseModel(estimate.cell)
         self._load(estimate)
         self._q = self._checked(np.zeros(len(estimate.cell.joints)) if q is None else np.asarray(q, dtype=float))
+        # Where the geometry alone would have the joints for the pose that was commanded.
+        self._plain = self._q
 
     def __repr__(self) -> str:
         return f"Controller({self.estimate!r})"
@@ -79,7 +88,7 @@ class Controller:
     @property
     def pose(self) -> Floats:
         """Pose fX where the joints stand, as the estimate sees it, shape (4, 4)."""
-        return self._placement.mirror_poses(self._inverse.tool_poses(self._vector, self._q[None])[0])
+        return self._placement.mirror_poses(self._inverse.tool_poses(self._vector, self._plain[None])[0])
 
     @property
     def aligned(self) -> Floats:
@@ -119,7 +128,7 @@ class Controller:
         """
         self._warn_if_stale()
         tools = self._placement.tool_poses(np.asarray(poses, dtype=float))
-        return self._inverse.solve(self._vector, tools, near=self._q, follow=follow)
+        return self._compensated(self._inverse.solve(self._vector, tools, near=self._q, follow=follow))
 
     def move_to(self, pose: Floats) -> Floats:
         """Go to a pose fX (4, 4).
@@ -135,7 +144,12 @@ class Controller:
             If it is no pose, the joints cannot take it, or the way there may leave the cell's envelope; the controller
             stays where it is then.
         """
-        return self._go(self.joints(pose))
+        self._warn_if_stale()
+        tools = self._placement.tool_poses(np.asarray(pose, dtype=float))
+        plain = self._inverse.solve(self._vector, tools, near=self._q)
+        reached = self._go(self._compensated(plain))
+        self._plain = plain.q
+        return reached
 
     def move(
         self, translation_um: Sequence[float] = (0.0, 0.0, 0.0), rotation_deg: Sequence[float] = (0.0, 0.0, 0.0)
@@ -208,7 +222,16 @@ class Controller:
     def follow(self, name: str, offsets: Floats) -> Task:
         """Moves away from the aligned pose as a task, without going there (see `follow_offsets`)."""
         self._warn_if_stale()
-        return follow_offsets(self._estimate.cell, self._vector, name, offsets)
+        task = follow_offsets(self._estimate.cell, self._vector, name, offsets)
+        return compensated(self._estimate, task) if self._compensate else task
+
+    def _compensated(self, found: JointSolutions) -> JointSolutions:
+        """Solutions with the known error motions made up for, where that gains; others as they are."""
+        if not self._compensate or self._estimate.mechanics is None or not found.ok.all():
+            return found
+        q = found.q.reshape(-1, found.q.shape[-1])
+        better, _ = compensated_joints(self._estimate, self._aligned_q, q, self._q)
+        return replace(found, q=better.reshape(found.q.shape))
 
     def _warn_if_stale(self) -> None:
         if self._told:
@@ -225,6 +248,8 @@ class Controller:
         self._told = False
         self._estimate, self._vector = estimate, estimate.vector()
         self._placement = Placement.of(estimate.cell, self._vector)
+        aligned = self._inverse.solve(self._vector, self._placement.tool_poses(self._placement.aligned))
+        self._aligned_q = aligned.q if aligned.ok else np.zeros(len(estimate.cell.joints))
         self._known: tuple[CavityModel, Floats, Floats, Floats] | None = None
 
     def _require_within(self, q: Floats) -> None:

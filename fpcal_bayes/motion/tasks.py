@@ -51,6 +51,10 @@ class Task:
     start: Floats
     along: Floats  # where each point stands on the path, shape (n_points,), in `unit`
     unit: str  # ``um`` or ``deg``, or ``point`` for a user's path
+    #: Where the joint path makes up for error motions: what that adds to the change of cavity length that the geometry
+    #: expects, in um, shape (n_points,), and the joint path without it, shape (n_points, n_joints).
+    added: Floats | None = None
+    plain: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -80,6 +84,8 @@ class Task:
             q=self.q[chosen],
             status=self.status[chosen],
             along=self.along[chosen],
+            added=None if self.added is None else self.added[chosen],
+            plain=None if self.plain is None else self.plain[chosen],
         )
 
 

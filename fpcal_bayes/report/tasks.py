@@ -47,6 +47,8 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
     if found.repeatable is not None and found.returned is not None:
         content["repeatable_nm"] = dict(zip(("median", "high"), found.repeatable, strict=True))
         content["return_nm"] = dict(zip(("median", "high"), found.returned, strict=True))
+        without = None if prediction.without is None else 1e3 * prediction.without
+        content["compensation"] = {"applied": without is not None, "median_without_nm": without}
     if tolerance is not None:
         content["tolerance_nm"] = found.tolerance
         content["exceeds_probability"] = found.exceeds
@@ -93,6 +95,14 @@ def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
     for word, of in (("repeatable part", "repeatable"), ("return", "returned")):
         told = [(found.task.name, getattr(found, of)) for found in numbers if getattr(found, of) is not None]
         lines.append(f"{word}, pk-pk [nm]: " + ", ".join(f"{name} {middle:.1f}" for name, (middle, _) in told))
+    gains = [
+        (p.task.name, 1e3 * p.without, 1e3 * float(np.median(p.peak_to_peak)))
+        for p in predictions
+        if p.trust.usable and p.without is not None
+    ]
+    if gains:
+        said = ", ".join(f"{name} {with_it:.1f} in place of {alone:.1f}" for name, alone, with_it in gains)
+        lines.append(f"compensation of the known error motions, median pk-pk [nm]: {said}")
     points = dict.fromkeys(str(len(found.task)) for found in numbers)
     return [*lines, f"return errors grow with the number of points of a path, here {' or '.join(points)}"]
 

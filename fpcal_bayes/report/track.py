@@ -12,11 +12,12 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.report.table import TableCell as Entry
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track
 
 #: How good the verdict of a session is.
-VERDICT_STYLES = {"as-modelled": "good", "extrinsics-moved": "caution", "intrinsics-moved": "bad"}
+VERDICT_STYLES = {"as-modelled": "good", "extrinsics-moved": "caution", **dict.fromkeys(ROBOT_MOVED, "bad")}
 
 
 def time_text(time_h: float, outcomes: tuple[SessionOutcome, ...]) -> str:

@@ -16,8 +16,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_terms
-from fpcal_bayes.tracking.session import SessionOutcome
-from fpcal_bayes.tracking.start import with_hidden_noise
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
 from fpcal_bayes.tracking.tracker import calibrate
 
 #: Length of a simulated campaign, and the steps of the truth and of the looks at the error, in hours.
@@ -141,7 +140,7 @@ def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str
         times.append(time_h)
         return setting.measured(plan, time_h, week.at(time_h), week.temperature(time_h), *seed)
 
-    drift = with_hidden_noise(setting.drift, model, week.calibration.state)
+    drift = followed_drift(setting.drift, model, week.calibration)
     end_h = setting.hours - STEP / 2.0
     done = run_rule(next_session, drift, model, setting.limits, week.calibration, measure, end_h, step_h=STEP)
     truth = Truth(setting.cell.free, week.times, week.values)

@@ -82,8 +82,8 @@ def _circle(estimate: Estimate) -> Task:
     return task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS).driven()
 
 
-def _change(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: float, seed: int) -> Floats:
-    """True change of cavity length along a circle beyond what the estimate expects, shape (n,), in um."""
+def driven_error(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: float, seed: int) -> Floats:
+    """True change of cavity length along a task beyond what is wanted, shape (n,), in um; `seed` is the machine's."""
     model = CavityModel.of(cell, truth.parameters)
     expected = estimate.vector()[truth.parameters.slots]
     if cell.mechanics is None:
@@ -92,7 +92,7 @@ def _change(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: fl
     machine = replace(machine_of(cell, truth, seed), vector=vector_at(cell, truth, time_h))
     true = machine.path(task.start, task.q, 0.0)
     missed: Floats = true - model.predict(expected, task_rows(model, task))
-    return missed
+    return missed if task.added is None else missed + task.added
 
 
 def _driven(
@@ -106,8 +106,8 @@ def _driven(
     seed: int,
     machine_seed: int,
 ) -> Circle:
-    change = _change(cell, truth, task, estimate, time_h, machine_seed)
-    trace = record_path(cell, truth, task.q, time_h, seed=seed)
+    change = driven_error(cell, truth, task, estimate, time_h, machine_seed)
+    trace = record_path(cell, truth, task.q, time_h, seed=seed, machine_seed=machine_seed)
     return Circle(name, time_h, held, task.along, change - change[0], trace)
 
 

@@ -20,7 +20,9 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
 
-SessionVerdict = Literal["as-modelled", "extrinsics-moved", "intrinsics-moved"]
+SessionVerdict = Literal["as-modelled", "extrinsics-moved", "intrinsics-moved", "mechanics-moved"]
+#: After these a full calibration is due.
+ROBOT_MOVED = ("intrinsics-moved", "mechanics-moved")
 
 HOURS_PER_WEEK = 168.0
 

@@ -8,12 +8,13 @@ from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import linalg, sparse, special
 
 from fpcal_bayes.core.linalg import chi2_tail
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
+from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.drift import DriftModel, State
@@ -166,8 +167,11 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
             state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
         rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
         expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
-        scaled = jacobian * drift.scale
-        n = drift.n_parameters
+        scaled, n = jacobian * drift.scale, drift.n_lengths
+        if drift.motions is not None:
+            _, felt = drift.motions.rows(model, sweeps, drift.values(state.mean))
+            scaled = np.hstack([scaled, felt])
+            expected = expected + felt @ state.mean[drift.n_parameters : n]
         variance = ((scaled @ state.covariance[:n, :n]) * scaled).sum(axis=1) + sweeps.sigma**2
         clear = ~known & (2.0 * np.abs(expected) * np.abs(dl) > _DECISIVE_LOG_ODDS * _WIDENING**2 * variance)
         if not clear.any():
@@ -225,6 +229,38 @@ def correct_slips(
         return Correction(sweeps.dl, (doubt,) if slipped > best - _DECISIVE else ())
     text = f"fringe counts slipped, corrected by whole half wavelengths: {_named(sweeps, changes)}"
     return Correction(dl, (text,))
+
+
+def outlying_sweep(
+    sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
+) -> Ints | None:
+    """Rows of the sweep whose noise, of three degrees of freedom, explains an innovation better than all else does.
+
+    None if a change of the cell explains it better; arguments as in `correct_slips`.
+    """
+    misfit, jacobian = measurement.linearise(predicted.mean)
+    own = measurement.whitening.apply(np.eye(len(misfit)))
+    solved = linalg.cho_solve(
+        linalg.cho_factor(np.eye(len(misfit)) + jacobian @ predicted.covariance @ jacobian.T),
+        np.column_stack([own, misfit]),
+    )
+    inverse, along, noise = own.T @ solved[:, :-1], own.T @ solved[:, -1], own.T @ own
+    best, chosen = _other_gains(innovation, predicted, jumps), None
+    numbers = sweep_numbers(sweeps)
+    for number in range(int(numbers.max()) + 1):
+        rows = np.flatnonzero(numbers == number)
+        at = np.ix_(rows, rows)
+        away = np.linalg.solve(inverse[at], along[rows])
+        p, far = len(rows), float(away @ noise[at] @ away)
+        tails = (
+            special.gammaln((3 + p) / 2) - special.gammaln(1.5) - (3 + p) / 2 * np.log1p(far) - p / 2 * np.log(np.pi)
+        )
+        normal = -0.5 * (float(away @ along[rows]) + p * np.log(2.0 * np.pi))
+        volumes = 0.5 * (np.linalg.slogdet(noise[at])[1] - np.linalg.slogdet(inverse[at])[1])
+        gain = float(tails - normal + volumes)
+        if gain > best:
+            best, chosen = gain, rows
+    return chosen
 
 
 def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]) -> float:

@@ -14,6 +14,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.tracking.motions import MotionStates
 
 HOURS_PER_DAY = 24.0
 
@@ -44,8 +45,8 @@ class DriftModel:
     """Drift of a set of parameters.
 
     The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
-    then what drives them: rates, returning motions, temperature coefficients, each in units of its own standard
-    deviation.
+    the error motions of the joints, which stay as they are, then what drives the parameters: rates, returning motions,
+    temperature coefficients, each in units of its own standard deviation.
     """
 
     parameters: ParameterSet  # the parameters that are followed
@@ -53,6 +54,7 @@ class DriftModel:
     # variance after one day beyond the random walks, in scaled units, shape (n_parameters, n_parameters), or None (see
     # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
+    motions: MotionStates | None = field(default=None, compare=False)  # of a machine, as its calibration found them
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
@@ -76,9 +78,14 @@ class DriftModel:
         return len(self.parameters)
 
     @cached_property
+    def n_lengths(self) -> int:
+        """Number of states that cavity lengths depend on, which come first: parameters and error motions."""
+        return self.n_parameters + (0 if self.motions is None else self.motions.n_states)
+
+    @cached_property
     def n_states(self) -> int:
         """Length of the state."""
-        return self.n_parameters + len(self._rates) + len(self._bounded) + len(self._sensitive)
+        return self.n_lengths + len(self._rates) + len(self._bounded) + len(self._sensitive)
 
     @cached_property
     def scale(self) -> Floats:
@@ -138,7 +145,7 @@ class DriftModel:
             noise[:n, :n] += self.hidden * days
         shift = np.zeros(self.n_states)
         shift[:n] = kelvin * np.array([size.temperature for size in self.sizes]) / self.scale
-        at = n
+        at = self.n_lengths
         for i in self._rates:
             matrix[i, at] = days * self.sizes[i].rate_sd / self.scale[i]
             at += 1

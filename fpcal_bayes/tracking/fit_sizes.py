@@ -112,7 +112,8 @@ def fit_sizes(cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]] | None
     for group in groups:
         if not (drift.walk[drift.parameters.positions(group)] > 0).any():
             raise InputError(f"none of {', '.join(group)} drifts in cell {cell.name!r}: expected a starting size")
-    first = calibrate(cell, drift, parts[0])[0].state
+    begun = calibrate(cell, drift, parts[0])[0]
+    drift, first = replace(drift, motions=begun.motions), begun.state
     model = CavityModel.of(cell, drift.parameters)
 
     def log_likelihood(log_factors: Floats) -> float:

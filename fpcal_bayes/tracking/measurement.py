@@ -87,24 +87,24 @@ class SweepMeasurement:
     rows: Rows
     target: Floats
     whitening: Whitening
+    motions: Floats | None = None  # derivatives by the states of the error motions, shape (n_rows, n_motions), in um
 
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, sweeps: Sweeps, mean: Floats) -> "SweepMeasurement":
-        """The measurement of `sweeps`; joint repeatability is carried through the model at the state `mean`."""
-        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
-        return cls(drift, model, rows, sweeps.dl, whitening_of(model, sweeps, drift.values(mean)))
+        """The measurement of `sweeps`; what joints add is carried through the model at the state `mean`."""
+        rows, values = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute), drift.values(mean)
+        if drift.motions is None:
+            return cls(drift, model, rows, sweeps.dl, whitening_of(model, sweeps, values))
+        return cls(drift, model, rows, sweeps.dl, *drift.motions.rows(model, sweeps, values))
 
     @property
     def log_volume(self) -> float:
         """See `Measurement`."""
-        diagonal = self.whitening.scale.copy()
-        for batch in self.whitening.batches:
-            diagonal[batch.members] = batch.scale * batch.own
-        return float(np.log(diagonal).sum())
+        return self.whitening.log_volume
 
     def predict(self, mean: Floats) -> Floats:
         """Changes that the state predicts, not whitened, shape (n_rows,), in um."""
-        return self.model.predict(self.drift.values(mean), self.rows)
+        return self.model.predict(self.drift.values(mean), self.rows) + self._moved(mean)
 
     def misfit(self, mean: Floats) -> Floats:
         """See `Measurement`."""
@@ -116,4 +116,10 @@ class SweepMeasurement:
         n = self.drift.n_parameters
         full = np.zeros((len(predicted), self.drift.n_states))
         full[:, :n] = self.whitening.apply(jacobian * self.drift.scale)
-        return self.whitening.apply(self.target - predicted), full
+        if self.motions is not None:
+            full[:, n : self.drift.n_lengths] = self.whitening.apply(self.motions)
+        return self.whitening.apply(self.target - predicted - self._moved(mean)), full
+
+    def _moved(self, mean: Floats) -> Floats | float:
+        """What the error motions add, shape (n_rows,), in um."""
+        return 0.0 if self.motions is None else self.motions @ mean[self.drift.n_parameters : self.drift.n_lengths]

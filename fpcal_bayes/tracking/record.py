@@ -14,10 +14,13 @@ from fpcal_bayes.measure.campaign import TrackRecord
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.mechanics import Mechanics, Terms
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
+from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
 from fpcal_bayes.tracking.solutions import LOOKS
@@ -28,9 +31,10 @@ _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_
 _ONSET = ("session", "hours", "age", "squared", "dof")
 
 
-def settings_sha256(drift: DriftModel, limits: Limits) -> str:
-    """Hash of what a track depends on beside cell and sweeps: drift sizes and limits of the tests."""
-    return content_sha256([[size.content() for size in drift.sizes], asdict(limits)])
+def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:
+    """Hash of what a track depends on beside cell and sweeps: drift sizes, limits of the tests, error motions."""
+    motions = [] if sizes is None else [sizes.sha256]
+    return content_sha256([[size.content() for size in drift.sizes], asdict(limits), *motions])
 
 
 def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
@@ -39,21 +43,24 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
     decided meanwhile, one JSON object each, in order of time.
     """
-    onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
     # The next run learns the pace anew.
     track = track.stated or track
+    # With error motions the memory of the tests is large, and kept for the last session alone.
+    first = 0 if track.drift.motions is None else len(track.outcomes) - 1
+    remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]
+    onsets = [onset for part in remembered for onset in part]
     n, states = track.drift.n_parameters, track.drift.n_states
     summary = {
-        "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
+        "sessions": [_summary(outcome, sweeps, part) for outcome, part in zip(track.outcomes, remembered, strict=True)],
         "status": track.status,
         "solutions": track.solutions,
         "from_prior": track.outcomes[0].measurement is not None,
         "decisions": list(decisions),
         "trust": track.trust.content(),
-    }
+    } | _motions_content(track.outcomes[0])
     return TrackRecord(
         cell_sha256=track.cell.sha256,
-        settings_sha256=settings_sha256(track.drift, limits),
+        settings_sha256=settings_sha256(track.drift, limits, track.cell.mechanics),
         names=track.drift.parameters.names,
         summary=json.dumps(summary, allow_nan=False),
         mean=np.array([outcome.state.mean for outcome in track.outcomes]),
@@ -87,7 +94,7 @@ def resume(
             f"{file}: the track saved in it is of another cell or path model ({record.cell_sha256[:8]}), expected "
             f"{cell.name!r}, opd {cell.opd!r} ({cell.sha256[:8]}); give --anew to replace it"
         )
-    if record.settings_sha256 != settings_sha256(drift, limits):
+    if record.settings_sha256 != settings_sha256(drift, limits, cell.mechanics):
         return None, "the drift sizes or limits are no longer those of the saved track: all sessions are taken in anew"
     try:
         track, hashes = _track(record, cell, drift)
@@ -108,13 +115,18 @@ def resume(
     if track.solutions > 1 and kept <= LOOKS and not nothing_new:
         return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
     outcomes = track.outcomes[:kept]
-    if from_prior:
+    machine = track.drift.motions is not None
+    if machine and kept < len(hashes):
+        return None, f"{reason}: with all before them"
+    if from_prior and machine:
+        outcomes = (_with_rows(track, parts[0], json.loads(record.summary)["motions"]["rows"]), *outcomes[1:])
+    elif from_prior:
         measurement = calibration_measurement(cell, drift, parts[0])
         outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
     return replace(track, outcomes=outcomes, resumed=kept), reason
 
 
-def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
+def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -> dict[str, Any]:
     monitor, temperature = outcome.monitor, outcome.state.temperature_c
     return {
         **{name: getattr(outcome, name) for name in _PLAIN},
@@ -125,8 +137,35 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
         "temperature_c": None if np.isnan(temperature) else temperature,
         "recent": monitor.recent,
         "cusum": [monitor.cusum_extrinsic, monitor.cusum_residual],
-        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in monitor.onsets],
+        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in onsets],
     }
+
+
+def _motions_content(first: SessionOutcome) -> dict[str, Any]:
+    """What a calibration found of a machine, beside its state; nothing of a perfect mechanism."""
+    if first.motions is None:
+        return {}
+    rows = first.measurement.target.tolist() if isinstance(first.measurement, SweepMeasurement) else None
+    found = {"log_scales": first.motions.log_scales.tolist(), "session_min": first.motions.session_min}
+    return {"motions": found | {"rows": rows}}
+
+
+def _with_rows(track: Track, sweeps: Sweeps, rows: Sequence[float]) -> SessionOutcome:
+    """The calibration of a machine with its rows as they were taken in."""
+    first, used = track.outcomes[0], sweeps.take(sweeps.kind != "path")
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    measurement = SweepMeasurement.of(track.drift, model, used, first.state.mean)
+    return replace(first, measurement=replace(measurement, target=np.array(rows)))
+
+
+def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> MotionStates | None:
+    if stated is None or cell.mechanics is None:
+        return None
+    terms = Terms.of(cell, cell.mechanics, drift.parameters.names)
+    log_scales = np.array(stated["log_scales"], dtype=float)
+    if log_scales.ndim != 2 or log_scales.shape[1] != len(terms.scales) or not np.isfinite(log_scales).all():
+        raise ValueError("its factors on the stated sizes do not fit the cell")
+    return MotionStates(terms, log_scales, float(stated["session_min"]))
 
 
 def _saved_trust(stated: dict[str, Any], *, calibration: bool) -> Trust:
@@ -144,7 +183,7 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
     if "sessions" in summary and "solutions" not in summary:
         return None, []
     outcomes: list[SessionOutcome] = []
-    at = 0
+    drift, at = replace(drift, motions=_motions(summary.get("motions"), cell, drift)), 0
     for i, stated in enumerate(summary["sessions"]):
         logged = stated["temperature_c"]
         temperature = float("nan") if logged is None else float(logged)
@@ -168,6 +207,7 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
                 state=state,
                 monitor=monitor,
                 trust=_saved_trust(stated, calibration=not outcomes),
+                motions=None if outcomes else drift.motions,
             )
         )
     hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]

@@ -6,20 +6,25 @@ import numpy as np
 
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.tracking.alarms import Finding, Limits, Monitor, SessionVerdict, extend, findings
-from fpcal_bayes.tracking.corrections import correct_slips, with_signs
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Finding, Limits, Monitor, SessionVerdict, extend, findings
+from fpcal_bayes.tracking.corrections import correct_slips, outlying_sweep, with_signs
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import Innovation, Update, inflate, kelvin_between, predict, update
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.sessions import mean_temperature
+from fpcal_bayes.tracking.start import with_hidden_noise
 
 #: Rows that lie closer to the prediction than chance allows this often have too large a sigma.
 _TOO_GOOD = 1e-6
 #: Sizes of a knock that are tried, in units of `Limits.jump`.
 _STEP_SIZES = (1.0, 3.0, 10.0)
+#: So many sweeps of a session are set aside at most, one in three; their readings then count for nothing.
+_MOST_OUTLIERS, _SET_ASIDE = 2, 1e3
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ class SessionOutcome:
     # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
     trust: Trust = field(default_factory=Trust)  # what is held against the fit of a calibration
+    motions: MotionStates | None = field(default=None, compare=False, repr=False)  # of a machine, from its calibration
 
 
 def take_in(
@@ -91,6 +97,11 @@ def take_in(
             measurement = replace(measurement, target=correction.dl)
             taken = update(predicted, measurement)
             after, found = judge.session(predicted, taken)
+    if found and drift.motions is not None:
+        (taken, measurement, after, found), said = judge.without_outliers(
+            used, predicted, (taken, measurement, after, found)
+        )
+        warnings += said
     verdict: SessionVerdict = "as-modelled"
     innovation, jump = taken.innovation, none
     if found:
@@ -118,6 +129,10 @@ def take_in(
     )
 
 
+#: A session as it was taken in, the memory of the tests after it, and those that fail.
+_Taken = tuple[Update, SweepMeasurement, Monitor, list[Finding]]
+
+
 @dataclass(frozen=True)
 class _Judge:
     """The tests at one session."""
@@ -143,6 +158,25 @@ class _Judge:
         after = self._extend(self.monitor, innovation, taken.gain)
         return after, findings(after, self.limits, self.drift)
 
+    def without_outliers(self, used: Sweeps, predicted: State, as_it_is: _Taken) -> tuple[_Taken, list[str]]:
+        """The session with sweeps set aside whose heavy-tailed noise explains all that failed; else as it is."""
+        taken, measurement = as_it_is[:2]
+        sigma, left, target = used.sigma.copy(), [], measurement.target
+        for _ in range(min(_MOST_OUTLIERS, int(sweep_numbers(used)[-1] + 1) // 3)):
+            rows = outlying_sweep(used, measurement, taken.innovation, predicted, self.jumps())
+            if rows is None:
+                break
+            sigma[rows] *= _SET_ASIDE
+            left.append(str(used.label[rows[0]]))
+            aside = used.with_measurement(target, sigma)
+            measurement = SweepMeasurement.of(self.drift, measurement.model, aside, predicted.mean)
+            taken = update(predicted, measurement)
+            after, found = self.session(predicted, taken)
+            if not found:
+                text = f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
+                return (taken, measurement, after, found), [text]
+        return as_it_is, []
+
     def explain(
         self, predicted: State, measurement: SweepMeasurement, found: list[Finding]
     ) -> tuple[SessionVerdict, list[Finding], Floats]:
@@ -163,14 +197,38 @@ class _Judge:
         anew = findings(again, self.limits, self.drift, knocked.log_likelihood - innovation.log_likelihood)
         intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
         if intrinsic:
-            every = self._states(self.limits.jump(self.drift))
-            return "intrinsics-moved", intrinsic, np.maximum(every, self.step(size))
+            wider = np.maximum(self._states(self.limits.jump(self.drift)), self.step(size))
+            return self._of_the_robot(innovation, predicted, intrinsic, wider, self.step(size))
         extrinsic = [finding for finding in anew or found if finding.verdict == "extrinsics-moved"]
         return "extrinsics-moved", extrinsic or found, self.step(size)
 
+    def _of_the_robot(
+        self, innovation: Innovation, predicted: State, found: list[Finding], every: Floats, step: Floats
+    ) -> tuple[SessionVerdict, list[Finding], Floats]:
+        """Whether the geometry changed, one parameter or all, or the error motions, which are then drawn anew."""
+        if self.drift.motions is None:
+            return "intrinsics-moved", found, every
+        n, m = self.drift.n_parameters, self.drift.n_lengths
+        moved = np.zeros(len(step))
+        # The old motions and the new ones differ by twice the variance, less what was known of the old ones.
+        moved[n:m] = np.sqrt(1.0 + np.clip(1.0 - np.diag(predicted.covariance)[n:m], 0.0, None))
+        singles = [np.maximum(step, np.where(np.arange(len(step)) == i, every, 0.0)) for i in range(n)]
+
+        def likely(jump: Floats) -> float:
+            return innovation.under(predicted.covariance + np.diag(jump**2)).log_likelihood
+
+        geometry = max(*(likely(jump) for jump in singles), likely(every))
+        moved = max((np.maximum(step, size * moved) for size in _STEP_SIZES), key=likely)
+        odds = likely(moved) - geometry
+        if odds <= 0.0:
+            return "intrinsics-moved", found, every
+        text = f"the error motions of the joints changed: that is likelier than a change of the geometry (e^{odds:.0f})"
+        finding = replace(found[0], verdict="mechanics-moved", evidence=text)
+        return "mechanics-moved", [finding, *found], np.maximum(every, moved)
+
     def restarted(self, wide: State, taken: Update, verdict: SessionVerdict) -> Monitor:
         """The memory after a jump was allowed for: only a change of the robot at this session is still looked for."""
-        if verdict == "intrinsics-moved":
+        if verdict in ROBOT_MOVED:
             return Monitor()
         innovation = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, taken.innovation.log_volume)
         return self._extend(Monitor(), innovation, taken.gain)
@@ -182,6 +240,11 @@ class _Judge:
         result = np.zeros(self.drift.n_states)
         result[: self.drift.n_parameters] = parameters
         return result
+
+
+def followed_drift(drift: DriftModel, model: CavityModel, first: SessionOutcome) -> DriftModel:
+    """The drift as the filter has it after the calibration `first`: with its error motions and its `hidden` noise."""
+    return with_hidden_noise(replace(drift, motions=first.motions), model, first.state)
 
 
 def _gain(predicted: State, innovation: Innovation) -> Floats:

@@ -18,9 +18,9 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
 from fpcal_bayes.tracking.smoother import follow_sessions
-from fpcal_bayes.tracking.start import linear_start, with_hidden_noise
+from fpcal_bayes.tracking.start import linear_start
 
 #: Sessions after the calibration by which its solutions are compared.
 LOOKS = 12
@@ -88,7 +88,7 @@ def likeliest(
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]
     for start, _ in starts:
-        own = with_hidden_noise(drift, model, start.state)
+        own = followed_drift(drift, model, start)
         courses.append(follow_sessions(own, model, limits, [start], looks))
     evidence = np.log([1.0, *(share for _, share in starts)])
     counted = [outcomes for outcomes in zip(*(course[1:] for course in courses), strict=True) if _is_evidence(outcomes)]

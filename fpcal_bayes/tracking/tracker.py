@@ -7,6 +7,7 @@ import numpy as np
 from scipy import special
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -18,14 +19,16 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
-from fpcal_bayes.tracking.alarms import Limits, Monitor
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits, Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
-from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
-from fpcal_bayes.tracking.session import SessionOutcome
+from fpcal_bayes.tracking.filter import kalman
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement, equivalent_rows
+from fpcal_bayes.tracking.motions import MotionStates
+from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
 from fpcal_bayes.tracking.smoother import Smoothed, follow_sessions, smooth, with_measurements
 from fpcal_bayes.tracking.solutions import likeliest, solutions_of
-from fpcal_bayes.tracking.start import linear_start, with_hidden_noise
+from fpcal_bayes.tracking.start import linear_start
 
 #: Posterior draws whose moments the filter starts from.
 _DRAWS = 2000
@@ -48,7 +51,6 @@ class Track:
     # under the stated drift sizes, where others were learnt, and what these say; see `with_learnt_scale`
     stated: "Track | None" = None
     pace: str | None = None
-    mechanics_left_out: bool = False  # whether the cell states error motions, of which the filter knows nothing
 
     def __repr__(self) -> str:
         return (
@@ -83,7 +85,7 @@ class Track:
         for outcome in self.outcomes:
             if outcome.dof >= len(self.drift.parameters):
                 due = None
-            elif outcome.verdict == "intrinsics-moved":
+            elif outcome.verdict in ROBOT_MOVED:
                 due = outcome.session
         return due
 
@@ -96,7 +98,7 @@ class Track:
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
         found = self.outcomes[0].trust
-        if self.mechanics_left_out:
+        if self.cell.mechanics is not None and self.outcomes[0].motions is None:
             found = found.because(MECHANICS_LEFT_OUT)
         if self.pace is not None:
             found = found.because(Reason("drift", self.pace))
@@ -133,8 +135,13 @@ def estimate_of(
     now = tuple(
         s if s == "gauge" else "weak" if v > WEAK_SHARE else "identified" for s, v in zip(status, left, strict=True)
     )
+    known = None
+    if drift.motions is not None:
+        n = drift.n_lengths
+        known = drift.motions.knowledge(drift.parameters, drift.scale, state.mean[:n], state.covariance[:n, :n])
+    values = drift.values(state.mean)
     return Estimate(
-        cell, drift.parameters, drift.values(state.mean), covariance, now, state.time_h, valid_until_h, data or {}
+        cell, drift.parameters, values, covariance, now, state.time_h, valid_until_h, data or {}, mechanics=known
     )
 
 
@@ -178,25 +185,6 @@ def track(
         If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
         calibration.
     """
-    if cell.mechanics is not None:
-        # The filter of the drift knows nothing of error motions, and says so; it starts from a calibration that does.
-        drift = likely_drift(cell, sweeps) if drift is None else drift
-        if known is None and calibration is None and draws is None:
-            part = check_sessions(sweeps, now_h)[0]
-            found, _ = _identified(cell, drift, part)
-            _require_calibration(found, part, len(drift.parameters))
-            calibration = found.estimate
-        ideal = track(
-            cell.ideal,
-            sweeps,
-            drift=drift,
-            limits=limits,
-            known=known,
-            calibration=calibration,
-            draws=draws,
-            now_h=now_h,
-        )
-        return replace(ideal, mechanics_left_out=True)
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
@@ -212,11 +200,11 @@ def track(
     else:
         known = replace(known, resumed=len(known.outcomes))
     first = known.outcomes[0]
-    hidden = with_hidden_noise(drift, model, first.state)
+    hidden = followed_drift(drift, model, first)
     outcomes = follow_sessions(hidden, model, limits, known.outcomes, parts)
     if starts:
         course = likeliest(drift, model, limits, outcomes, starts, parts)
-        hidden = with_hidden_noise(drift, model, course[0].state)
+        hidden = followed_drift(drift, model, course[0])
         outcomes = follow_sessions(hidden, model, limits, course, parts)
     return replace(known, drift=hidden, outcomes=tuple(outcomes))
 
@@ -238,6 +226,8 @@ def calibrate(
     """
     found, warnings = _identified(cell, drift, sweeps)
     _require_calibration(found, sweeps, len(drift.parameters))
+    if found.machine is not None and draws is None:
+        return _machine_outcome(drift, found, sweeps, warnings), found.estimate.status, ()
     given = draws is not None
     measurement = None if given else _measurement(drift, found)
     draws = _draws_of(found) if draws is None else draws
@@ -262,6 +252,35 @@ def calibrate(
         first,
         status,
         tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
+    )
+
+
+def _machine_outcome(
+    drift: DriftModel, found: Identification, sweeps: Sweeps, warnings: tuple[str, ...]
+) -> SessionOutcome:
+    """The outcome of a calibration that knows geometry and error motions together, the sizes being the typical ones."""
+    assert found.machine is not None
+    problem = found.problem
+    drift = replace(drift, motions=MotionStates.of(found.machine))
+    first = start(drift, found.estimate, sweeps, found.converged)
+    taken = SweepMeasurement.of(drift, problem.model, problem.sweeps, first.state.mean)
+    misfit, jacobian = replace(taken, target=problem.target).linearise(first.state.mean)
+    rows, derivatives = equivalent_rows(misfit + jacobian @ first.state.mean, jacobian)
+    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)), 1)
+    filtered.dim_z = len(rows)
+    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+    measurement = replace(SweepMeasurement.of(drift, problem.model, problem.sweeps, filtered.x), target=problem.target)
+    normal = found.converged and not problem.prior.others
+    return replace(
+        first,
+        n_sweeps=len(problem.sweeps),
+        nis=found.solution.sum_of_squares,
+        dof=len(problem.sweeps),
+        warnings=warnings + found.warnings,
+        state=replace(first.state, mean=filtered.x, covariance=symmetric(filtered.P)),
+        trust=found.estimate.trust,
+        motions=drift.motions,
+        measurement=measurement if normal else None,
     )
 
 

@@ -126,6 +126,9 @@ in the fibre frame, relative to the aligned pose, turns in the order x, y, z abo
 JOINTS has the columns q1_um .. q6_deg, status (ok, or the reason), predicted_sd_nm (what the cavity length may be off
 by, one standard deviation, from the aligned pose to this one). Points that are not ok have neither joint values nor a
 prediction, and do not count for the peak to peak.
+
+With mechanics the joints make up for the error motions that the estimate knows, by the direction from which each comes;
+the prediction is that of the path as it is driven, and what is gained is said. Joints that are better left alone are.
 """
 
 

@@ -3,17 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import (
-    RADIUS_HELP,
-    Commands,
-    Folder,
-    add_command,
-    add_goal,
-    add_json,
-    count,
-    positive,
-    seed,
-)
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -44,7 +34,7 @@ def plan(commands: Commands) -> None:
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
     add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or as limits allow)")
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
     add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
@@ -75,7 +65,8 @@ Sessions may stand in any order; one that arrives late takes its place. In an HD
 the next run takes in what is new; a CSV is never changed.
 
 Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
-widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due).
+widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due);
+mechanics-moved (the error motions of its joints changed: the same). With mechanics the error motions are followed too.
 
 ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
 session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
@@ -264,7 +255,8 @@ def report(commands: Commands) -> None:
 _WEEK = """\
 The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
 protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
-same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm.
+same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm
+(a machine that cannot meet that: one and a half times the least that it can).
 
 Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
 policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json

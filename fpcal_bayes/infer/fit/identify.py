@@ -31,7 +31,7 @@ from fpcal_bayes.infer.fit.spectrum import (
     spectrum_of,
     statuses,
 )
-from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.io.sweeps import packed
@@ -176,7 +176,7 @@ def identify(
         raise InputError("nothing is free: expected at least one parameter to identify")
     model, considered = hold_rest(cell, chosen, start, hold)
     before = None if prior is None else Prior.joint(model.free, prior)
-    problem = Problem.of(model, used, considered, prior=before)
+    problem = Problem.of(model, used, considered, prior=before, linearised=not many_rows(cell, used))
     first = _starting_unknowns(problem, start)
 
     signs = None
@@ -185,18 +185,26 @@ def identify(
         first = signs.solution.unknowns
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
+    whole, problem = problem, thinned(problem)
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
     rival = second_solution(model.free.names, solution, others)
     machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
+        many = len(whole.target) > len(problem.target)
+        if many and whole.considered is not None:
+            whole = whole.relinearised(solution.unknowns)
         try:
-            machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
+            machine = fit_mechanics(whole if many else problem, cell.mechanics, start=solution.unknowns, seed=seed)
         except np.linalg.LinAlgError:
             lost = replace(solution, converged=False)
         else:
             problem, solution = machine.problem, machine.solution
             doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+        if many and machine is not None:
+            # Second solutions of the thinned rows, as all rows see them.
+            others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
+            rival = second_solution(model.free.names, solution, others)
     solution = lost or solution
     unknowns = solution.unknowns
     own = model.free.positions(chosen.names)

@@ -85,6 +85,14 @@ class Whitening:
         """Variance of each row in um^2, shape (n_rows,)."""
         return self.scale**-2
 
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the factor by which the map stretches the space of the rows."""
+        diagonal = self.scale.copy()
+        for batch in self.batches:
+            diagonal[batch.members] = batch.scale * batch.own
+        return float(np.log(diagonal).sum())
+
     def apply(self, rows: Floats) -> Floats:
         """Whiten a vector (n_rows,), the columns of a matrix (n_rows, n), or of many (n_points, n_rows, n)."""
         if not self.batches:
@@ -128,6 +136,10 @@ class Whitening:
         for batch in self.batches:
             batch.weigh(rows, result)
         return result
+
+    def weigh_each(self, rows: Floats) -> Floats:
+        """Multiply each of many vectors (n_vectors, n_rows) by the inverse covariance."""
+        return np.array([self.weigh(row) for row in rows])
 
     @cached_property
     def mix(self) -> sparse.csr_array | None:

@@ -10,6 +10,7 @@ from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics.design import path_design
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.parameters import ParameterSet
@@ -34,18 +35,15 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
     kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
-    names = _numbered([fit.design.names[i] for i in kept])
+    names = numbered([fit.design.names[i] for i in kept])
     geometry, known = _deviations(fit, draws.scores, free)
     changes = np.hstack([geometry, draws.weights[:, kept]])
     mean = changes.mean(axis=0)
     changes = changes - mean
 
     vector = problem.model.vector(fit.values)
-    rng = np.random.default_rng([fit.seed, 4])
     cell = terms.cell
-    endless = ~np.isfinite(cell.high - cell.low)
-    low, high = np.where(endless, -np.pi, cell.low), np.where(endless, np.pi, cell.high)
-    poses, middle = rng.uniform(low, high, (_POSES, len(low))), np.where(endless, 0.0, 0.5 * (low + high))
+    middle, poses = random_poses(cell, np.random.default_rng([fit.seed, 4]))
     model = CavityModel.of(cell, ParameterSet(parameters[name] for name in known), vector)
     rows = model.rows(np.repeat(middle[None], _POSES, axis=0), poses)
     _, jacobian = model.predict_with_jacobian(vector[model.free.slots], rows)
@@ -70,21 +68,22 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     )
 
 
+def random_poses(cell: Cell, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """The middle of the joints' travels (n_joints,), and poses anywhere in them, shape (n_poses, n_joints)."""
+    endless = ~np.isfinite(cell.high - cell.low)
+    low, high = np.where(endless, -np.pi, cell.low), np.where(endless, np.pi, cell.high)
+    poses = rng.uniform(low, high, (_POSES, len(low)))
+    return np.where(endless, 0.0, 0.5 * (low + high)), poses
+
+
 def covariance_of(fit: MechanicsFit) -> Floats:
     """Covariance of free and considered parameters over the mixture of scales in um and rad, shape (n, n)."""
-    problem, unknowns = fit.problem, fit.solution.unknowns
-    n = problem.n_free
-    scores = fit.moments()[1][:n, :n]
-    slopes = problem.prior.secants(unknowns[:n], np.sqrt(np.diag(scores)))
-    mixed = symmetric(slopes @ scores @ slopes.T)
-    if problem.considered is None:
-        return mixed
-    # What is held keeps its covariance; the scales widen what is free.
-    full = problem.covariance(unknowns)
-    eigenvalues, vectors = linalg.eigh((mixed - full[:n, :n]) / np.outer(problem.prior.sd, problem.prior.sd))
-    wider = (vectors * np.clip(eigenvalues, 0.0, None)) @ vectors.T
-    full[:n, :n] += symmetric(wider * np.outer(problem.prior.sd, problem.prior.sd))
-    return full
+    problem, n = fit.problem, fit.problem.n_free
+    scores = fit.moments()[1]
+    slopes = problem.prior.secants(fit.solution.unknowns[:n], np.sqrt(np.diag(scores)[:n]))
+    if problem.considered is not None:
+        slopes = linalg.block_diag(slopes, problem.considered.factor)
+    return symmetric(slopes @ scores @ slopes.T)
 
 
 def _deviations(fit: MechanicsFit, scores: Floats, moved: Collection[str]) -> tuple[Floats, tuple[str, ...]]:
@@ -104,11 +103,11 @@ def _drifts(name: str) -> bool:
     return name.startswith("drift along")
 
 
-def _numbered(names: list[str]) -> list[str]:
+def numbered(names: list[str]) -> list[str]:
     """Names with the number of the weight within its term, in brackets."""
     met: Counter[str] = Counter()
-    numbered = []
+    result = []
     for name in names:
         met[name] += 1
-        numbered.append(f"{name} [{met[name]}]")
-    return numbered
+        result.append(f"{name} [{met[name]}]")
+    return result

@@ -52,6 +52,7 @@ class TaskPrediction:
     # (n_draws, n_points) in um; None where the mechanism is taken as perfect
     repeatable: Floats | None = None
     returned: Floats | None = None
+    without: float | None = None  # median peak to peak, in um, if the path did not make up for error motions
 
     def require_usable(self) -> None:
         """Raise `InputError` with the reason if what the prediction is made from is not to be used."""
@@ -120,13 +121,15 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
 
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
     task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
-    made, change, _ = known_task_errors(estimate, task.start, task.q, draws=draws, seed=seed)
+    made, change, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = np.sqrt((made.total**2).mean(axis=0))
-    return TaskPrediction(
-        task, made.total, sd, angles, True, estimate.trust, repeatable=made.repeatable, returned=made.returned
-    )
+    without = None
+    if task.plain is not None:
+        plain, _, _ = known_task_errors(estimate, task.start, task.plain, draws=draws, seed=seed)
+        without = float(np.median(peak_to_peak(plain.total)))
+    return TaskPrediction(task, made.total, sd, angles, True, estimate.trust, made.repeatable, made.returned, without)
 
 
 def predict_from_draws(

@@ -24,6 +24,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import N_DRAWS, estimate_draws, prior_draws
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task
 
 
@@ -95,14 +96,18 @@ class Knowledge:
             return estimate_draws(estimate)
         return CavityModel.of(self.cell, self.draws.parameters, estimate.vector()), self.draws.values[:N_DRAWS]
 
-    def plan(self, task: str, *, radius: float | None = None, n_points: int | None = None) -> tuple[Estimate, Task]:
+    def plan(
+        self, task: str, *, radius: float | None = None, n_points: int | None = None, compensate: bool = True
+    ) -> tuple[Estimate, Task]:
         """The estimate that the controller holds for a task, and the joint path it makes with it.
 
-        With mechanics a path has 31 points by default, since return errors make a peak to peak grow with their number.
+        With `compensate` the path makes up for what is known of error motions, where that gains. With mechanics a path
+        has 31 points by default, since return errors make a peak to peak grow with their number.
         """
         estimate = self.held(task, radius=radius)
         n_points = n_points or path_points(estimate)
-        return estimate, find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
+        found = find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
+        return estimate, compensated(estimate, found) if compensate and self.draws is None else found
 
 
 def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:

@@ -71,6 +71,13 @@ class MechanicsKnowledge:
         return self.names[n_parameters:], self.mean[n_parameters:], self.factor[n_parameters:]
 
     @property
+    def known_motions(self) -> tuple[Floats, float]:
+        """Posterior mean of the weights that a task shares, shape (n_weights,), and typical factor on return errors."""
+        names, mean, _ = self.weights(self.n_parameters)
+        shared = [not name.startswith("drift along") for name in names]
+        return mean[shared], float(np.exp(self.log_scales[:, self.scales.index("return")].mean()))
+
+    @property
     def n_parameters(self) -> int:
         """How many of the names are parameters: those without a number in brackets."""
         return sum(not name.endswith("]") for name in self.names)

@@ -60,12 +60,15 @@ class Terms:
         Directions of the error motions.
     motions
         Functions of joint values. A weight of sd zero is not there.
+    free
+        Names of the geometric parameters that are identified.
     """
 
     cell: Cell
     sizes: Mechanics
     told: Directions
     motions: tuple[Motion, ...]
+    free: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, cell: Cell, sizes: Mechanics, free: Collection[str] = ()) -> "Terms":
@@ -81,7 +84,7 @@ class Terms:
         made: list[Motion] = []
         for i, joint in enumerate(sizes.joints):
             made += _motions(cell, i, joint, told, free)
-        return cls(cell, sizes, told, tuple(made))
+        return cls(cell, sizes, told, tuple(made), tuple(free))
 
     @cached_property
     def duplicates(self) -> tuple[str, ...]:

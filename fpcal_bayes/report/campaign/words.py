@@ -15,7 +15,6 @@ from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
@@ -55,11 +54,6 @@ def verdict(facts: CampaignFacts) -> Headline:
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
         sentences.append(f"The robot itself moved before session {facts.track.calibration_due}.")
-    if any(reason.kind == MECHANICS_LEFT_OUT.kind for reason in facts.trust.reasons):
-        # What the filter leaves out is most of the error on a real machine: no promise without saying so first.
-        style = "caution" if style == "good" else style
-        meaning = f"On a perfect mechanism: {meaning[0].lower()}{meaning[1:]}"
-        sentences.insert(0, f"{MECHANICS_LEFT_OUT.text[0].upper()}{MECHANICS_LEFT_OUT.text[1:]}: see fpcal task-error.")
     return Headline(word, style, meaning, tuple(sentences))
 
 
@@ -87,8 +81,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
     if risk is None:
         return "cannot be driven", "bad"
     if risk <= facts.goal.level:
-        ideal = any(reason.kind == MECHANICS_LEFT_OUT.kind for reason in facts.trust.reasons)
-        return ("within, if the mechanism were perfect", "caution") if ideal else ("within tolerance", "good")
+        return "within tolerance", "good"
     return ("at risk", "caution") if risk <= 0.5 else ("out of tolerance", "bad")
 
 

@@ -1,0 +1,92 @@
+"""Joint values that cancel what is known of the error motions along a path.
+
+A path is driven so that the cavity length changes by what the geometry expects: the joint that travels along the beam
+makes up for the posterior mean of the repeatable motions, reversal by the direction of approach included. This moves
+the joint at every point, which turns its own direction of approach and brings a new return error each time: where that
+costs more than it gains, the path stays as it is. So it does where the mean is small beside the stated sizes, as on a
+machine that is better than its sheet: it is then what noise left.
+"""
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.model.mechanics.design import PathDesign, path_design
+from fpcal_bayes.model.mechanics.response import responses
+from fpcal_bayes.model.mechanics.terms import Terms
+
+#: A joint that moves the cavity length by less than this share of its own travel does not make up for anything.
+_LEAST_SLOPE = 0.5
+#: A mean that spreads by less than this share of what the sheet lets expect is not made up for.
+_WORTH = 0.1
+#: The directions of approach follow from the path that they change.
+_ROUNDS = 3
+
+
+def compensated_path(
+    terms: Terms,
+    vector: Floats,
+    weights: Floats,
+    start: Floats,
+    q: Floats,
+    *,
+    before: Floats | None = None,
+    geometry: Floats | float = 0.0,
+    return_factor: float = 1.0,
+) -> tuple[Floats, Floats]:
+    """A path that makes up for the mean of the error motions, or the path itself where that gains nothing.
+
+    Parameters
+    ----------
+    vector
+        Model vector that the controller holds, shape (model size,).
+    weights
+        Posterior mean of the weights in units of their stated sizes, shape (n_weights,).
+    start, q
+        The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
+    before
+        Where the joints stand before the first point, shape (n_joints,); by default at `start`.
+    geometry
+        What the geometry is expected to add beyond `vector`, shape (n_points,), in um.
+    return_factor
+        On the stated return errors.
+
+    Returns
+    -------
+    tuple of ndarray
+        The joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry expects
+        of `q`, in um, shape (n_points,).
+    """
+    cell = terms.cell
+    drive = responses(cell, vector, terms.told, q).drive
+    slopes = np.where(cell.revolute, 0.0, np.abs(drive).min(axis=0, initial=np.inf))
+    joint = int(np.argmax(slopes))
+    as_it_is = q, np.zeros(len(q))
+    if not len(q) or slopes[joint] < _LEAST_SLOPE:
+        return as_it_is
+    first = np.zeros((0, len(start))) if before is None else before[None]
+
+    def driven(path: Floats) -> tuple[Floats, float, Floats]:
+        made = path_design(terms, vector, start, np.vstack([first, path]))
+        motions = made.motions[len(first) :]
+        return geometry + motions @ weights, return_factor**2 * _new_each_time(made), motions
+
+    plain, new, motions = driven(q)
+    if _spread(plain) < _WORTH**2 * _spread(motions).sum():
+        return as_it_is
+    moved, error, again = q.copy(), plain, new
+    for _ in range(_ROUNDS):
+        moved[:, joint] = np.clip(q[:, joint] - error / drive[:, joint], cell.low[joint], cell.high[joint])
+        error, again, _ = driven(moved)
+    added = (moved - q)[:, joint] * drive[:, joint]
+    return (moved, added) if _spread(error + added) + again < _spread(plain) + new else as_it_is
+
+
+def _spread(errors: Floats) -> Floats:
+    """Variance along a path (n_points, ...); of one point alone its square, in um^2."""
+    return np.asarray(np.var(errors, axis=0) if len(errors) > 1 else errors[0] ** 2)
+
+
+def _new_each_time(path: PathDesign) -> float:
+    """Mean variance along a path of return errors of joints that move on it, in um^2."""
+    moving = path.steps.max(axis=0, initial=0) > path.steps.min(axis=0, initial=0)
+    return float((path.returned_point[:, moving] ** 2).sum(axis=1).mean())

@@ -1,0 +1,165 @@
+"""The error motions of a machine as states that stay from session to session.
+
+A cell's error motions have some two hundred weights; a cavity length feels a few tens of their combinations. Those are
+the states: w = basis z + rest, z of unit prior variance at the sizes that the calibration found. What the rest adds to
+a row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit
+from fpcal_bayes.infer.mechanics.known import numbered, random_poses
+from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
+from fpcal_bayes.infer.mechanics.rows import RowNoise
+from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
+from fpcal_bayes.model.mechanics.compensation import compensated_path
+from fpcal_bayes.model.mechanics.errors import approached, drifted, returned_errors
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
+from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.motion.tasks import Task
+
+#: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
+_NEGLIGIBLE = 0.7e-3
+_MOST_STATES = 42
+#: Draws of a state that travel with an estimate.
+_DRAWS = 400
+
+
+@dataclass(frozen=True)
+class MotionStates:
+    """What the states of the error motions stand for.
+
+    Attributes
+    ----------
+    terms
+        The weights of the cell.
+    log_scales
+        Logarithms of the factors on the stated sizes, as the calibration found them: draws, shape (n_draws, n_scales).
+    session_min
+        How long the calibration took, in minutes.
+    """
+
+    terms: Terms
+    log_scales: Floats
+    session_min: float
+
+    @classmethod
+    def of(cls, fit: MechanicsFit) -> "MotionStates":
+        """As a calibration found them."""
+        return cls(fit.terms, np.round(fit.scales.log, 3), float(fit.drive.end_min.max()))
+
+    @cached_property
+    def factors(self) -> Floats:
+        """Typical factors on the stated sizes, shape (n_scales,)."""
+        return np.exp(self.log_scales.mean(axis=0))
+
+    @cached_property
+    def _any_row(self) -> Design:
+        """Names and scales of the weights: they are the same for any rows."""
+        n = len(self.terms.cell.joints)
+        row = Sweeps.of_um_rad(np.zeros((1, n)), np.eye(n)[:1])
+        return design(self.terms, self.terms.cell.parameters.nominal, drive_of_sweeps(row, 1.0), np.ones(1))
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Standard deviations of the weights in units of their stated sizes, shape (n_weights,)."""
+        return np.asarray(self.factors[self._any_row.scale[: self._any_row.motion_count]])
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Orthonormal combinations of weights of unit variance, the most felt first, shape (n_weights, n_states)."""
+        middle, poses = random_poses(self.terms.cell, np.random.default_rng(4))
+        felt = path_design(self.terms, self.terms.cell.parameters.nominal, middle, poses).motions * self.sizes
+        _, effect, vectors = np.linalg.svd(felt, full_matrices=False)
+        count = int((effect > _NEGLIGIBLE * np.sqrt(len(poses))).sum())
+        return np.ascontiguousarray(vectors[: min(count, _MOST_STATES)].T)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return int(self.directions.shape[1])
+
+    @property
+    def basis(self) -> Floats:
+        """Weights, in units of their stated sizes, by states, shape (n_weights, n_states)."""
+        return self.sizes[:, None] * self.directions
+
+    def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:
+        """Whitening of the rows of a session, and their derivatives by the states, shape (n_rows, n_states), in um.
+
+        Both at free parameters `values` (n,).
+        """
+        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
+        made = design(self.terms, model.vector(values), drive, sweeps.sigma)
+        n = made.motion_count
+        shared = made.matrix[:, :n] * self.sizes
+        felt = shared @ self.directions
+        own = made.matrix[:, n:] * self.factors[made.scale[n:]]
+        noise = RowNoise.of(sweeps, made).whitening(float(self.factors[-1]), float(self.factors[-2]))
+        return MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
+
+    def path(
+        self, vector: Floats, mean: Floats, task: Task, n_draws: int, compensate: bool
+    ) -> tuple[Task, Floats, Floats]:
+        """A task as it is driven at the states' `mean` (n_states,), and what the states and all else add along it.
+
+        Derivatives by the states, shape (n_points, n_states), and draws of what is new each time beside what stays of
+        the mean, shape (n_points, n_draws), both in um.
+        """
+        if compensate:
+            factor = float(self.factors[-2])
+            q, added = compensated_path(self.terms, vector, self.basis @ mean, task.start, task.q, return_factor=factor)
+            task = replace(task, q=q, added=added)
+        path = path_design(self.terms, vector, task.start, task.q)
+        felt = path.motions * self.sizes
+        states = felt @ self.directions
+        rng, log = np.random.default_rng(6), np.repeat(np.log(self.factors)[None], n_draws, axis=0)
+        drift = self.factors[self.terms.scales.index("drift")] * rng.standard_normal((n_draws, 3 * DRIFT_ORDER))
+        new = drifted(self.terms, path, drift, self.session_min, rng)
+        for part in (
+            *approached(self.terms, path, log, rng).values(),
+            *returned_errors(self.terms, path, log, rng).values(),
+        ):
+            new += part
+        rest = felt - states @ self.directions.T
+        new += states @ mean + (0.0 if task.added is None else task.added)
+        return task, states, (new + rng.standard_normal((n_draws, rest.shape[1])) @ rest.T).T
+
+    def knowledge(
+        self, parameters: ParameterSet, scale: Floats, mean: Floats, covariance: Floats
+    ) -> MechanicsKnowledge:
+        """What a state says of `parameters` in units of `scale`, and of the weights.
+
+        `mean` (n,) and `covariance` (n, n) are those of the states that cavity lengths depend on.
+        """
+        made, n = self._any_row, len(parameters)
+        drifting = [i for i, name in enumerate(made.names) if name.startswith("drift along")]
+        root, count = covariance_root(covariance), len(drifting)
+        to_names = linalg.block_diag(np.diag(scale), self.basis, np.diag(self.factors[made.scale[drifting]]))
+        factor = to_names @ linalg.block_diag(root, np.eye(count))
+        at = np.concatenate([np.zeros(n), mean[n:], np.zeros(count)])
+        draws = np.random.default_rng(5).standard_normal((_DRAWS, factor.shape[1]))
+        return MechanicsKnowledge(
+            sizes=self.terms.sizes,
+            free=self.terms.free,
+            names=(
+                *parameters.names,
+                *numbered([*made.names[: made.motion_count], *(made.names[i] for i in drifting)]),
+            ),
+            mean=to_names @ at,
+            factor=factor,
+            draws=draws,
+            scales=self.terms.scales,
+            log_scales=self.log_scales[np.arange(_DRAWS) % len(self.log_scales)],
+            session_min=self.session_min,
+        )

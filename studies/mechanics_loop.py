@@ -1,0 +1,112 @@
+"""The closed loop on real machines: is the cell within its tolerance as often as the forecasts promise?
+
+python studies/mechanics_loop.py [--tolerance-nm 50 100 200] [--weeks 10] [--days 2]
+
+Each machine, as in `mechanics_tracking`, is calibrated and kept by the policy of `fpcal decide`. Every quarter of an
+hour the circle is driven with compensation by the estimate that the controller holds; the share of circles within the
+tolerance is compared with the mean probability that the forecast of the same moment gives. Machines that cannot meet
+the tolerance are counted: the policy says so before anything is promised.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+from mechanics_coverage import REALISTIC, protocol, reachable
+from mechanics_tracking import SETTINGS, SIGMA, machine_cell
+
+from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy, UnattainableError, run_policy
+from fpcal_bayes.infer import PATH_POINTS, task_rows
+from fpcal_bayes.measure import Sweeps, drive_of_sweeps
+from fpcal_bayes.model import CavityModel
+from fpcal_bayes.motion import compensated, task_path
+from fpcal_bayes.simulator import Machine
+from fpcal_bayes.tracking import DriftModel, calibrate, estimate_of, followed_drift
+
+STEP_H, LOOK_H = 0.05, 0.25
+
+
+def one_machine(tolerance_nm: float, days: float, seed: int) -> tuple[float, float, int, float] | None:
+    """Share within tolerance, promised share, sessions, seconds a decision; None where nothing is promised."""
+    cell = machine_cell()
+    rng = np.random.default_rng([seed, 41])
+    vector, slots = reachable(cell, rng), cell.free.slots
+    machine = Machine.draw(cell, REALISTIC, vector, rng, SETTINGS)
+    drift, model = DriftModel.of(cell), CavityModel.of(cell)
+    steps = rng.standard_normal((round(24 * days / STEP_H) + 2, len(cell.free))) * drift.walk * drift.scale
+    truth = vector[slots] + np.cumsum(np.sqrt(STEP_H / 24.0) * steps, axis=0)
+
+    def at(time_h: float) -> Machine:
+        now = vector.copy()
+        now[slots] = truth[round(time_h / STEP_H)]
+        return replace(machine, vector=now)
+
+    def measure(plan: Sweeps, time_h: float) -> Sweeps:
+        n = len(plan)
+        timed = replace(plan, session=np.full(n, f"h{time_h:07.2f}"), time_h=np.full(n, time_h))
+        return timed.with_measurement(
+            at(time_h).sweep(drive_of_sweeps(plan, REALISTIC.minutes_per_sweep), SIGMA), SIGMA
+        )
+
+    plan = protocol(cell, "mid")
+    start, status, _ = calibrate(cell, drift, measure(plan, 0.0))
+    goal = Goal(tolerance_nm)
+    policy = Policy.of(drift, model, goal, Costs(), plan)
+    followed = followed_drift(drift, model, start)
+    forecast = Forecaster.of(followed, model, goal, start.state.mean)
+    try:
+        replace(policy, drift=followed).decide(forecast, forecast.ahead(start.state, policy.costs.horizon_h))
+    except UnattainableError:
+        return None
+    began = time.process_time()
+    loop = run_policy(policy, start, measure, 24.0 * days)
+    seconds = (time.process_time() - began) / max(len(loop.decisions), 1)
+    begins = np.array([outcome.time_h for outcome in loop.outcomes])
+    times = np.arange(LOOK_H, 24.0 * days, LOOK_H)
+    number = np.searchsorted(begins, times + 1e-9) - 1
+    inside, promised = [], []
+    for i in np.unique(number):
+        state = loop.outcomes[i].state
+        estimate = estimate_of(cell, followed, state, status)
+        task = compensated(estimate, task_path(cell, estimate.vector(), "circle", n_points=PATH_POINTS).driven())
+        wanted = model.predict(estimate.values, task_rows(model, task)) - (0.0 if task.added is None else task.added)
+        forecast = Forecaster.of(followed, model, goal, state.mean)
+        for hour in times[number == i]:
+            driven = at(hour).path(task.start, task.q, float(rng.uniform(0.0, plan_minutes(plan))))
+            inside.append(np.ptp(driven - wanted) <= goal.tolerance_um)
+            promised.append(1.0 - forecast.exceeds(state, float(hour - state.time_h)))
+    return float(np.mean(inside)), float(np.mean(promised)), len(loop.outcomes) - 1, seconds
+
+
+def plan_minutes(plan: Sweeps) -> float:
+    """How long a calibration takes: the fibre has drifted by as much when a task is driven."""
+    return float(drive_of_sweeps(plan, REALISTIC.minutes_per_sweep).end_min.max())
+
+
+def main() -> None:
+    """Print a line per tolerance."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tolerance-nm", type=float, nargs="*", default=[50.0, 100.0, 200.0])
+    parser.add_argument("--weeks", type=int, default=4)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first machine")
+    parser.add_argument("--days", type=float, default=2.0, help="length of a week")
+    options = parser.parse_args()
+    for tolerance in options.tolerance_nm:
+        found = [one_machine(tolerance, options.days, options.first + k) for k in range(options.weeks)]
+        kept = np.array([each for each in found if each is not None])
+        if not len(kept):
+            print(f"{tolerance:g} nm: none of {len(found)} machines can meet it")
+            continue
+        away = kept[:, 0] - kept[:, 1]
+        print(
+            f"{tolerance:g} nm: within {100 * kept[:, 0].mean():.1f} %, promised {100 * kept[:, 1].mean():.1f} % "
+            f"(difference {100 * away.mean():+.1f}, standard error {100 * away.std() / np.sqrt(len(away)):.1f}), "
+            f"{kept[:, 2].mean() / options.days:.1f} sessions a day, {kept[:, 3].mean():.2f} s CPU a session, "
+            f"{len(found) - len(kept)} of {len(found)} machines cannot meet it",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

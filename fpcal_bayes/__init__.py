@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from fpcal_bayes.measure.campaign import Campaign as Campaign
     from fpcal_bayes.measure.protocol import paper_protocol as paper_protocol
     from fpcal_bayes.measure.sweeps import Sweeps as Sweeps
+    from fpcal_bayes.measure.sweeps import pool as pool
     from fpcal_bayes.measure.truth import paper_truth as paper_truth
     from fpcal_bayes.model.cell.cell import Cell as Cell
     from fpcal_bayes.model.estimate import Estimate as Estimate
@@ -67,6 +68,7 @@ _PLACES = {
     "paper_protocol": "measure.protocol",
     "paper_truth": "measure.truth",
     "plan": "infer.design.plan",
+    "pool": "measure.sweeps",
     "predict_from_covariance": "infer.tasks.prediction",
     "read_campaign": "io.campaign",
     "read_estimate": "io.estimate",

@@ -57,15 +57,41 @@ def recover(cell: Cell, number: int, *, protocol: str, share: float, draws: int)
     )
 
 
+def cumulative(cell: Cell, number: int, draws: int) -> str:
+    """One sweep with a midpoint slips by up to 4 half waves on either half: right, or said by its own fit."""
+    rng = np.random.default_rng([number, 8])
+    values = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
+    truth = Truth(cell.free, np.zeros(1), values[None])
+    clean = simulate_um(cell, truth, protocol_by_name("paper-mid", cell), sigma=SIGMA, seed=number)
+    counts = np.zeros(len(clean), dtype=int)
+    first = 2 * int(rng.integers(len(clean) // 2))
+    slips = rng.integers(0, 5, 2) * rng.choice([-1, 1])
+    counts[[first, first + 1]] = np.cumsum(slips)
+    found = identify(cell, replace(clean, dl=clean.dl + 0.5 * cell.wavelength * counts))
+    posterior = sample(found, draws=draws, likelihood="slip", seed=number)
+    summary = summarise(posterior)
+    shown = cell.free.to_shown(values)
+    off = max(abs(e["mean"] - v) / e["sd"] for e, v in zip(summary.values(), shown, strict=True))
+    said = "right" if off < 4.5 else "WRONG"
+    where = f"{clean.label[first]} {slips}"
+    return f"{where}: {said} ({off:.1f} sd), {posterior.trust.verdict}, p = {posterior.predictive_p:.1g}"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--truths", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--protocol", choices=("paper", "paper-mid"), default="paper")
+    parser.add_argument("--cumulative", action="store_true", help="slips that add up along one sweep instead")
     parser.add_argument("--share", type=float, default=0.06, help="of the rows that slip (default: 0.06)")
     parser.add_argument("--draws", type=int, default=2000)
     options = parser.parse_args()
     cell, out = load_cell(mechanics="none"), Console(width=120, highlight=False)
+    if options.cumulative:
+        told = [cumulative(cell, options.first + i, options.draws) for i in range(options.truths)]
+        silent = sum("WRONG" in line and "unusable" not in line for line in told)
+        out.print("\n".join(told), f"\n{silent} of {len(told)} are both wrong and silent", markup=False)
+        return int(silent > 0)
     table = plain_table(
         f"{options.protocol}: {100 * options.share:g} % of the rows slipped",
         ["truth", "least of slipped", "most of others", "largest shift / sd", "widest", "Gaussian called poor"],

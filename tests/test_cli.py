@@ -197,7 +197,7 @@ class TestIdentify:
         assert list(content)[:2] == ["schema", "command"]
         assert set(content) == {
             "schema", "command", "parameters", "covariance", "cell", "data", "time_h", "valid_until_h", "fit",
-            "residuals", "doubtful_signs", "warnings", "draws", "trust", "mechanics", "content_sha256",
+            "residuals", "doubtful_signs", "rows", "warnings", "draws", "trust", "mechanics", "content_sha256",
         }  # fmt: skip
         assert content["schema"] == "fpcal/1"
         assert content["command"] == "identify"

@@ -94,7 +94,10 @@ def grouped(femto: Cell):
 
 
 def test_rows_that_share_a_reading_are_summed_over_together(femto: Cell, grouped) -> None:
-    """All 49 pairs of counts of each group, with the group's covariance written out; noise of a quarter wave too."""
+    """All 49 pairs of slips of each group, with the group's covariance written out; noise of a quarter wave too.
+
+    The count of the second row is off by what slipped before and after the first.
+    """
     *_, result, target = grouped
     rng = np.random.default_rng(0)
     counts = np.arange(-MOST_HALF_WAVES, MOST_HALF_WAVES + 1)
@@ -111,14 +114,14 @@ def test_rows_that_share_a_reading_are_summed_over_together(femto: Cell, grouped
         weight = np.where(counts, np.log(eps / (2 * MOST_HALF_WAVES)), np.log1p(-eps))
         cov = (factor * 0.005) ** 2 * np.array([[1.0, 0.5], [0.5, 1.0]])
         for members in group_blocks(sweeps):
-            off = (sweeps.dl - predicted)[members, None] - counts * 0.5 * femto.wavelength
-            pairs = np.stack(np.meshgrid(*off, indexing="ij"), axis=-1)
+            levels = np.stack(np.broadcast_arrays(counts[:, None], counts[:, None] + counts), axis=-1)
+            pairs = (sweeps.dl - predicted)[members] - levels * 0.5 * femto.wavelength
             terms = stats.multivariate_normal([0.0, 0.0], cov).logpdf(pairs) + weight[:, None] + weight
-            first = special.logsumexp(stats.norm.logpdf(off[0], 0.0, factor * 0.005) + weight)
+            first = special.logsumexp(stats.norm.logpdf(pairs[:, 0, 0], 0.0, factor * 0.005) + weight)
             joint = special.logsumexp(terms)
             per_row += [first, joint - first]
             stayed = np.exp(terms - joint)
-            slipped += [1 - stayed[MOST_HALF_WAVES].sum(), 1 - stayed[:, MOST_HALF_WAVES].sum()]
+            slipped += [1 - stayed[levels[..., i] == 0].sum() for i in range(2)]
             total += joint
         found = target.log_density(target.data_residuals(point), point) + target.log_scale.sum()
         prior_constant = stats.norm.logpdf(point).sum() + 0.5 * (point**2).sum()
@@ -136,6 +139,40 @@ def test_slips_within_a_sweep_are_flagged_in_its_rows(femto: Cell, grouped) -> N
     probability = np.array([shares[label] for label in result.problem.sweeps.label.tolist()])
     assert (probability[counts != 0] > 0.99).all()
     assert (probability[counts == 0] < 0.5).all()
+
+
+@pytest.mark.parametrize(("slips", "right"), [((2, 4), True), ((3, 6), True), ((3, 7), False), ((5, 5), False)])
+def test_slips_that_add_up_are_followed_or_called_a_poor_fit(femto: Cell, slips, right: bool) -> None:
+    """Midpoint and end of one sweep off by so many half waves; up to three slip between two readings."""
+    plan = paper_protocol(femto, midpoints=True)
+    clean = simulate_um(femto, paper_truth(femto), plan, sigma=0.005, seed=1)
+    counts = np.zeros(len(clean), dtype=int)
+    counts[[20, 21]] = slips
+    result = identify(femto, replace(clean, dl=clean.dl + 0.5 * femto.wavelength * counts))
+    found = find_slips(result.problem, result.solution)
+    target = SlipTarget(found)
+    assert (found.counts.tolist() == counts.tolist()) is right
+    # The fit with its corrections stands for the draws: where it fails, it fails by hundreds of standard deviations.
+    point = np.append(found.solution.unknowns, target.reference)
+    jacobian = found.problem.jacobian(found.solution.unknowns)
+    rng = np.random.default_rng(2)
+    around = np.linalg.solve(np.linalg.cholesky(jacobian.T @ jacobian).T, rng.standard_normal((21, 2000))).T
+    points = point + np.column_stack([around, np.zeros(2000)])
+    p_value = target.predictive_p(points, rng)
+    assert (p_value > 0.01) if right else (p_value < 1e-3)
+
+
+def test_each_likelihood_has_a_fit_of_its_own(femto: Cell, slipped) -> None:
+    """Rows whose noise is four times what they state: outliers do not explain that."""
+    clean, *_ = slipped
+    rng = np.random.default_rng(5)
+    result = identify(femto, replace(clean, dl=clean.dl + 0.02 * rng.standard_normal(len(clean))))
+    poor = sample(result, draws=20, likelihood="student", max_steps=60)
+    assert poor.predictive_p < 1e-3
+    assert not poor.trust.usable
+    assert "the Student-t posterior predicts" in poor.misfit
+    good = sample(identify(femto, clean), draws=20, likelihood="student", max_steps=60)
+    assert good.predictive_p > 0.01
 
 
 def test_rows_of_unknown_sign_are_refused(slipped) -> None:

@@ -119,7 +119,7 @@ class TestIdentification:
         found = identify(mixed, sweeps)
         i = mixed.free.position("y_wf")
         assert found.estimate.values[i] == pytest.approx(920.0, rel=0.005)
-        assert found.estimate.sd[i] == pytest.approx(920.0 * np.log(1.2), rel=0.01)
+        assert found.estimate.sd[i] == pytest.approx(mixed.free.prior_sd[i], rel=0.01)
         assert found.estimate.status[i] == "gauge"
         assert found.estimate.values[mixed.free.position("theta_et")] > 0
 

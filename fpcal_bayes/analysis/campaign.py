@@ -31,6 +31,7 @@ from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
+from fpcal_bayes.tracking.fit_sizes import with_learnt_scale
 from fpcal_bayes.tracking.record import resume
 from fpcal_bayes.tracking.sessions import check_sessions, hours_at, hours_now, hours_of
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
@@ -72,7 +73,11 @@ class _Measured:
         if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
             known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
         found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=self.now_h)
-        return replace(found, data=self.data | {"session": found.last.session}), [note] if note else []
+        found = with_learnt_scale(
+            found, lambda sized, first: track(cell, sweeps, drift=sized, limits=limits, known=first, now_h=self.now_h)
+        )
+        notes = [text for text in (note, found.pace) if text]
+        return replace(found, data=self.data | {"session": found.last.session}), notes
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
 
     write_result(options.json, "compare", comparison.content(), comparison.trust)
     out = console(options)
-    out.print(compare_table(comparison, f"{options.file}, session {sweeps.sessions[0]}: {len(sweeps)} rows"))
+    out.print(compare_table(comparison, f"{options.file}, session {','.join(sweeps.sessions)}: {len(sweeps)} rows"))
     out.say(f"verdict: {comparison.verdict}")
     warn(comparison.warnings)
     return 0 if comparison.sound else 1

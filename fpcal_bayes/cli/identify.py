@@ -10,11 +10,15 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.infer.fit.prior import bends
 from fpcal_bayes.infer.posterior.draws import draws_content
-from fpcal_bayes.io.estimate import read_estimate
+from fpcal_bayes.io.estimate import read_estimate, read_estimate_rows
 from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, pool
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.trust import KINDS
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 
 
@@ -25,16 +29,18 @@ def run(options: argparse.Namespace) -> int:
         return _whole_traces(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     start = None if options.start is None else read_estimate(options.start, cell)
-    prior = None if options.prior is None else read_estimate(options.prior, cell)
+    sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     cell.select(options.free)
     warm_up(cell)
     found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
-    result = with_source(found, options.file, sweeps.sessions[0])
+    result = with_source(found, options.file, sweeps, before)
 
     if options.json is not None:
-        write_result(options.json, "identify", {**result.content(), **draws_content(result)})
+        draws = draws_content(result)
+        write_result(options.json, "identify", {**result.content(), **draws})
+        warn(draws.get("warnings", [])[-1:])
     out = console(options)
-    title = f"{options.file}, session {sweeps.sessions[0]}: {len(result.problem.sweeps)} rows"
+    title = f"{options.file}, session {','.join(sweeps.sessions)}: {len(result.problem.sweeps)} rows"
     out.print(parameter_table(result.estimate, title))
     for line in fit_lines(result):
         out.say(line)
@@ -47,6 +53,8 @@ def _whole_traces(options: argparse.Namespace, cell: Cell) -> int:
     if options.start is not None:
         raise InputError("--start: is not taken with --traces, which starts from what the traces' ends identify")
     prior = None if options.prior is None else read_estimate(options.prior, cell)
+    if prior is not None and bends(prior):
+        raise InputError(f"{options.prior}: what sweeps said is no normal prior, expected --prior without --traces")
     index = read_recordings(options.file, cell)
     cell.select(options.free)
     warm_up(cell)
@@ -64,7 +72,34 @@ def _whole_traces(options: argparse.Namespace, cell: Cell) -> int:
     return 0 if fit.converged else 1
 
 
-def with_source(result: Identification, file: str, session: str) -> Identification:
-    """The result with name and hash of the file, and the session, that it was made from."""
-    data = {"file": Path(file).name, "sha256": file_sha256(Path(file)), "session": session}
-    return replace(result, estimate=replace(result.estimate, data=data))
+def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:
+    """The sweeps with those that an earlier estimate was made from; the normal prior; and the estimate they are of.
+
+    Of an estimate that was made from sweeps the sweeps themselves are taken: its surface bends, a normal prior does
+    not. Values and covariance are those of a normal prior only where they were measured otherwise.
+    """
+    if path is None:
+        return sweeps, None, None
+    estimate, rows = read_estimate(path, cell), read_estimate_rows(path, cell)
+    if rows is not None:
+        return pool([rows, sweeps]), None, estimate
+    if bends(estimate):
+        raise InputError(
+            f"{path}: key rows: none are there, and values with covariance do not say what sweeps said; expected an "
+            "estimate that fpcal identify made of an unchanged cell (fpcal track follows one that drifts), or both "
+            "sessions in one file with --session a,b"
+        )
+    return sweeps, estimate, None
+
+
+def with_source(result: Identification, file: str, sweeps: Sweeps, before: Estimate | None = None) -> Identification:
+    """The result with name and hash of the file, and the sessions, that it was made from.
+
+    What forbids the use of the estimate `before`, whose sweeps were taken along, holds of the result.
+    """
+    data = {"file": Path(file).name, "sha256": file_sha256(Path(file)), "session": ",".join(sweeps.sessions)}
+    found = replace(result.estimate, data=data)
+    against = [r for r in (() if before is None else before.trust.reasons) if KINDS[r.kind]]
+    new = [r.text for r in against if r not in found.trust.reasons]
+    found = replace(found, trust=found.trust.because(*against))
+    return replace(result, estimate=found, warnings=(*result.warnings, *new))

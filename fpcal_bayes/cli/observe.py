@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
         profiles=[name for name in options.profile.split(",") if name],
         candidates=candidates,
     )
-    title = f"{options.file}, session {sweeps.sessions[0]}"
+    title = f"{options.file}, session {','.join(sweeps.sessions)}"
     write_result(options.json, "observe", result.content(), result.trust)
     if options.html is not None:
         write_observe_html(result, title, options.html)

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
-from fpcal_bayes.cli.identify import with_source
+from fpcal_bayes.cli.identify import with_prior, with_source
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import exclusive, make_folder
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -17,7 +17,6 @@ from fpcal_bayes.infer.posterior.checkpoint import BlockStore
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
-from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures
@@ -30,9 +29,9 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
-    prior = None if options.prior is None else read_estimate(options.prior, cell)
+    sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     warm_up(cell)
-    result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps.sessions[0])
+    result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps, before)
     warn(result.warnings)
     if not result.converged:
         warn(["the posterior is not sampled, since its maximum was not found"])
@@ -86,7 +85,7 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
     write_netcdf(tree, options.output)
     write_result(options.json, "sample", content(posterior))
     out = console(options)
-    title = f"{options.file}, session {result.problem.sweeps.sessions[0]}: posterior"
+    title = f"{options.file}, session {','.join(result.problem.sweeps.sessions)}: posterior"
     out.print(posterior_table(posterior, title))
     diagnostics = posterior.diagnostics
     out.say(
@@ -102,6 +101,7 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
     if slips is not None:
         likely = [f"{label} ({100 * p:.1f} %)" for label, p in slips if p > 0.5]
         out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
+    warn([posterior.misfit] if posterior.misfit else [])
     warn(f"not converged: {text}; try fewer --draws or more informative sweeps" for text in posterior.failures)
     if options.plots is not None:
         loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)

@@ -11,6 +11,7 @@ _PLACES = {
     "UnattainableError": "decision",
     "is_diagnosis": "diagnosis",
     "run_policy": "closed_loop",
+    "valid_until": "policy",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

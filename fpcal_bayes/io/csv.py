@@ -77,9 +77,12 @@ def _is_number(text: str, finite: bool) -> bool:
     return _NUMBER.fullmatch(text) is not None and not (finite and np.isinf(float(text)))
 
 
-def read_records(path: Path, expected: str = "") -> Records:
-    """The records of a CSV file; `InputError` if a line is not CSV, or says what was `expected` where none has text."""
-    text = read_text(path)
+def read_records(path: Path, expected: str = "", text: str | None = None) -> Records:
+    """The records of a CSV file, or of its `text`; `InputError` if a line is not CSV.
+
+    It says what was `expected` where no line holds text.
+    """
+    text = read_text(path) if text is None else text
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records, lines = [], []
     try:
@@ -151,12 +154,17 @@ def _first_fault(path: Path, text: str, names: tuple[str, ...]) -> InputError:
 
 def write_table(path: Path, table: Mapping[str, NDArray[Any]]) -> None:
     """Write columns of numbers, whole numbers or texts, each of shape (n,), whole or not at all; NaN as nothing."""
+    write_text(path, table_text(table))
+
+
+def table_text(table: Mapping[str, NDArray[Any]]) -> str:
+    """Columns of numbers, whole numbers or texts, each of shape (n,), as CSV; NaN as nothing."""
     columns = [formatted(values) if values.dtype.kind == "f" else values.tolist() for values in table.values()]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     writer.writerows(zip(*columns, strict=True))
-    write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def write_numbers(path: Path, names: tuple[str, ...], columns: Iterable[Floats]) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.io.sweeps import unpacked
 from fpcal_bayes.io.validate import Tables, shown
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA, STATUSES, Estimate
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge, knowledge_of
@@ -60,6 +62,16 @@ def read_estimate(path: str | Path, cell: Cell) -> Estimate:
             f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
         )
     return found
+
+
+def read_estimate_rows(path: str | Path, cell: Cell) -> Sweeps | None:
+    """The sweeps that an estimate file, which `read_estimate` has accepted, was made from; None if it holds none."""
+    text = json.loads(read_text(Path(path))).get("rows")
+    if text is None:
+        return None
+    if not isinstance(text, str):
+        raise InputError(f"{path}: key rows: expected the text that fpcal writes there")
+    return unpacked(text, path, cell)
 
 
 class _Reader(Tables):

@@ -1,6 +1,8 @@
 """Sweeps from and to a file of either format: CSV or HDF5."""
 
 import re
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +11,15 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import exclusive, require_readable
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
-from fpcal_bayes.io.csv import read_records, write_table
+from fpcal_bayes.io.csv import read_records, table_text, write_table
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
+#: Characters of packed sweeps, and of their CSV.
+_MOST_PACKED, _MOST_UNPACKED = 75_000, 20_000_000
 
 
 def is_campaign_file(path: str | Path) -> bool:
@@ -110,15 +114,17 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[
     return joined
 
 
-def read_csv(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Sweeps:
-    """Read sweeps from a CSV file; their `rows` are lines of the file, the header being line 1.
+def read_csv(
+    path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False, text: str | None = None
+) -> Sweeps:
+    """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1.
 
     UTF-8 text; lengths in um, angles in deg. A byte order mark, CRLF line ends and blank lines are accepted. In a plan,
     columns other than the joints' may be missing and stand in any order. Whatever is not as documented raises
     `InputError`, which names the line and the column.
     """
     path = Path(path)
-    records = read_records(path, "a header and sweeps")
+    records = read_records(path, "a header and sweeps", text)
     header, row = records.header, records.header_row
     if len(header) == 1 and len(re.split("[;\t]", header[0])) > 1:
         raise located(path, "expected fields separated by commas", row=row)
@@ -128,6 +134,21 @@ def read_csv(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = 
         place = next(i for i, name in enumerate(required) if header[i] != name)
         raise located(path, f"expected the column {required[place]}, found {header[place]}", row=row)
     return from_columns(parsed(records), cell, str(path), records.rows, plan=plan, whole=whole)
+
+
+def packed(sweeps: Sweeps, cell: Cell) -> str | None:
+    """Measured sweeps as text that travels with a result: compressed CSV; None if that is too long for it."""
+    text = b64encode(zlib.compress(table_text(to_columns(sweeps, cell, sweeps.file)).encode(), 9)).decode()
+    return text if len(text) <= _MOST_PACKED else None
+
+
+def unpacked(text: str, path: str | Path, cell: Cell) -> Sweeps:
+    """Sweeps that `packed` wrote; `InputError`, which names the file `path` that they stood in, if it did not."""
+    try:
+        plain = zlib.decompressobj().decompress(b64decode(text, validate=True), _MOST_UNPACKED).decode()
+    except (ValueError, zlib.error) as error:
+        raise InputError(f"{path}: key rows: expected the sweeps that fpcal packed there ({error})") from error
+    return read_csv(path, cell, text=plain)
 
 
 def write_csv(path: str | Path, sweeps: Sweeps, cell: Cell) -> None:

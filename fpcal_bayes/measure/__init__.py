@@ -13,6 +13,7 @@ _PLACES = {
     "join": "sweeps",
     "paper_protocol": "protocol",
     "paper_truth": "truth",
+    "pool": "sweeps",
     "protocol_by_name": "protocol",
     "read_often": "protocol",
     "single_sweep": "protocol",

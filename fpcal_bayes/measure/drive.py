@@ -1,5 +1,7 @@
 """In which order, when and from which side the rows of a session were driven."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 
 from fpcal_bayes.core.typing import Ints
@@ -8,7 +10,21 @@ from fpcal_bayes.model.mechanics import Drive, drive_of
 
 
 def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
-    """Order, times and directions of approach of one session's rows, as they stand in the file."""
+    """Order, times and directions of approach of the rows, as they stand in the file, session by session."""
+    chosen = [sweeps.session == name for name in sweeps.sessions]
+    parts = [_of_session(sweeps.take(mine), minutes_per_sweep) for mine in chosen]
+    if len(parts) == 1:
+        return parts[0]
+    begun = np.cumsum([0, *(int(part.sweep.max()) + 1 for part in parts[:-1])])
+    parts = [
+        replace(part, sweep=part.sweep + first, session=part.session + i)
+        for i, (part, first) in enumerate(zip(parts, begun.tolist(), strict=True))
+    ]
+    back = np.argsort(np.concatenate([np.flatnonzero(mine) for mine in chosen]))
+    return Drive(*(np.concatenate([getattr(part, f.name) for part in parts])[back] for f in fields(Drive)))
+
+
+def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
     return drive_of(
         sweeps.q_start,
         sweeps.q_end,

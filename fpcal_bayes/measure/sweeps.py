@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.notebook import html_table
@@ -18,6 +19,8 @@ Texts = NDArray[np.str_]
 
 KINDS = ("sweep", "absolute", "path")
 MAX_TEXT = 1000
+#: Sessions share readings by chance with a larger probability than this.
+_CHANCE = 1e-6
 #: With a larger sigma, in um, fringes are counted: readings of one sweep then agree by chance.
 _COUNTED = 0.1
 
@@ -202,17 +205,23 @@ class Sweeps:
         return replace(self, **picked)
 
     def of_session(self, name: str | None = None) -> "Sweeps":
-        """The rows of one session, by default the first.
+        """The rows of one session, by default the first; of several, with commas between, those of an unchanged cell.
 
         Raises
         ------
         InputError
-            If there is no such session.
+            If there is no such session, or two of them hold the same readings.
         """
         wanted = self.sessions[0] if name is None else name
-        if wanted not in self.sessions:
-            raise InputError(f"{self.file}: no session {wanted!r}: expected one of {', '.join(self.sessions)}")
-        return self.take(self.session == wanted)
+        names = [wanted] if wanted in self.sessions else wanted.split(",")
+        for each in names:
+            if each not in self.sessions:
+                raise InputError(f"{self.file}: no session {each!r}: expected one of {', '.join(self.sessions)}")
+            if names.count(each) > 1:
+                raise InputError(f"{self.file}: session {each!r} is named twice, expected each session once")
+        chosen = self.take(np.isin(self.session, names))
+        _check_distinct(chosen)
+        return chosen
 
     def with_measurement(self, dl: Floats, sigma: float | Floats) -> "Sweeps":
         """The same sweeps with measured changes (n,) and their standard deviations."""
@@ -224,6 +233,48 @@ def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
     names = [f.name for f in fields(Sweeps) if f.name not in ("file", "rows")]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Sweeps(**joined, file=file, rows=np.arange(2, sum(map(len, parts)) + 2))
+
+
+def pool(parts: Sequence[Sweeps]) -> Sweeps:
+    """The sessions of several sets as those of one unchanged cell; a session whose name is taken gets another one.
+
+    Raises
+    ------
+    InputError
+        If two sessions hold the same readings: data count once.
+    """
+    taken: set[str] = set()
+    renamed = []
+    for part in parts:
+        session = part.session.astype(object)
+        for name in part.sessions:
+            free = name
+            while free in taken:
+                free += "'"
+            session[part.session == name] = free
+            taken.add(free)
+        renamed.append(replace(part, session=session.astype(np.str_)))
+    pooled = join(renamed, file=" and ".join(part.file for part in parts))
+    _check_distinct(pooled)
+    return pooled
+
+
+def _check_distinct(sweeps: Sweeps) -> None:
+    """Refuse sessions that share more readings than two measurements do by chance."""
+    rows = np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl, sweeps.sigma]).round(9)
+    keys = np.array([row.tobytes() for row in rows + 0.0])
+    decimals = next((k for k in range(9) if np.allclose(sweeps.dl, sweeps.dl.round(k), rtol=0.0, atol=1e-9)), 9)
+    for i, name in enumerate(sweeps.sessions):
+        own = sweeps.session == name
+        for other in sweeps.sessions[:i]:
+            there = np.isin(keys[own], keys[sweeps.session == other])
+            # Two readings of one length with this noise agree to the last decimal with that probability.
+            alike = min(1.0, 10.0**-decimals / (2.0 * np.sqrt(np.pi) * float(np.median(sweeps.sigma[own]))))
+            if there.any() and special.bdtrc(there.sum() - 1, len(there), alike) < _CHANCE:
+                raise InputError(
+                    f"{sweeps.file}: sessions {other!r} and {name!r} hold the same readings ({there.sum()} rows): data "
+                    "count once, expected another measurement"
+                )
 
 
 def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:

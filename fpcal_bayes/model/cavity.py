@@ -3,7 +3,7 @@
 Poses are laid out for the kernels once: those that differ in prismatic joints alone share their rotations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,7 +60,7 @@ def group_poses(cell: Cell, q: Floats) -> PoseGroups:
 
 
 #: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
-_Arguments = tuple[Floats, Ints, Floats, bool, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
+_Arguments = tuple[Floats, Ints, Floats, int, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,19 @@ class CavityModel:
         """The model of `cell`; by default the cell's own free parameters, the others at nominal."""
         return cls(cell, cell.free if free is None else free, cell.parameters.nominal if held is None else held)
 
+    side: int = 0  # 1 or -1: perpendicular lengths change sign where the mirror passes the fibre, without a kink
+
     @cached_property
-    def _perpendicular(self) -> bool:
-        return self.cell.opd == "perpendicular"
+    def _path(self) -> int:
+        return 0 if self.cell.opd == "axis" else 2 * self.side or 1
+
+    def facing(self, values: Floats, rows: Rows) -> "CavityModel":
+        """The model whose perpendicular lengths are smooth, the mirror standing as at free parameters `values` (n,)."""
+        if self.cell.opd == "axis":
+            return self
+        poses = Rows(rows.poses, np.full(len(rows.poses.q), -1, dtype=np.int64), np.arange(len(rows.poses.q)))
+        ahead = replace(self, side=1).predict(values, poses) > 0
+        return replace(self, side=1 if ahead.all() else 0 if ahead.any() else -1)
 
     @cached_property
     def _axis_is_z(self) -> bool:
@@ -203,7 +213,7 @@ class CavityModel:
             self.held,
             self.free.slots,
             values,
-            self._perpendicular,
+            self._path,
             self._axis_is_z,
             self.cell.revolute,
             poses.group_q,

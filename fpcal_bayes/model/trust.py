@@ -20,6 +20,11 @@ KINDS: dict[str, bool] = {
     "poor-fit": True,
     "intrinsics-moved": True,
     "problem": True,
+    "bent-prior": True,
+    "held-uncertain": True,
+    "omitted": True,
+    "held-exact": False,
+    "drift": False,
     "stale": True,
     "too-good-fit": False,
     "second-solution": False,
@@ -87,6 +92,10 @@ MECHANICS_LEFT_OUT = Reason(
     "mechanics-left-out",
     "the error motions that the cell states are left out: bands assume a perfect mechanism and are too narrow",
 )
+
+
+#: What is held against a result that takes held values as exact.
+HELD_EXACT = "held values are taken as exact: no band holds what they are off by (--hold consider does)"
 
 
 def trust_of(content: Any) -> Trust:

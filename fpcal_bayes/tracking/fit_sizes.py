@@ -12,7 +12,8 @@ import numpy as np
 from scipy import optimize, special
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -21,7 +22,7 @@ from fpcal_bayes.tracking.drift import DriftModel, likely_drift
 from fpcal_bayes.tracking.filter import predict, update
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
-from fpcal_bayes.tracking.tracker import calibrate
+from fpcal_bayes.tracking.tracker import Track, calibrate
 
 #: Factors by which sizes are tried around their starting values.
 REACH = (1e-2, 1e2)
@@ -196,3 +197,53 @@ def _resized(drift: DriftModel, groups: Sequence[Sequence[str]], factors: Floats
         return replace(size, walk=size.walk * by_name.get(size.name, 1.0))
 
     return drift.resized(change)
+
+
+#: Scales of all drifts that are tried where innovations contradict those stated, and the prior of their logarithm.
+_SCALE_SD = float(np.log(3.0))
+_SCALES = _SCALE_SD * np.linspace(-2.0, 2.0, 9)
+#: Innovations so unlikely that the scale is learnt; a scale within this of one is not worth a word.
+_CONTRADICTED, _WORTH_SAYING = 0.01, float(np.log(1.5))
+#: A session is a step, a knock or a slip with this probability; its innovation is then so many times as wide.
+_STEP, _STEP_WIDTH = 0.05, 30.0
+
+
+def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]) -> Track:
+    """The track with the drift as fast as its innovations say, one scale of robot and one of mirror and fibre.
+
+    `follow` takes in the sessions after a track of the first one under other sizes. The scales have a log-normal prior
+    around one, a factor of three wide; what stands for them is the root of the mean square of their posterior.
+    """
+    later = [outcome for outcome in found.outcomes[1:] if outcome.dof]
+    nis, dof = (np.array([getattr(o, name) for o in later], dtype=float) for name in ("nis", "dof"))
+    # A third of the sessions may hold a step, which says nothing of the pace.
+    calm: Ints = np.argsort(nis / dof, kind="stable")[: len(later) - -(-len(later) // 3)]
+    fast = chi2_tail(float(nis[calm].sum()), float(dof[calm].sum())) if len(calm) else 1.0
+    slow = float(special.gammainc(dof.sum() / 2.0, nis.sum() / 2.0)) if len(later) > 1 else 1.0
+    groups = _parts(found.drift)
+    if min(fast, slow) > _CONTRADICTED or not groups:
+        return found
+    begun = replace(found, outcomes=found.outcomes[:1])
+    log = np.zeros(len(groups))
+    for which in (np.ones(len(groups), dtype=bool), *np.eye(len(groups), dtype=bool)[: len(groups) - 1]):
+        trials = [np.where(which, centre, log) for centre in _SCALES]
+        tracks = [follow(_resized(found.drift, groups, np.exp(trial)), begun) for trial in trials]
+        weights = special.softmax(
+            [_calmly(t) - 0.5 * (c / _SCALE_SD) ** 2 for t, c in zip(tracks, _SCALES, strict=True)]
+        )
+        log = np.where(which, 0.5 * np.log(weights @ np.exp(2.0 * _SCALES)), log)
+    learnt = follow(_resized(found.drift, groups, np.exp(log)), begun)
+    told = [(np.exp(each), group) for each, group in zip(log, groups, strict=True) if abs(each) > _WORTH_SAYING]
+    said = "; ".join(f"{', '.join(group)}: {scale:.2g} times" for scale, group in told)
+    pace = "faster" if log.sum() > 0 else "slower"
+    note = f"drift {pace} than stated ({said}): forecasts take it so; fpcal track --fit-drift gives sizes for the cell"
+    return replace(learnt, resumed=found.resumed, stated=found, pace=note if told else None)
+
+
+def _calmly(track: Track) -> float:
+    """Log likelihood of the sessions after the first, each a step with a small probability."""
+    total = 0.0
+    for outcome in track.outcomes[1:]:
+        wide = outcome.log_likelihood + 0.5 * outcome.nis * (1.0 - _STEP_WIDTH**-2) - outcome.dof * np.log(_STEP_WIDTH)
+        total += float(np.logaddexp(np.log1p(-_STEP) + outcome.log_likelihood, np.log(_STEP) + wide))
+    return total

@@ -43,6 +43,8 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
     decided meanwhile, one JSON object each, in order of time.
     """
+    # The next run learns the pace anew.
+    track = track.stated or track
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
     remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]

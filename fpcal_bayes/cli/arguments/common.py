@@ -46,7 +46,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def add_prior(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--prior``."""
     parser.add_argument(
-        "--prior", metavar="ESTIMATE", help="estimate JSON whose values and covariance replace the cell's priors"
+        "--prior", metavar="ESTIMATE", help="estimate JSON of the same, unchanged cell: its sweeps count as well"
     )
 
 

@@ -29,7 +29,7 @@ def identify(commands: Commands) -> None:
     parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
     add = parser.add_argument
     add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
     add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
     add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
     add_prior(parser)
@@ -54,7 +54,7 @@ def sample(commands: Commands) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
     add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
-    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
     add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add(
@@ -88,7 +88,7 @@ def compare(commands: Commands) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
     add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
-    add("--session", metavar="NAME", help="session to use (default: the first)")
+    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
     add("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add_json(parser)

@@ -10,7 +10,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
     Solution,
@@ -20,8 +20,8 @@ from fpcal_bayes.infer.fit.minimise import (
     solution_rank,
 )
 from fpcal_bayes.infer.fit.mistakes import axis_rivals, second_solution
-from fpcal_bayes.infer.fit.prior import Prior
-from fpcal_bayes.infer.fit.problem import Considered, Problem
+from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
+from fpcal_bayes.infer.fit.problem import Problem, held_reasons, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import (
     GoodnessOfFit,
@@ -34,8 +34,8 @@ from fpcal_bayes.infer.fit.spectrum import (
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
+from fpcal_bayes.io.sweeps import packed
 from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -83,6 +83,11 @@ class Identification:
         return self.solution.converged
 
     @property
+    def own(self) -> Ints:
+        """Positions of the identified parameters among the free ones of the problem, shape (n,)."""
+        return self.problem.model.free.positions(self.free.names)
+
+    @property
     def doubtful_signs(self) -> list[tuple[str, float]]:
         """Labels of the rows whose sign may be the other one, with that probability, likeliest first."""
         return _doubtful(self.problem.sweeps, self.signs)
@@ -115,6 +120,7 @@ class Identification:
             },
             "residuals": [{"label": label, "standardised": value} for label, value in self.largest_residuals()],
             "doubtful_signs": [{"label": label, "probability": p} for label, p in self.doubtful_signs],
+            "rows": packed(self.problem.sweeps, self.estimate.cell),
             "warnings": list(self.warnings),
         }
 
@@ -146,8 +152,8 @@ def identify(
         ``consider``: held parameters are uncertain by the covariance of `start` (the prior without one) and that
         uncertainty reaches the result (Schmidt's consider parameters). ``exact``: they are taken as known.
     prior
-        An earlier estimate whose values and covariance are the prior, jointly normal, of the free parameters that it
-        holds (yesterday's posterior as today's prior); by default the priors of the cell.
+        Values and covariance, jointly normal, that are the prior of the free parameters in it; by default the priors of
+        the cell. What earlier sweeps said is not normal: `pool` takes the sweeps themselves.
     seed
         Seed of the further starting points, drawn from the prior, that are tried when the first leads to a poor fit.
     max_starts
@@ -168,7 +174,9 @@ def identify(
     chosen = cell.select(free)
     if not len(chosen):
         raise InputError("nothing is free: expected at least one parameter to identify")
-    problem = _set_up(cell, used, chosen, start, hold, prior)
+    model, considered = hold_rest(cell, chosen, start, hold)
+    before = None if prior is None else Prior.joint(model.free, prior)
+    problem = Problem.of(model, used, considered, prior=before, linearised=not many_rows(cell, used))
     first = _starting_unknowns(problem, start)
 
     signs = None
@@ -180,7 +188,7 @@ def identify(
     whole, problem = problem, thinned(problem)
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
-    rival = second_solution(chosen.names, solution, others)
+    rival = second_solution(model.free.names, solution, others)
     machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
         many = len(whole.target) > len(problem.target)
@@ -196,12 +204,14 @@ def identify(
         if many and machine is not None:
             # Second solutions of the thinned rows, as all rows see them.
             others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
-            rival = second_solution(chosen.names, solution, others)
+            rival = second_solution(model.free.names, solution, others)
     solution = lost or solution
     unknowns = solution.unknowns
-    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
+    own = model.free.positions(chosen.names)
+    spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
-    status = statuses(spectrum.null_share, np.diag(covariance)[: len(chosen)] / problem.prior.sd**2)
+    status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
+    by_name = dict(zip(chosen.names, status, strict=True))
     fit = goodness_of_fit(problem, unknowns)
     noise_only = fit
     if machine is not None:
@@ -224,16 +234,21 @@ def identify(
         expected_noise=noise_only.expected,
         p_noise=noise_only.p_value,
     )
-    trust = judge_fit(evidence, *rival, *_doubt(used, signs), *doubts)
+    trust = judge_fit(
+        evidence, *rival, *_doubt(used, signs), *held_reasons(problem, unknowns, exact=hold == "exact"), *doubts
+    )
     if trust.usable and fit.expected > LEAST_EXPECTED:
         trust = trust.because(*axis_rivals(problem, solution))
     warnings += [reason.text for reason in trust.reasons]
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
-    estimate = replace(_estimate(cell, used, problem, covariance, status, unknowns), trust=trust)
+    if prior is not None and bends(prior):
+        trust = trust.because(Reason("bent-prior", BENT))
+        warnings.append(BENT)
+    estimate = replace(_estimate(cell, used, problem, covariance, by_name, unknowns), trust=trust)
     if machine is not None:
-        estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters))
+        estimate = replace(estimate, mechanics=knowledge_of_fit(machine, estimate.parameters, chosen.names))
     return Identification(
         estimate=estimate,
         problem=problem,
@@ -248,28 +263,6 @@ def identify(
         warnings=tuple(warnings),
         machine=machine,
     )
-
-
-def _set_up(
-    cell: Cell, sweeps: Sweeps, chosen: ParameterSet, start: Estimate | None, hold: Hold, prior: Estimate | None
-) -> Problem:
-    """The problem with the parameters outside `chosen` held at `start`, or at nominal."""
-    known = start.parameters.names if start is not None else ()
-    held = ParameterSet(p for p in cell.parameters if p.name not in chosen and (p.name in known or p.name in cell.free))
-    vector = cell.parameters.nominal.copy()
-    covariance = np.diag(held.prior_sd**2)
-    if start is not None:
-        shared = [name for name in held.names if name in known]
-        values, block = start.block(shared)
-        at = held.positions(shared)
-        vector[held.slots[at]] = values
-        covariance[np.ix_(at, at)] = block
-    considered = None
-    if hold == "consider" and len(held):
-        considered = Considered.of(held, covariance)
-    before = None if prior is None else Prior.joint(chosen, prior)
-    model, few = CavityModel.of(cell, chosen, vector), not many_rows(cell, sweeps)
-    return Problem.of(model, sweeps, considered, prior=before, linearised=few)
 
 
 def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
@@ -362,14 +355,18 @@ def _estimate(
     sweeps: Sweeps,
     problem: Problem,
     covariance: Floats,
-    status: tuple[Status, ...],
+    status: dict[str, Status],
     unknowns: Floats,
 ) -> Estimate:
-    """Free parameters, considered ones and those held as exact, in the cell's order."""
-    chosen = problem.model.free
-    uncertain = list(chosen.names) + list(problem.considered.parameters.names if problem.considered else ())
+    """Free parameters by `status`, uncertain ones that are held, and those held as exact, in the cell's order."""
+    free = problem.model.free
+    uncertain = list(free.names) + list(problem.considered.parameters.names if problem.considered else ())
+    # What only its prior tells of stays there, as uncertain as before; the data move what is free.
+    loose = np.array([i for i, name in enumerate(free.names) if name not in status], dtype=np.int64)
     vector = problem.model.vector(problem.values(unknowns))
-    prior_sd = dict(zip(chosen.names, problem.prior.sd.tolist(), strict=True))
+    vector[free.slots[loose]] = free.nominal[loose]
+    covariance[np.ix_(loose, loose)] = np.diag(free.prior_sd[loose] ** 2)
+    prior_sd = dict(zip(free.names, problem.prior.sd.tolist(), strict=True))
     parameters = ParameterSet(
         replace(p, prior_sd=prior_sd.get(p.name, p.prior_sd))
         for p in cell.parameters
@@ -378,13 +375,12 @@ def _estimate(
     at = parameters.positions(uncertain)
     full = np.zeros((len(parameters), len(parameters)))
     full[np.ix_(at, at)] = covariance
-    by_name = dict(zip(chosen.names, status, strict=True))
     return Estimate(
         cell=cell,
         parameters=parameters,
         values=vector[parameters.slots],
         covariance=full,
-        status=tuple(by_name.get(name, "fixed") for name in parameters.names),
+        status=tuple(status.get(name, "fixed") for name in parameters.names),
         time_h=float(sweeps.time_h.max()),
     )
 

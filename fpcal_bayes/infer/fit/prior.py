@@ -15,6 +15,25 @@ from fpcal_bayes.model.priors import Marginal
 _LEAST_EIGENVALUE = 1e-16
 
 
+#: Of integrals over a standard normal score (Gauss and Hermite).
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
+_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+#: A joint normal whose correlation matrix has a lower eigenvalue is thin along a surface that bends.
+_THIN = 1e-5
+BENT = (
+    "the prior is the normal approximation of what sweeps said, whose surface bends: no band made with it holds; "
+    "expected the sweeps themselves (--prior with an estimate that carries its rows, or --session a,b)"
+)
+
+
+def bends(estimate: Estimate) -> bool:
+    """Whether values and covariance stand for a surface that is thin beside its extent: a posterior of sweeps."""
+    sd = estimate.sd[estimate.sd > 0]
+    there = np.flatnonzero(estimate.sd > 0)
+    correlation = estimate.covariance[np.ix_(there, there)] / np.outer(sd, sd)
+    return len(sd) > 0 and float(linalg.eigvalsh(correlation)[0]) < _THIN
+
+
 @dataclass(frozen=True)
 class Prior:
     """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal."""
@@ -78,3 +97,11 @@ class Prior:
     def slopes(self, scores: Floats) -> Floats:
         """Derivatives of the parameters (rows) by the scores (columns) at one point (n,), shape (n, n)."""
         return self.by_scores(np.eye(len(self.mean)), scores)
+
+    def secants(self, scores: Floats, sd: Floats) -> Floats:
+        """`slopes`, of a prior that is not normal by the values' sd over the scores' `sd` (n,): unseen, the prior's."""
+        result = self.slopes(scores)
+        for i, other in self.others:
+            values = other.value(scores[i] + sd[i] * _NODES)
+            result[i, i] = np.sqrt(_WEIGHTS @ (values - _WEIGHTS @ values) ** 2) / sd[i]
+        return result

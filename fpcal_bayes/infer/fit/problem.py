@@ -19,7 +19,13 @@ from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.mechanics.rows import row_whitening
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel, Rows
+from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
+from fpcal_bayes.model.trust import HELD_EXACT, Reason
+
+#: Held values move rows off their tangents by so many standard deviations at most, root mean square.
+_MOST_BEND = 3.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,41 @@ class Considered:
     def covariance(self) -> Floats:
         """Covariance, shape (n_considered, n_considered)."""
         return self.factor @ self.factor.T
+
+
+def hold_rest(
+    cell: Cell, chosen: ParameterSet, start: Estimate | None, hold: str
+) -> tuple[CavityModel, Considered | None]:
+    """The model with the parameters outside `chosen` held at `start`, or at nominal, and what is unknown of them.
+
+    A parameter that `start` knows is considered, in linear rows around its value. One that only its prior tells of may
+    be off by degrees, where no line holds: it is free in the model beside the chosen ones, whatever is stated of it.
+    """
+    known = start.parameters.names if start is not None else ()
+    vector = cell.parameters.nominal.copy()
+    considered = None
+    shared = [p.name for p in cell.parameters if p.name in known and p.name not in chosen]
+    if start is not None and shared:
+        held = ParameterSet(cell.parameters[name] for name in shared)
+        vector[held.slots], covariance = start.block(shared)
+        considered = Considered.of(held, covariance) if hold == "consider" else None
+    loose = cell.free.names if hold == "consider" else ()
+    free = ParameterSet(p for p in cell.parameters if p.name in chosen or (p.name in loose and p.name not in known))
+    return CavityModel.of(cell, free, vector), considered
+
+
+def held_reasons(problem: "Problem", unknowns: Floats, *, exact: bool) -> list[Reason]:
+    """What is to be said of parameters that are held."""
+    bend = problem.bend(unknowns)
+    if bend > _MOST_BEND:
+        text = (
+            f"the held values are too uncertain to be held: rows bend by {bend:.0f} standard deviations over what the "
+            "data move them; free them too (--free all), with --prior START if nothing has changed since"
+        )
+        return [Reason("held-uncertain", text)]
+    if exact and len(problem.model.free) < len(problem.model.cell.free):
+        return [Reason("held-exact", HELD_EXACT)]
+    return []
 
 
 @dataclass(frozen=True)
@@ -71,10 +112,11 @@ class Problem:
 
         Without `linearised` it still has to be: rows stand by themselves, with their sigma alone.
         """
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
         problem = cls(
-            model=model,
+            model=model.facing(model.free.nominal, rows),
             sweeps=sweeps,
-            rows=model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute),
+            rows=rows,
             target=sweeps.dl if target is None else target,
             whitening=Whitening(1.0 / sweeps.sigma),
             prior=Prior.of(model.free) if prior is None else prior,
@@ -120,6 +162,16 @@ class Problem:
             _, jacobian = around.predict_with_jacobian(vector[held.slots], self.rows)
             sensitivity = jacobian @ self.considered.factor
         return replace(self, whitening=whitening, sensitivity=sensitivity)
+
+    def bend(self, unknowns: Floats) -> float:
+        """By how many standard deviations a row's line in the considered parameters misses its curve at `unknowns`."""
+        if self.considered is None or self.sensitivity is None:
+            return 0.0
+        held, vector = self.considered.parameters, self.model.vector(self.values(unknowns))
+        around, middle = CavityModel.of(self.model.cell, held, vector), vector[held.slots]
+        at = around.predict(middle, self.rows) + self.sensitivity @ unknowns[self.n_free :]
+        ends = around.predict(middle + self.considered.factor @ unknowns[self.n_free :], self.rows)
+        return float(np.sqrt(np.mean(self.whitening.apply(ends - at) ** 2)))
 
     def with_target(self, target: Floats) -> "Problem":
         """The same problem with other measured values (n_rows,)."""
@@ -203,7 +255,7 @@ class Problem:
         scaled = inverse @ inverse.T
         transform = np.zeros((self.n_unknowns, self.n_unknowns))
         n = self.n_free
-        transform[:n, :n] = self.prior.slopes(unknowns[:n])
+        transform[:n, :n] = self.prior.secants(unknowns[:n], np.sqrt(np.diag(scaled)[:n]))
         if self.considered is None:
             return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.

@@ -2,7 +2,8 @@
 
 Slips are looked for one at a time: of all corrections by k half wavelengths, the one that lowers the refitted sum of
 squares most is made, as long as it lowers it by more than chance and the rarity of slips allow. A correction is that of
-one row, or of a row with those after it in its group: a count that slips on the way is off from there on.
+one row, or of a row with those after it in its group: a count that slips on the way is off from there on. What is
+bounded is the slip from one row of a group to the next.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from fpcal_bayes.infer.fit.minimise import Solution, minimise
 from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 
-#: Most half wavelengths that a count is off by.
+#: Most half wavelengths that a count slips by between two readings.
 MOST_HALF_WAVES = 3
 #: A correction must lower the sum of squares by more than this: odds of e^10 against a slip, before the data.
 _LEAST_GAIN = 20.0
@@ -36,10 +37,17 @@ def find_slips(problem: Problem, solution: Solution) -> Slips:
     half_wave = 0.5 * problem.model.cell.wavelength
     original = problem.target
     counts = np.zeros(len(original), dtype=np.int64)
+    blocks = group_blocks(problem.sweeps)
     together = [np.array([i]) for i in range(len(original))]
-    together += [block[i:] for block in group_blocks(problem.sweeps) for i in range(len(block) - 1)]
+    together += [block[i:] for block in blocks for i in range(len(block) - 1)]
+    # Of each row the one before and the one after it in its group; a row that is not there has the count zero.
+    before, after = np.full((2, len(original)), -1)
+    for block in blocks:
+        before[block[1:]], after[block[:-1]] = block[:-1], block[1:]
+    first, last = np.array([(rows[0], rows[-1]) for rows in together]).T
+    ends = np.array([before[first], first, last, after[last]])
     for _ in range(len(original)):
-        rows, step, gain = _best_correction(problem, solution, counts, half_wave, together)
+        rows, step, gain = _best_correction(problem, solution, counts, half_wave, together, ends)
         if gain < _LEAST_GAIN:
             break
         trial = counts.copy()
@@ -55,7 +63,7 @@ def find_slips(problem: Problem, solution: Solution) -> Slips:
 
 
 def _best_correction(
-    problem: Problem, solution: Solution, counts: Ints, half_wave: float, together: list[Ints]
+    problem: Problem, solution: Solution, counts: Ints, half_wave: float, together: list[Ints], ends: Ints
 ) -> tuple[Ints, int, float]:
     """Rows, change of their counts, and gain in the sum of squares of the best correction; the fit follows linearly."""
     unknowns = solution.unknowns
@@ -68,8 +76,9 @@ def _best_correction(
     unit = sparse.csc_array(whitening @ chosen)
     along = unit.T @ residuals
     size = unit.multiply(unit).sum(axis=0) - ((unit.T @ orthonormal) ** 2).sum(axis=1)
-    low = np.minimum.reduceat(counts[rows], first[:-1])
-    high = np.maximum.reduceat(counts[rows], first[:-1])
+    before, begun, ended, after = np.append(counts, 0)[ends]
+    # Nothing slips behind the last row.
+    slips = np.array([begun - before, np.where(ends[3] < 0, 0, after - ended)])
     best = (together[0], 0, -np.inf)
     for step in range(-2 * MOST_HALF_WAVES, 2 * MOST_HALF_WAVES + 1):
         if step == 0:
@@ -77,10 +86,9 @@ def _best_correction(
         # Taking one more half wavelength from dL raises prediction minus measurement by it.
         gain = -(2.0 * step * along + step**2 * size)
         # A slip more is a priori rarer than one less.
-        slipped_now = (low != 0) | (high != 0)
-        slipped_then = (low + step != 0) | (high + step != 0)
-        gain += 0.5 * _LEAST_GAIN * (slipped_now.astype(float) - slipped_then)
-        gain[(low + step < -MOST_HALF_WAVES) | (high + step > MOST_HALF_WAVES)] = -np.inf
+        then = slips + step * np.array([np.ones_like(ends[3]), np.where(ends[3] < 0, 0, -1)])
+        gain += 0.5 * _LEAST_GAIN * ((slips != 0).sum(axis=0) - (then != 0).sum(axis=0)).astype(float)
+        gain[(np.abs(then) > MOST_HALF_WAVES).any(axis=0)] = -np.inf
         column = int(np.argmax(gain))
         if gain[column] > best[2]:
             best = (together[column], step, float(gain[column]))

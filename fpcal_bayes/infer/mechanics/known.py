@@ -1,6 +1,7 @@
 """What a fit with mechanics knows, small enough to travel with an estimate."""
 
 from collections import Counter
+from collections.abc import Collection
 
 import numpy as np
 from scipy import linalg
@@ -21,19 +22,21 @@ _NEGLIGIBLE = 1e-4
 _MOST_DIRECTIONS = 60
 
 
-def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKnowledge:
+def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collection[str]) -> MechanicsKnowledge:
     """Draws of geometry and weights, turned to the directions that a cavity length feels.
 
     Parameters
     ----------
     parameters
         Of the estimate; those that are neither free nor considered are exact.
+    free
+        Names of those that the estimate moved; others are held at nominal or where they were.
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
     kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
     names = numbered([fit.design.names[i] for i in kept])
-    geometry, known = _deviations(fit, draws.scores)
+    geometry, known = _deviations(fit, draws.scores, free)
     changes = np.hstack([geometry, draws.weights[:, kept]])
     mean = changes.mean(axis=0)
     changes = changes - mean
@@ -47,7 +50,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKn
     path = path_design(terms, vector, middle, poses)
     drift = np.zeros((_POSES, len(kept) - fit.design.motion_count))
     for k in range(drift.shape[1]):
-        drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * float(fit.drive.end_min.max())
+        drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * fit.drive.session_min
     effects = changes @ np.hstack([jacobian, path.motions, drift]).T
     left, sizes, _ = linalg.svd(effects, full_matrices=False)
     count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
@@ -61,7 +64,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet) -> MechanicsKn
         draws=z,
         scales=terms.scales,
         log_scales=draws.log_scales,
-        session_min=float(fit.drive.end_min.max()),
+        session_min=fit.drive.session_min,
     )
 
 
@@ -75,18 +78,21 @@ def random_poses(cell: Cell, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 def covariance_of(fit: MechanicsFit) -> Floats:
     """Covariance of free and considered parameters over the mixture of scales in um and rad, shape (n, n)."""
-    problem = fit.problem
-    slopes = problem.prior.slopes(fit.solution.unknowns[: problem.n_free])
+    problem, n = fit.problem, fit.problem.n_free
+    scores = fit.moments()[1]
+    slopes = problem.prior.secants(fit.solution.unknowns[:n], np.sqrt(np.diag(scores)[:n]))
     if problem.considered is not None:
         slopes = linalg.block_diag(slopes, problem.considered.factor)
-    return symmetric(slopes @ fit.moments()[1] @ slopes.T)
+    return symmetric(slopes @ scores @ slopes.T)
 
 
-def _deviations(fit: MechanicsFit, scores: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Deviations (n_draws, n) of free and considered parameters from the fit to first order, and their names."""
+def _deviations(fit: MechanicsFit, scores: Floats, moved: Collection[str]) -> tuple[Floats, tuple[str, ...]]:
+    """Deviations (n_draws, n) of free and held parameters from the estimate to first order, and their names."""
     problem, at = fit.problem, fit.solution.unknowns
     n = problem.n_free
-    free = (scores[:, :n] - at[:n]) @ problem.prior.slopes(at[:n]).T
+    held = np.array([name not in moved for name in problem.model.free.names])
+    centre = np.where(held, problem.unknowns(problem.model.free.nominal)[:n], at[:n])
+    free = (scores[:, :n] - centre) @ problem.prior.slopes(at[:n]).T
     if problem.considered is None:
         return free, problem.model.free.names
     held = scores[:, n:] @ problem.considered.factor.T

@@ -116,6 +116,7 @@ class ModelResult:
     identification: Identification  # its fit
     loo: LeaveOneOut | None  # predictions, or None if it was not sampled
     failures: tuple[str, ...] = ()  # why it was not
+    misfit: str | None = None  # what a likelihood that is not Gaussian says itself against the rows
 
     @property
     def state(self) -> State:
@@ -126,9 +127,9 @@ class ModelResult:
 
     @property
     def poor(self) -> bool:
-        """Whether the model is rejected by its own chi-square; only Gaussian noise has one."""
+        """Whether the model is rejected by its own chi-square, or by its own posterior predictive check."""
         if self.spec.likelihood != "gaussian":
-            return False
+            return self.misfit is not None
         fit = self.identification
         total = chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))
         return min(fit.fit.p_value, total) < POOR_FIT_BELOW
@@ -148,6 +149,8 @@ class ModelResult:
                 f"{self.spec.words} does not fit: no minimum was found from {self.identification.starts} starting "
                 f"points{touching} ({size})"
             )
+        if self.misfit is not None:
+            return f"{self.spec.words}: {self.misfit}"
         unsampled = f"its posterior could not be sampled ({'; '.join(self.failures)})" if self.failures else ""
         if self.poor:
             also = f"; {unsampled}" if unsampled else ""
@@ -337,6 +340,7 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
     )
     if not posterior.converged:
         return replace(model, failures=posterior.failures)
+    model = replace(model, misfit=posterior.misfit)
     return replace(model, loo=leave_one_out(posterior, likelihood, most_refits=refits, seed=seed))
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
-from fpcal_bayes.infer.fit.slips import Slips, find_slips
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, Slips, find_slips
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
 from fpcal_bayes.infer.posterior.diagnostics import Diagnostics
 from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
-from fpcal_bayes.model.trust import Reason, Trust
+from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust
 
 Likelihood = Literal["gaussian", "student", "slip"]
 
@@ -25,6 +25,7 @@ N_DRAWS = 500
 #: Further draws are made until they are worth this share of those wanted, at most so many times.
 _LEAST_WORTH = 0.5
 _MOST_ROUNDS = 8
+LOST = "no posterior draws travel with the estimate, too few could be made of this fit: bands are of first order"
 #: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
 _DIGITS = 10
 
@@ -44,6 +45,8 @@ class Posterior:
     acceptance: float  # share of all moves
     evaluations: int  # points at which the density was evaluated
     seconds: float  # sampling time
+    # of rows that may slip, have heavy tails or a noise of unknown size: how many repeats of them are less likely
+    predictive_p: float | None = None
 
     @property
     def converged(self) -> bool:
@@ -61,13 +64,29 @@ class Posterior:
         if isinstance(self.target, SlipTarget) or self.target.dof is not None or self.target.noise is not None:
             told |= {"poor-fit", "too-good-fit"}
         left = Trust(tuple(r for r in self.identification.estimate.trust.reasons if r.kind not in told))
-        return left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
+        left = left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
+        return left if self.misfit is None else left.because(Reason("poor-fit", self.misfit))
+
+    @property
+    def misfit(self) -> str | None:
+        """What the likelihood itself says against the rows, or None."""
+        if self.predictive_p is None or self.predictive_p >= POOR_FIT_BELOW:
+            return None
+        kind, allowed = "scaled-noise", "noise of any size"
+        if self.target.dof is not None:
+            kind, allowed = "Student-t", "outliers of any size"
+        if isinstance(self.target, SlipTarget):
+            kind, allowed = "slip", f"slips of up to {MOST_HALF_WAVES} half waves between two readings"
+        return (
+            f"poor fit: of repeats that the {kind} posterior predicts {100 * self.predictive_p:.2g} % are as unlikely "
+            f"as these rows; it allows for {allowed}, and something else is wrong"
+        )
 
     def values(self) -> Floats:
         """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
         n_ensembles, n_steps, n_walkers, n = self.points.shape
         chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
-        return self.identification.problem.values(chains)
+        return self.identification.problem.values(chains)[..., self.identification.own]
 
 
 def make_target(
@@ -124,11 +143,11 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
         if worth >= _LEAST_WORTH * draws:
             break
     else:
-        return np.zeros((0, found.problem.n_free))
+        return np.zeros((0, len(found.free)))
     # Systematic resampling: each point as often as its weight says, up to rounding.
     places = (np.arange(draws) + random.random()) / draws
     chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])
+    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])[:, found.own]
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
@@ -137,11 +156,11 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
     That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
     the data speak about these; or if the draws stand with those of the mechanics.
     """
-    free = found.problem.model.free
+    free = found.free
     if not found.converged or found.machine is not None or free.names != found.estimate.parameters.names:
         return {}
     values = independent_draws(found, draws)
     if not len(values):
-        return {}
+        return {"draws": None, "warnings": [*found.warnings, LOST]}
     shown = np.round(free.to_shown(values), _DIGITS)
     return {"draws": {"names": list(free.names), "rows": shown.tolist()}}

@@ -1,8 +1,9 @@
 """Compiled kernel: the sum over all ways in which the fringe counts of a group of rows may have slipped.
 
-A slip of one row moves, through the whitening, the rows after it in its group. The sum over the counts of all rows of
-a group runs depth first, each row's likeliest count first; branches that cannot add anything to a number in double
-precision are left out.
+A count that slips between two readings of a group is off from there on, and an error of one row moves, through the
+whitening, the rows after it. The sum over the slips of all rows of a group runs depth first, each row's likeliest slip
+first; branches that cannot add anything to a number in double precision
+are left out.
 """
 
 import math
@@ -35,7 +36,7 @@ def slip_sums(
     total: Floats,
     stayed: Floats,
 ) -> None:
-    """Log density of each group's first rows, and the probability that each of them has not slipped.
+    """Log density of each group's first rows, and the probability that each of their counts is right.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def slip_sums(
     corrected, can_slip
         Half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
     half_wave, most
-        Half a wavelength in um, and the most that a count is off by.
+        Half a wavelength in um, and the most that a count slips by from one row of a group to the next.
     members, own, shared, gain, scale
         The whitening of the groups, as for `whiten_groups`.
     prefix
@@ -60,12 +61,12 @@ def slip_sums(
     """
     n_groups, _, n_common = shared.shape
     n_counts = 2 * most + 1
-    # State before each row: effect of the slips of earlier rows, log density so far, and which count is next.
+    # State before each row: effect of the slips of earlier rows, count, log density so far, and which slip is next.
     told = np.zeros((prefix + 1, n_common))
+    level = np.zeros(prefix + 1, dtype=np.int64)
     so_far = np.zeros(prefix + 1)
     tried = np.zeros((prefix, n_counts), dtype=np.bool_)
     terms = np.empty((prefix, n_counts))
-    now = np.zeros(prefix, dtype=np.int64)
     kept = np.empty(prefix)
     for p in range(residuals.shape[0]):
         for g in range(n_groups):
@@ -86,7 +87,7 @@ def slip_sums(
                         if count != 0 and not can_slip[row]:
                             terms[depth, k] = -np.inf
                             continue
-                        moved = (count - corrected[row]) * half_wave * own[g, depth]
+                        moved = (level[depth] + count - corrected[row]) * half_wave * own[g, depth]
                         value = residuals[p, row] + (moved - before) * scale[g, depth] / factor[p]
                         weight = (log_eps[p] if count else log_not[p]) if can_slip[row] else 0.0
                         terms[depth, k] = weight - 0.5 * value * value
@@ -100,10 +101,10 @@ def slip_sums(
                     fresh = False
                     continue
                 tried[depth, chosen] = True
-                now[depth] = chosen
+                level[depth + 1] = level[depth] + chosen - most
                 reached = so_far[depth] + terms[depth, chosen]
                 if depth + 1 < prefix:
-                    moved = (chosen - most - corrected[row]) * half_wave * own[g, depth]
+                    moved = (level[depth + 1] - corrected[row]) * half_wave * own[g, depth]
                     for c in range(n_common):
                         told[depth + 1, c] = told[depth, c] + shared[g, depth, c] * moved
                     so_far[depth + 1] = reached
@@ -120,7 +121,7 @@ def slip_sums(
                 weight = math.exp(reached - best)
                 sum_all += weight
                 for m in range(prefix):
-                    if now[m] == most:
+                    if level[m + 1] == 0:
                         kept[m] += weight
             total[p, g] = best + math.log(sum_all)
             for m in range(prefix):

@@ -202,6 +202,8 @@ def content(posterior: Posterior) -> dict[str, Any]:
     slips = slip_probabilities(posterior)
     if slips is not None:
         base["slips"] = [{"label": label, "probability": p} for label, p in slips if p > _LEAST_SLIP]
+    if posterior.predictive_p is not None:
+        base["fit"]["predictive_p"] = posterior.predictive_p
     return {
         **base,
         "trust": posterior.trust.content(),
@@ -253,7 +255,8 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     n_chains, n_draws, _ = values.shape
     shown = parameters.to_shown(values)
     rng = np.random.default_rng(seed)
-    prior = parameters.to_shown(problem.prior.values(rng.standard_normal(values.shape)))
+    scores = rng.standard_normal((*values.shape[:2], problem.n_free))
+    prior = parameters.to_shown(problem.prior.values(scores)[..., identification.own])
     every = max(1, -(-n_chains * n_draws * len(problem.target) // _KEPT_CELLS))
     unknowns = posterior.points.transpose(0, 2, 1, 3).reshape(n_chains, n_draws, -1)[:, ::every]
     log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import emcee
 import numpy as np
@@ -34,6 +35,8 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 #: A promise is taken with this much in hand.
 _IN_HAND = 1.05
 
+#: Repeats of the rows that they are compared with, at most.
+_REPEATS = 4000
 #: With mechanics every set of scales has a chart of rows by rows.
 MOST_ROWS = 1000
 
@@ -121,7 +124,11 @@ def sample(
         if progress is not None:
             progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
         if posterior.converged or done * BLOCK_STEPS >= limit:
-            return posterior
+            if likelihood == "gaussian" and not noise_scale:
+                return posterior
+            points = posterior.points.reshape(-1, target.n_unknowns)
+            points = points[:: -(-len(points) // _REPEATS)]
+            return replace(posterior, predictive_p=target.predictive_p(points, np.random.default_rng([seed, 3])))
         next_look = min(_next_look(done * BLOCK_STEPS, posterior.diagnostics, draws), limit)
 
 
@@ -261,10 +268,10 @@ def _gather(
     points = np.concatenate([block.points for block in kept], axis=1)
     proposals = np.concatenate([block.log_proposal for block in kept], axis=1)
     # Held parameters are not judged; what stands behind them belongs to the likelihood and is.
-    judged = np.r_[0 : identification.problem.n_free, identification.problem.n_unknowns : target.n_unknowns]
+    judged = np.r_[identification.own, identification.problem.n_unknowns : target.n_unknowns]
     if isinstance(target, MachineTarget):
         # Scales mix more slowly than the geometry, which hardly depends on each of them.
-        judged = np.arange(identification.problem.n_free)
+        judged = identification.own
     diagnostics = diagnose(points[..., judged])
     return Posterior(
         identification=identification,

@@ -191,7 +191,27 @@ class PosteriorTarget:
 
         For rows that share a reading, that of a row given those before it in its group.
         """
-        standardised = self.standardised(points)
+        return self._row_log_likelihoods(self.standardised(points), points)
+
+    def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
+        """Probability that a repeat of the rows is less likely than they are (posterior predictive check).
+
+        Parameters
+        ----------
+        points
+            Draws of the posterior, shape (n_points, n_unknowns); a repeat is drawn at each.
+        """
+        seen, repeat = self.standardised(points), self.draw_noise(points, rng)
+        if self.noise is not None:
+            repeat /= self._factors(points)
+        likelihood = [self._row_log_likelihoods(rows, points).sum(axis=1) for rows in (seen, repeat + self._repeated())]
+        return float(((likelihood[1] <= likelihood[0]).sum() + 1) / (len(points) + 1))
+
+    def _repeated(self) -> Floats:
+        """What repeated rows have beside their errors, whitened, shape (n_rows,)."""
+        return np.zeros(len(self.problem.target))
+
+    def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
         result = -0.5 * self._bent(standardised) ** 2
         result[:, self._folded] += self._other_sign(standardised, points)
         result += self.log_scale

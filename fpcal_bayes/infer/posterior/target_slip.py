@@ -1,7 +1,8 @@
 """The posterior when fringe counts may have slipped: each dL may be off by whole half wavelengths.
 
-A row has slipped with a probability eps that is unknown too; a slip is by any of 1 to 3 half wavelengths up or down,
-all equally likely. Which rows have slipped is summed over, so that only eps joins the unknowns: as a last one, u, with
+From the start of a sweep to its first row, and from each row of a group to the next, a count slips with a probability
+eps that is unknown too, by any of 1 to 3 half wavelengths up or down, all equally likely; slips add up along the sweep.
+Which rows have slipped is summed over, so that only eps joins the unknowns: as a last one, u, with
 logit eps = mean + sd u and u standard normal.
 """
 
@@ -81,7 +82,9 @@ class SlipTarget(PosteriorTarget):
 
         For rows that share a reading, that of a row given those before it in its group.
         """
-        standardised = self.standardised(points)
+        return self._row_log_likelihoods(self.standardised(points), points)
+
+    def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
         result = np.empty_like(standardised)
         for batch in self.problem.whitening.all_batches:
             known = np.zeros((len(points), len(batch.members)))
@@ -95,7 +98,7 @@ class SlipTarget(PosteriorTarget):
         return result
 
     def slip_probabilities(self, points: Floats) -> Floats:
-        """Probability that each row has slipped, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
+        """Probability that the count of each row is off, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
         _, stayed = self._slip_sums(self.standardised(points), points)
         return 1.0 - stayed
 
@@ -109,7 +112,13 @@ class SlipTarget(PosteriorTarget):
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
         offsets = np.where(slipped, counts, 0) * self._half_wave
+        for batch in self.problem.whitening.batches:
+            offsets[:, batch.members] = offsets[:, batch.members].cumsum(axis=2)
         return errors + self.problem.whitening.apply(offsets[:, :, None])[:, :, 0]
+
+    def _repeated(self) -> Floats:
+        """The corrections, whitened, shape (n_rows,)."""
+        return self.problem.whitening.apply(self._half_wave * self._corrected.astype(float))
 
     def _row_of_eps(self, points: Floats) -> Floats:
         """A residual whose square, with the prior's, is lowest at the likeliest u; shape (n_points, 1)."""

@@ -26,11 +26,14 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics.errors import known_task_errors
 from fpcal_bayes.model.parameters import ParameterSet
-from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.model.trust import Reason, Trust
 from fpcal_bayes.motion.tasks import Task, find_task
 
 #: Share of the probability inside a band.
 BAND = 0.95
+#: No fit leaves a task with less, in um: what it rests on was taken as exact.
+_LEAST_SD = 1e-7
+OMITTED = Reason("omitted", "the task rests on held values alone, which were taken as exact: its error is not known")
 #: Draws of which the angular errors are worked out: they are told to two digits.
 _ANGLE_DRAWS = 2000
 
@@ -112,7 +115,8 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
-    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=estimate.trust)
+    trust = estimate.trust if sd.max() > _LEAST_SD else estimate.trust.because(OMITTED)
+    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=trust)
 
 
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:

@@ -226,7 +226,7 @@ def batch_jacobians(
     base: Floats,
     slots: Ints,
     values: Floats,
-    perpendicular: bool,
+    path: int,
     axis_is_z: bool,
     revolute: Bools,
     group_q: Floats,
@@ -281,9 +281,9 @@ def batch_jacobians(
                 distance = height
                 for p in range(n_prismatic):
                     distance += slope[p] * prismatic_q[m, p]
-                if perpendicular:
-                    inverse, length = math.copysign(1.0, distance), 0.0
-                    lengths[m] = abs(distance)
+                if path != 0:
+                    inverse, length = math.copysign(1.0, distance if path == 1 else path), 0.0
+                    lengths[m] = distance * inverse
                 else:
                     inverse = 1.0 / facing
                     length = distance * inverse

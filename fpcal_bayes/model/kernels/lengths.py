@@ -161,7 +161,7 @@ def batch_lengths(
     base: Floats,
     slots: Ints,
     values: Floats,
-    perpendicular: bool,
+    path: int,
     axis_is_z: bool,
     revolute: Bools,
     group_q: Floats,
@@ -177,6 +177,7 @@ def batch_lengths(
     base: model vector of the values that are held.
     slots, values: positions in the model vector of the free parameters, shape (n,), and their values, shape (n_vectors,
     n).
+    path: 0 along the axis; 1 the perpendicular distance; 2 or -2 that with a sign, on the side where it is positive.
     starts, ends: pose of each row; a start of -1 gives L(end) itself.
     Returns shape (n_vectors, n_rows), in um.
     """
@@ -203,7 +204,7 @@ def batch_lengths(
             nx, ny, nz, height = plane[0], plane[1], plane[2], plane[3]
             for lane in range(n_lanes):
                 height[lane] -= nx[lane] * x[lane] + ny[lane] * y[lane] + nz[lane] * z[lane]
-            if not perpendicular:
+            if path == 0:
                 for lane in range(n_lanes):
                     facing = nx[lane] * axis[0, lane] + ny[lane] * axis[1, lane] + nz[lane] * axis[2, lane]
                     inverse[lane] = 1.0 / facing
@@ -223,9 +224,9 @@ def batch_lengths(
                     for p in range(n_prismatic):
                         for lane in range(n_lanes):
                             length[lane] += prismatic_q[m, p] * slope[p, lane]
-                if perpendicular:
+                if path == 1 or path == -2:
                     for lane in range(n_lanes):
-                        length[lane] = abs(length[lane])
+                        length[lane] = abs(length[lane]) if path == 1 else -length[lane]
         for lane in range(here):
             for row in range(n_rows):
                 change = lengths[ends[row], lane]

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
@@ -15,8 +16,9 @@ from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
 _MOST_SLOW = 24
 #: They fall beyond this share of them.
 _KNEE = 0.35
-#: Names of weights that belong to the session alone.
-_OWN = ("drift", "slow", "first approach", "return of", "position of")
+#: Beginnings of the names of weights that each session has anew, and of those of sessions before the last.
+_EARLIER = "earlier "
+_OWN = ("drift", "slow", "first approach", "return of", "position of", _EARLIER)
 #: Errors of positions that several rows share are weights of their own, at most so many of a kind, if they reach this
 #: share of the readings' noise. The rest is new in each sweep, and in longer files than this all is.
 _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
@@ -141,7 +143,7 @@ def _at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str]
 
 
 def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
-    """The design matrix of the rows of one session.
+    """The design matrix of rows; sessions share the weights that a task shares, and each has its own others.
 
     Parameters
     ----------
@@ -150,6 +152,29 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     sigma
         Standard deviation of the rows' noise in um, shape (n,).
     """
+    chosen = [drive.session == i for i in range(int(drive.session.max(initial=0)) + 1)]
+    parts = [_of_session(terms, vector, drive.take(mine), sigma[mine]) for mine in chosen]
+    if len(parts) == 1:
+        return parts[0]
+    back, shared = np.argsort(np.concatenate([np.flatnonzero(mine) for mine in chosen])), parts[-1].motion_count
+    matrix = np.hstack(
+        [
+            np.vstack([part.matrix[:, :shared] for part in parts]),
+            linalg.block_diag(*(part.matrix[:, shared:] for part in parts)),
+        ]
+    )
+    # A task is driven after the last session, and shares nothing with what passed in those before.
+    before = [_EARLIER + name for part in parts[:-1] for name in part.names[shared:]]
+    return Design(
+        matrix[back],
+        (*parts[-1].names[:shared], *before, *parts[-1].names[shared:]),
+        np.concatenate([parts[-1].scale[:shared], *(part.scale[shared:] for part in parts)]),
+        *(np.vstack([getattr(p, name) for p in parts])[back] for name in ("returned", "reached_start", "reached_end")),
+    )
+
+
+def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
+    """The design matrix of the rows of one session."""
     cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
     end = responses(cell, vector, terms.told, drive.q_end)
     start = responses(cell, vector, terms.told, drive.q_start)

@@ -1,6 +1,6 @@
 """How the rows of a file were driven: from which side each pose was reached, and when."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -27,6 +27,9 @@ class Drive:
         When start and end were read, in minutes, shape (n,).
     span_min
         How long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,).
+    session
+        Number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint
+        reached from an unknown side.
     """
 
     q_start: Floats
@@ -40,6 +43,7 @@ class Drive:
     start_min: Floats
     end_min: Floats
     span_min: Floats
+    session: Ints
 
     def __len__(self) -> int:
         return len(self.q_end)
@@ -50,6 +54,15 @@ class Drive:
         different: Bools = self.start_reach != self.end_reach
         different[self.absolute] = True
         return different
+
+    @property
+    def session_min(self) -> float:
+        """How long the last session took, in minutes."""
+        return float(self.end_min[self.session == self.session.max(initial=0)].max())
+
+    def take(self, rows: Bools) -> "Drive":
+        """The rows picked by a mask (n,)."""
+        return Drive(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 def drive_of(
@@ -91,8 +104,9 @@ def drive_of(
         start = np.where(known, 60.0 * (t_start_h - origin), start)
         end = np.where(known, 60.0 * (t_end_h - origin), end)
         span = np.where(known, 0.0, span)
+    session = np.zeros(len(q_end), dtype=np.int64)
     sides = (start_side, end_side, start_reach, end_reach)
-    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span)
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session)
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:

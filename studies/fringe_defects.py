@@ -98,8 +98,8 @@ def main() -> None:
                 if options.list and abs(scores[-1]) > 4.0:
                     print(
                         f"  {kind} seed {seed}: travel {true:.2f}, error {1e3 * error:.1f} nm, sigma "
-                        f"{1e3 * reading.sigma:.2f}, late {reading.late:.3f}, uneven {reading.uneven} {len(reading.profile)}, "
-                        f"{len(trace)} samples"
+                        f"{1e3 * reading.sigma:.2f}, late {reading.late:.3f}, uneven {reading.uneven} "
+                        f"{len(reading.profile)}, {len(trace)} samples"
                     )
         scores, lost = np.array(scores), sum(refused.values())
         everything.append(scores)

@@ -51,12 +51,12 @@ samples = 2
 namespace = "{namespace}"
 
 [joint]
-q1 = {{ speed_um_s = 2000.0, tolerance_um = 0.005, settle_s = 0.05 }}
+q1 = {{ speed_um_s = 1500.0, tolerance_um = 0.005, settle_s = 0.05 }}
 q2 = {{ speed_um_s = 300.0, tolerance_um = 0.005, settle_s = 0.05 }}
-q3 = {{ speed_um_s = 2000.0, tolerance_um = 0.005, settle_s = 0.05 }}
+q3 = {{ speed_um_s = 1500.0, tolerance_um = 0.005, settle_s = 0.05 }}
 q4 = {{ speed_deg_s = 20.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 q5 = {{ speed_deg_s = 20.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
-q6 = {{ speed_deg_s = 200.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
+q6 = {{ speed_deg_s = 100.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 """
 
 

@@ -110,7 +110,8 @@ class TestCheck:
         assert check["verdict"] == "confirmed"
         assert check["peak_to_peak_nm"] < 10.0
         assert check["within_tolerance_probability"] == 1.0
-        assert written["warnings"] == []
+        # End points alone cannot tell which way some axes count; nothing else is held against the calibration.
+        assert [text for text in written["warnings"] if "counted the other way" not in text] == []
 
     def test_a_stale_one_is_refuted_unless_it_may_drift(self, capsys: pytest.CaptureFixture[str]) -> None:
         run("check", "t8.csv", "--estimate", "e.json")

@@ -359,3 +359,31 @@ def test_damaged_bytes(folder, content, share, piece):
     data = json.dumps(content).encode()
     at = int(share * len(data))
     attempt(folder / "bytes.json", data[:at] + piece + data[at + len(piece) :])
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda c: c["parameters"]["z_wf"].update(sd=2 * c["parameters"]["z_wf"]["sd"]), "parameters.z_wf.sd: "),
+        (lambda c: c["covariance"]["names"].reverse(), "contradict each other"),
+        (lambda c: c["parameters"]["z_wf"].update(mean=c["parameters"]["z_wf"]["value"] + 5.0), "parameters.z_wf.mean"),
+        (
+            lambda c: c["parameters"]["z_wf"].update(value=1e150),
+            "parameters.z_wf.value: expected a number from -1e[+]07",
+        ),
+        (lambda c: c.update(time_h=1.7e9), "key time_h: expected a number from -1e[+]06"),
+    ],
+)
+def test_what_is_said_twice_must_agree(folder, content, edit, message):
+    changed = copy.deepcopy(content)
+    edit(changed)
+    with pytest.raises(InputError, match=message):
+        read(folder, changed)
+
+
+def test_a_file_without_its_hash_is_said(folder, content):
+    assert [reason.kind for reason in read(folder, content).trust.reasons] == ["second-solution", "unrecorded"]
+    write_json(folder / "estimate.json", content)
+    assert [reason.kind for reason in read_estimate(folder / "estimate.json", CELL).trust.reasons] == [
+        "second-solution"
+    ]

@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg, stats
 
+from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.minimise import minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.fit import fit_mechanics
 from fpcal_bayes.infer.mechanics.judge import doubts_of, term_tests
-from fpcal_bayes.infer.mechanics.posterior import ScaleCharts, weighted_draws
+from fpcal_bayes.infer.mechanics.known import covariance_of
+from fpcal_bayes.infer.mechanics.posterior import ScaleCharts
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
+from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS, mechanics_task_errors
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.drive import drive_of_sweeps
@@ -19,7 +23,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.motion.tasks import task_path
-from fpcal_bayes.simulator.machine import Machine
+from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, linearity=45, reversal=10, return_sd=2)
 TURN = JointMechanics(
@@ -103,6 +107,35 @@ def test_draws_are_the_conditional_normal(fitted):
     assert np.abs(np.log(drawn.std(axis=0) / sd)).max() < 0.12
 
 
+def test_held_parameters_keep_their_covariance(cell):
+    machine = _machine(cell, 9)
+    plan = protocol_by_name("paper-mid", cell)
+    measured = plan.with_measurement(machine.sweep(drive_of_sweeps(plan, 1.0), SIGMA), SIGMA)
+    extrinsic = [name for name in cell.free.names if name.endswith(("_et", "_wf"))]
+    found = identify(replace(cell, mechanics=SIZES), measured, free=extrinsic)
+    fit, n = found.machine, len(extrinsic)
+    covariance = covariance_of(fit)
+    held = fit.problem.considered.parameters
+    np.testing.assert_allclose(covariance[n:, n:], np.diag(held.prior_sd**2), atol=1e-12)
+    # Schmidt's at the typical scales, by the problem's own way, differs by the spread of the scales only.
+    sd = np.sqrt(np.diag(covariance))
+    # Schmidt's update written out (Joseph's form, which holds for any gain), over the mixture of scales.
+    rows, centres, spread = fit.rows.geometry, [], np.zeros((len(sd), len(sd)))
+    for log in fit.scales.log:
+        noise, gain = _dense(fit, log), np.zeros(rows.T.shape)
+        gain[:n] = np.linalg.solve(noise + rows @ rows.T, rows[:, :n]).T
+        left = np.eye(len(sd)) - gain @ rows
+        spread += (left @ left.T + gain @ noise @ gain.T) / len(fit.scales.log)
+        centres.append(gain @ fit.rows.target)
+    scale = linalg.block_diag(fit.problem.prior.slopes(fit.solution.unknowns[:n]), fit.problem.considered.factor)
+    expected = scale @ (spread + np.cov(np.array(centres).T, bias=True)) @ scale.T
+    np.testing.assert_allclose(covariance / np.outer(sd, sd), expected / np.outer(sd, sd), atol=1e-6)
+    # What is handed on draws the same.
+    slopes = fit.problem.prior.slopes(fit.solution.unknowns[:n])
+    drawn = np.hstack([fit.draws.scores[:, :n] @ slopes.T, fit.draws.scores[:, n:] @ fit.problem.considered.factor.T])
+    assert np.abs((np.cov(drawn.T) - covariance) / np.outer(sd, sd)).max() < 0.15
+
+
 def test_bands_hold_where_white_noise_does_not(cell, fitted):
     machine, fit = fitted
     assert fit.solution.converged
@@ -143,29 +176,31 @@ def test_compressed_rows_tell_the_same(cell, fitted, monkeypatch):
     np.testing.assert_allclose(compressed.solution.unknowns, whole.solution.unknowns, atol=0.15)
 
 
-def test_exact_posterior_agrees_and_its_weights_are_even(fitted):
+def test_density_of_scales_is_that_of_the_rows(fitted):
     _, fit = fitted
-    drawn = weighted_draws(fit, 1600)
-    assert drawn.effective > 1000
-    assert drawn.solved > 0.98
-    mean, covariance = fit.moments()
-    sd = np.sqrt(np.diag(covariance))
-    centre = drawn.weights @ drawn.scores
-    assert np.abs((centre - mean) / sd).max() < 0.35
+    logs = np.random.default_rng(3).normal(0.0, 0.4, (3, len(fit.terms.scales)))
+    expected = []
+    for log in logs:
+        covariance = _dense(fit, log) + fit.rows.geometry @ fit.rows.geometry.T
+        rows = stats.multivariate_normal.logpdf(fit.rows.target, cov=covariance, allow_singular=True)
+        expected.append(rows + stats.norm.logpdf(log, scale=fit.density.prior_sd).sum())
+    values = [value for value, _ in fit.density.at(logs)]
+    np.testing.assert_allclose(np.diff(values), np.diff(expected), atol=1e-4)
+    for log, (_, lower) in zip(logs, fit.density.at(logs), strict=True):
+        np.testing.assert_allclose(np.tril(lower), np.linalg.cholesky(_dense(fit, log)), rtol=0, atol=1e-10)
 
 
-def test_weights_are_the_density_over_the_proposal(fitted):
+def test_draws_are_weighed_by_the_density_over_the_proposal(fitted):
     # At one set of scales, by densities written out; the determinant by differences of the map.
     _, fit = fitted
-    log = fit.scales.log[:1]
-    charts = ScaleCharts(fit, log)
-    normal = np.random.default_rng(4).standard_normal((1, 3, fit.problem.n_unknowns))
-    points, weights = charts.solve(normal)
-    covariance, problem = _dense(fit, log[0]), fit.problem
-    expected = []
-    for point, e in zip(points[0], normal[0], strict=True):
+    covariance, problem = _dense(fit, fit.scales.log[0]), fit.problem
+    charts = ScaleCharts(problem, fit.solution.unknowns, [np.linalg.cholesky(covariance)] * 3)
+    normal = np.random.default_rng(4).standard_normal((3, problem.n_unknowns))
+    points, log_density, log_proposal = charts.solve(normal)
+    for k, (point, e) in enumerate(zip(points, normal, strict=True)):
         miss = problem.model.predict(problem.values(point), problem.rows) - problem.target
         density = -0.5 * miss @ np.linalg.solve(covariance, miss) - 0.5 * point @ point
+        assert log_density[k] == pytest.approx(density - 0.5 * np.linalg.slogdet(covariance)[1], abs=1e-6)
 
         def h(v):
             rows = problem.model.predict(problem.values(v), problem.rows) - problem.target
@@ -174,8 +209,50 @@ def test_weights_are_the_density_over_the_proposal(fitted):
         np.testing.assert_allclose(h(point), e, atol=1e-6)
         steps = 1e-5 * np.eye(len(point))
         slopes = np.array([(h(point + step) - h(point - step)) / 2e-5 for step in steps]).T
-        expected.append(density - np.linalg.slogdet(slopes)[1] + 0.5 * e @ e)
-    np.testing.assert_allclose(np.diff(weights[0]), np.diff(expected), atol=1e-3)
+        assert log_proposal[k] == pytest.approx(np.linalg.slogdet(slopes)[1] - 0.5 * e @ e, abs=1e-3)
+    np.testing.assert_allclose(charts.log_proposal(points), log_proposal, atol=1e-5)
+    np.testing.assert_allclose(charts.log_density(points), log_density, atol=1e-9)
+
+
+def test_sampler_agrees_with_a_plain_random_walk(cell):
+    # Few parameters, rows and scales: a random walk on the density, written out, with no chart and no linearisation.
+    stage = JointMechanics(straightness_nm=60, reversal=20, return_sd=4)
+    sizes = Mechanics((stage, stage, stage, *[JointMechanics()] * 3), correlated_nm=0.0)
+    plan = protocol_by_name("paper", cell)
+    plan = plan.take(np.r_[0:8, 45:60])
+    machine = _machine(cell, 8, sizes)
+    measured = plan.with_measurement(machine.sweep(drive_of_sweeps(plan, 1.0), SIGMA), SIGMA)
+    found = identify(replace(cell, mechanics=sizes), measured, free=("theta_wf", "beta_et", "alpha_4"), hold="exact")
+    fit, n = found.machine, 3
+    drawn = sample(found, draws=3000, seed=1).points.reshape(-1, n + len(fit.terms.scales))
+
+    problem = fit.problem
+    readings, returns = fit.noise.dense()
+
+    def density(x):
+        scale = np.exp(x[n:])
+        columns = fit.design.matrix * scale[fit.design.scale]
+        covariance = columns @ columns.T + scale[-1] ** 2 * readings + scale[-2] ** 2 * returns
+        miss = problem.model.predict(problem.values(x[:n]), problem.rows) - problem.target
+        lower = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(lower, miss)
+        prior = (x[:n] ** 2).sum() + ((x[n:] / fit.density.prior_sd) ** 2).sum()
+        return -0.5 * (white @ white + prior) - np.log(np.diag(lower)).sum()
+
+    rng = np.random.default_rng(5)
+    root = 0.7 * np.linalg.cholesky(np.cov(drawn.T))
+    at, walked = drawn.mean(axis=0), []
+    level = density(at)
+    for step, uniform in zip(rng.standard_normal((20_000, len(at))) @ root.T, np.log(rng.random(20_000)), strict=True):
+        there = density(at + step)
+        if uniform < there - level:
+            at, level = at + step, there
+        walked.append(at)
+    walked = np.array(walked[2000:])
+    sd = walked.std(axis=0)
+    assert np.abs((drawn.mean(axis=0) - walked.mean(axis=0)) / sd).max() < 0.15
+    assert np.abs(np.log(drawn.std(axis=0) / sd)).max() < 0.15
+    assert sd[:n].max() > 1e-3
 
 
 def test_a_motion_beyond_the_sheet_is_named(cell):
@@ -183,6 +260,19 @@ def test_a_motion_beyond_the_sheet_is_named(cell):
     machine = _machine(cell, 5, replace(SIZES, joints=tuple(loud)))
     fit = fit_mechanics(_problem(cell, machine), SIZES)
     assert any("rotary, along the beam" in doubt.text or "q6" in doubt.text for doubt in doubts_of(fit))
+
+
+def test_a_return_is_not_blamed_for_a_few_wide_readings(cell):
+    gentle = SIZES.scaled(0.2)
+    machine = _machine(cell, 26, gentle)
+    machine.settings = MachineSettings(student=3.0)
+    fit = fit_mechanics(_problem(cell, machine), gentle)
+    assert fit.scales.quantiles()[0][-2] > 3.0
+    assert doubts_of(fit) == ()
+    # A return that spoils all rows is named.
+    joints = tuple(replace(joint, return_sd=20.0 * joint.return_sd) for joint in SIZES.joints)
+    loud = _machine(cell, 5, replace(SIZES, joints=joints))
+    assert any(doubt.text.startswith("return") for doubt in doubts_of(fit_mechanics(_problem(cell, loud), SIZES)))
 
 
 def test_good_machines_are_not_doubted(fitted):

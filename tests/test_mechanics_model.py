@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
@@ -21,7 +22,7 @@ from fpcal_bayes.model.mechanics import (
 from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
 from fpcal_bayes.model.mechanics.response import directions, responses
 from fpcal_bayes.model.mechanics.words import CREST, PEAK_TO_VALLEY, peak_to_valley, return_sd, reversal, weight_sd
-from fpcal_bayes.simulator.machine import Machine
+from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
 TURN = JointMechanics(radial_runout_nm=100, axial_runout_nm=100, wobble_urad=15, linearity=26, reversal=1)
@@ -223,3 +224,82 @@ def test_path_and_rows_hold_the_same_weights():
     )
     made = design(terms, vector, drive, np.full(5, 0.005))
     np.testing.assert_allclose(path.motions, made.matrix[:, : made.motion_count], atol=1e-15)
+
+
+def test_a_slow_reading_error_is_stated_for_the_cell():
+    cell = load_cell(mechanics="none")
+    stated = cell_mechanics({"correlated_nm": 4.0}, (JointMechanics(),) * 6, place="mechanics")
+    plan, drive = _drive(cell)
+    made = design(Terms.of(cell, stated), cell.parameters.nominal, drive, np.full(len(plan), 0.005))
+    slow = made.matrix[:, [name == "slow reading error" for name in made.names]]
+    assert np.sqrt((slow**2).sum(axis=1).mean()) == pytest.approx(4e-3, rel=0.05)
+
+
+def _chained(cell):
+    """Sweeps of q2 that begin where the last has ended, with midpoints, one that stands; then an absolute length."""
+    stops = np.zeros((8, 6))
+    stops[:, 1] = [-20, 20, 5, 5, -20, 20, -20, 0]
+    stops[:, 5] = [0, 0, 0, 1, 1, 1, 1, 1]
+    start, stop = np.repeat(stops[:-1], 2, axis=0), np.repeat(stops[1:], 2, axis=0)
+    end = start + np.tile([0.5, 1.0], 7)[:, None] * (stop - start)
+    start, end = np.vstack([start, stops[-1:]]), np.vstack([end, stops[-1:]])
+    absolute = np.arange(len(end)) == len(end) - 1
+    sweep = np.r_[np.repeat(np.arange(7), 2), 7]
+    drive = drive_of(start, end, absolute=absolute, sweep=sweep, time_h=np.zeros(len(end)), minutes_per_sweep=1.0)
+    return drive, [np.flatnonzero(sweep == k) for k in range(7)]
+
+
+def _covariance(made, blocks):
+    """Of the rows, by the shared weights and by what is new in each sweep, at noise-free readings."""
+    columns = made.matrix[:, [name.startswith(("return of", "position of")) for name in made.names]]
+    noise = RowNoise(np.zeros(len(made.matrix)), tuple(blocks), made)
+    return columns @ columns.T + noise.dense()[1]
+
+
+def test_return_errors_stay_while_a_joint_stands_still():
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(11)
+    sizes = Mechanics((JointMechanics(return_sd=20.0),) * 3 + (JointMechanics(return_sd=200.0),) * 3)
+    drive, blocks = _chained(cell)
+    vector = cell.parameters.nominal
+    made = design(Terms.of(cell, sizes), vector, drive, np.full(len(drive), 0.005))
+    machine = Machine.draw(cell, sizes, vector, rng, MachineSettings(spread=1.0))
+    told = directions(cell, np.zeros((6, 3)))
+    at_end, at_start = (responses(cell, vector, told, q).drive for q in (drive.q_end, drive.q_start))
+    drawn = []
+    for _ in range(3000):
+        begun, ended = machine.reached(drive)
+        drawn.append((at_end * ended).sum(axis=1) - ~drive.absolute * (at_start * begun).sum(axis=1))
+    expected, spread = _covariance(made, blocks), np.cov(np.array(drawn).T)
+    assert sum(name == "return of q2" for name in made.names) >= 5
+    assert np.abs(spread - expected).max() < 0.08 * expected.max()
+
+
+def test_encoders_of_unknown_period_err_alike_at_the_same_position():
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(12)
+    sizes = Mechanics((JointMechanics(encoder=20.0),) * 3 + (JointMechanics(),) * 3)
+    drive, blocks = _chained(cell)
+    vector = cell.parameters.nominal
+    made = design(Terms.of(cell, sizes), vector, drive, np.full(len(drive), 0.005))
+    told = directions(cell, np.zeros((6, 3)))
+    at_end, at_start = (responses(cell, vector, told, q).drive[:, 1] for q in (drive.q_end, drive.q_start))
+    period, phase = rng.uniform(0.2, 1.1, (20_000, 1)), rng.uniform(0, 2 * np.pi, (20_000, 1))
+
+    def error(q):
+        return 0.02 * np.sin(2 * np.pi * q[:, 1] / period + phase)
+
+    drawn = at_end * error(drive.q_end) - ~drive.absolute * at_start * error(drive.q_start)
+    expected = _covariance(made, blocks)
+    assert np.abs(np.cov(drawn.T) - expected).max() < 0.08 * expected.max()
+
+
+def test_a_machine_adds_to_one_pose_what_it_adds_to_rows():
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(13)
+    machine = Machine.draw(cell, SIZES, _vector(cell, rng), rng)
+    poses, side = _poses(rng), np.array([1.0, -1.0, 1.0, 0.0, 1.0, -1.0])
+    told = np.where(side == 0, machine.side, side)
+    lengths = machine.lengths(poses, machine.half_reversal * told + machine.periodic(poses), np.zeros(len(poses)))
+    model = CavityModel.of(cell)
+    ideal = model.predict(machine.vector[cell.free.slots], model.pose_rows(poses))
+    added = [machine.length_change(pose, side, 100.0) for pose in poses]
+    np.testing.assert_allclose(added, lengths - ideal, atol=1e-9)
+    assert np.abs(added).max() > 0.02

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
 from fpcal_bayes.measure.recordings import check_index
 from fpcal_bayes.measure.sweeps import join
@@ -14,9 +16,9 @@ from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views
-from fpcal_bayes.simulator.optics import HARD, RecorderSettings, SimulatedOptics
+from fpcal_bayes.simulator.optics import HARD, Chances, RecorderSettings, SimulatedOptics
 from fpcal_bayes.simulator.recorder import record_path, record_sweeps, reference_joint
-from fpcal_bayes.simulator.sweeps import noise_free
+from fpcal_bayes.simulator.sweeps import machine_of, noise_free, simulate
 
 CLEAN = RecorderSettings(envelope_change=0.0, offset_drift=0.0, noise=0.0)
 
@@ -213,3 +215,38 @@ def test_bad_input_is_refused(femto: Cell, truth: Truth) -> None:
         RecorderSettings(velocity_ripple=1.0)
     with pytest.raises(InputError, match="noise = -1"):
         RecorderSettings(noise=-1.0)
+
+
+def test_a_machine_records_the_lengths_that_it_measures(truth: Truth) -> None:
+    cell = load_cell()
+    plan = paper_protocol(cell).take(np.arange(6))
+    index = record_sweeps(cell, truth, plan, CLEAN, seed=4, scans=False)
+    measured = simulate(cell, truth, plan, sigma_nm=1e-3, seed=4)
+    perfect = noise_free(cell, truth, plan)
+    assert np.abs(measured.dl - perfect).max() > 0.05
+    # The machine of the same seed, from the same sides, with the same return errors.
+    machine = replace(machine_of(cell, truth, 4), rng=np.random.default_rng([4, 6]))
+    drive = drive_of_sweeps(plan, cell.mechanics.minutes_per_sweep)
+    reached = machine.reached(drive)
+    ends = [(plan.q_start, reached[0], drive.start_min, 0), (plan.q_end, reached[1], drive.end_min, -1)]
+    rig, lengths = SimulatedOptics(cell, truth, CLEAN), []
+    for q, errors, minutes, place in ends:
+        lengths.append(machine.lengths(q, errors + machine.periodic(q), minutes))
+        _, distance, tilt = mirror_views(CavityModel.of(cell), machine.vector[cell.free.slots], q)
+        seen = [
+            rig.voltages((np.array([length]), np.array([far]), np.array([turned])), Chances.several(0, 1, 6)[0])[0]
+            for length, far, turned in zip(lengths[-1], distance, tilt, strict=True)
+        ]
+        np.testing.assert_allclose([trace.irradiance[place] for trace in index.traces], seen, atol=2e-3)
+    np.testing.assert_allclose(measured.dl, lengths[1] - lengths[0], atol=1e-5)
+
+
+def test_a_machine_keeps_its_errors_along_a_path(truth: Truth) -> None:
+    cell, path = load_cell(), np.zeros((6, 6))
+    path[:, 0], path[:, 5] = [0, 40, 80, 60, 60, 0], [0.0, 0.1, 0.2, 0.3, 0.1, 0.0]
+    trace = record_path(cell, truth, path, settings=replace(CLEAN, quadrature=False), seed=2)
+    machine = replace(machine_of(cell, truth, 2), rng=np.random.default_rng([2, 6]))
+    expected = machine.lengths(path, machine.reach(path, machine.side), np.zeros(6))
+    np.testing.assert_allclose(trace.length[~trace.reference][::400], expected, atol=1e-9)
+    other = record_path(cell.ideal, truth, path, settings=replace(CLEAN, quadrature=False), seed=2)
+    assert np.ptp((trace.length - other.length)[~trace.reference]) > 0.01

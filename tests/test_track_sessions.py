@@ -7,6 +7,7 @@ import pytest
 from track_fixtures import CELL, campaign
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.tracking.sessions import check_sessions, hours_of, session_sha256
 from fpcal_bayes.tracking.tracker import track
@@ -74,3 +75,49 @@ def test_the_hash_of_a_session_is_that_of_its_numbers():
     part = SWEEPS.of_session("s1")
     assert session_sha256(part) == session_sha256(replace(part, label=np.full(6, "x")))
     assert session_sha256(part) != session_sha256(replace(part, dl=part.dl + 1e-9))
+
+
+BEGIN = np.datetime64("2024-10-24T04:00:00")
+
+
+def clocks(hours: np.ndarray, zone: str = "Z") -> np.ndarray:
+    return np.array([f"{BEGIN + np.timedelta64(round(3600 * hour), 's')}{zone}" for hour in hours.tolist()])
+
+
+@pytest.mark.parametrize(
+    ("time_h", "utc", "expected"),
+    [
+        # In the night to 27 October clocks went back: time_h kept to them, utc did not.
+        (lambda h: h - (h > 10), clocks, "utc counts 16 h and time_h 15 h, expected the same [(]summer time"),
+        (lambda h: 60.0 * h, clocks, "time_h looks like minutes"),
+        (lambda h: h / 24.0, clocks, "time_h looks like days"),
+        (lambda h: h, lambda h: np.where(h > 10, clocks(h + 2.0, ""), clocks(h)), "column utc: from session .* 18 h"),
+        (lambda h: h, lambda h: clocks(h + 0.7 * (h > 20)), "row 88, column utc: .* 24.7 h and time_h 24 h"),
+    ],
+)
+def test_clocks_and_hours_differ_by_one_constant(time_h, utc, expected):
+    hours = SWEEPS.time_h
+    with pytest.raises(InputError, match=expected):
+        check_sessions(replace(SWEEPS, time_h=time_h(hours), utc=utc(hours)))
+
+
+def test_a_constant_difference_is_no_contradiction():
+    # The campaign began before the first session; rows of a session stand at one time_h, their clocks run on.
+    later = np.arange(len(SWEEPS)) % 6 / 60.0
+    for utc in (clocks(SWEEPS.time_h + 5.0), clocks(SWEEPS.time_h + later), clocks(SWEEPS.time_h, "+02:00")):
+        assert len(check_sessions(replace(SWEEPS, utc=utc))) == 4
+
+
+def test_a_session_sent_again_later_is_no_new_measurement():
+    copy = replace(SWEEPS.take(SWEEPS.session == "s1"), session=np.full(6, "s9"), time_h=np.full(6, 40.0))
+    with pytest.raises(InputError, match="session s9 repeats session s1 to the last digit"):
+        check_sessions(join([SWEEPS, copy]))
+    # Counts of whole fringes do repeat.
+    coarse = replace(SWEEPS, sigma=np.full(len(SWEEPS), 0.3))
+    assert check_sessions(join([coarse, replace(copy, sigma=np.full(6, 0.3))]))
+
+
+def test_sessions_that_differ_by_case_or_blanks(tmp_path):
+    names = np.where(SWEEPS.session == "s2", "S1 ", SWEEPS.session)
+    with pytest.raises(InputError, match="sessions 's1' and 'S1 ' differ by case or blanks only"):
+        write_csv(tmp_path / "a.csv", replace(SWEEPS, session=names), CELL)

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     if options.commission == (options.n is not None or options.reach is not None):
-        raise InputError("expected one of --n N, --reach TASK=NM,.. and --commission")
+        raise InputError("expected --n N or --reach TASK=NM,.., or --commission alone")
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
@@ -66,6 +66,11 @@ def run(options: argparse.Namespace) -> int:
             expected[name] = check.expected_sd(papers, readings=often, sigma=sigma)
             seconds[name] = duration(cell, papers, often, settings.limits)
     warnings += shortfalls(check, ordered, readings=readings, sigma=sigma)
+    if cell.mechanics is not None:
+        warnings.append(
+            "the expected sd are those of a perfect mechanism: they compare plans and promise nothing of a machine; "
+            f"fpcal observe {options.output} takes the stated error motions into account"
+        )
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
 

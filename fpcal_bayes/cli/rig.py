@@ -9,6 +9,7 @@ from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.emulate.bench import EmulatedBench
 from fpcal_bayes.rig.reader import read_rig
+from fpcal_bayes.simulator.sweeps import machine_of
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,6 +22,8 @@ def run(options: argparse.Namespace) -> int:
     halt = Halt()
     with halt.on_signals():
         emulated = EmulatedBench(rig, cell)
+        if cell.mechanics is not None:
+            emulated.lab.machine = machine_of(cell, emulated.lab.truth, rig.emulation.seed)
         emulated.write_live(output)
         listening = ", ".join(f"{name} at {end.address}" for name, end in emulated.server.endpoints.items())
         console(options).say(f"{listening} -> {output}")

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import replace
 
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn
+from fpcal_bayes.cli.common import cell_of, check_suffix, console
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
@@ -16,7 +16,7 @@ from fpcal_bayes.io.truth import read_truth, write_truth
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope
@@ -41,10 +41,7 @@ def run(options: argparse.Namespace) -> int:
             else protocol_by_name(protocol, cell)
         )
         plan = plan if options.signs is None else mark_signs(plan, options.signs)
-    truth = paper_truth(cell) if options.truth is None else read_truth(options.truth, cell)
-    if options.traces and cell.mechanics is not None:
-        warn(["traces are recorded on a perfect mechanism: error motions are in simulated sweeps only"])
-        cell = cell.ideal
+    truth = default_truth(cell, options.seed) if options.truth is None else read_truth(options.truth, cell)
     if plan is None:
         return _record_path(options, cell, truth)
     require_drivable(cell, truth, plan)
@@ -67,6 +64,10 @@ def _check_options(options: argparse.Namespace) -> None:
             raise InputError(f"--{name.replace('_', '-')}: is not taken with --path")
 
 
+def _machine(cell: Cell) -> str:
+    return "" if cell.mechanics is None else ", a machine drawn from the stated error motions"
+
+
 def _settings(options: argparse.Namespace) -> RecorderSettings:
     settings = HARD if options.disturbances == "hard" else RecorderSettings()
     return replace(settings, samples_per_fringe=options.samples_per_fringe)
@@ -86,9 +87,9 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
         write_sweeps(options.output, sweeps, cell)
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
-    machine = "" if cell.mechanics is None else ", a machine drawn from the stated error motions"
     console(options).say(
-        f"{len(sweeps)} rows simulated on cell {cell.name!r}{machine}, sd {sigma_nm:g} nm{signs} -> {options.output}"
+        f"{len(sweeps)} rows simulated on cell {cell.name!r}{_machine(cell)}, "
+        f"sd {sigma_nm:g} nm{signs} -> {options.output}"
     )
     return 0
 
@@ -103,7 +104,8 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     write_truth(beside, truth)
     samples = sum(map(len, index.traces))
     console(options).say(
-        f"{len(plan)} sweeps recorded on cell {cell.name!r}, {samples} samples -> {options.output}, truth in {beside}"
+        f"{len(plan)} sweeps recorded on cell {cell.name!r}{_machine(cell)}, {samples} samples -> {options.output}, "
+        f"truth in {beside}"
     )
     return 0
 
@@ -118,7 +120,7 @@ def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     trace = record_path(cell, truth, path, options.time_h or 0.0, _settings(options), options.seed)
     write_path_trace(options.output, trace, cell)
     console(options).say(
-        f"{len(trace)} samples recorded along {options.path}, true change of length {1e3 * trace.length_change:.1f} nm "
-        f"peak to peak -> {options.output}"
+        f"{len(trace)} samples recorded along {options.path}{_machine(cell)}, "
+        f"true change of length {1e3 * trace.length_change:.1f} nm peak to peak -> {options.output}"
     )
     return 0

@@ -36,8 +36,9 @@ _BETWEEN_LINES = 30.0
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    stated = cell_of(options)
     # A study draws its truths from the priors of the parameters: its mechanism is perfect, whatever the cell states.
-    cell = cell_of(options).ideal
+    cell = stated.ideal
     output: Path = options.output or Path(f"study-{options.study}.h5")
     options.output = output
     check_outputs(options)
@@ -59,6 +60,10 @@ def run(options: argparse.Namespace) -> int:
             progress=reporter.show,
         )
     summary = study.summary(store.results(options.replicates))
+    if stated.mechanics is not None:
+        summary.warnings.append(
+            "the mechanism of this study is perfect whatever the cell states: studies/mechanics_coverage.py has others"
+        )
     content = {
         "cell": {"name": cell.name, "sha256": cell.sha256},
         "study": study.name,

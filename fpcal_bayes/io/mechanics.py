@@ -64,7 +64,7 @@ def cell_mechanics(table: Mapping[str, Any], joints: tuple[JointMechanics, ...],
     InputError
         If a key is unknown or a value is no size.
     """
-    known = {"drift_nm_per_min": 0.0, "minutes_per_sweep": 1e-6}
+    known = {"drift_nm_per_min": 0.0, "minutes_per_sweep": 1e-6, "correlated_nm": 0.0}
     for key in table:
         if key not in known:
             raise InputError(f"{place}.{key}: unknown key, expected one of {', '.join(sorted(known))}")

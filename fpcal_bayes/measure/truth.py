@@ -1,5 +1,6 @@
 """The true parameters of a simulated cell through time."""
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,36 @@ def paper_truth(cell: Cell) -> Truth:
     first = full[0]["intrinsic"]
     epochs = [(24.0 * entry["day"], first | entry["intrinsic"] | entry["extrinsic"]) for entry in full]
     return truth_of(cell, epochs, "the paper's truth")
+
+
+#: A value so many prior standard deviations away is one of another robot.
+_FAR = 4.5
+#: Sets the draw of a truth off from that of the noise.
+_DRAWN = 7
+
+
+def default_truth(cell: Cell, seed: int) -> Truth:
+    """The truth of a simulated cell: the paper's for the paper's robot, for any other one a constant draw of its prior.
+
+    Parameters
+    ----------
+    seed
+        The seed of numpy's default generator, for the draw.
+    """
+    with contextlib.suppress(InputError):
+        paper = paper_truth(cell)
+        priors = [cell.parameters[name] for name in paper.parameters.names]
+        scores = [
+            abs(value - p.nominal) / p.prior_sd for value, p in zip(paper.values[0], priors, strict=True) if p.prior_sd
+        ]
+        if max(scores) < _FAR:
+            return paper
+    drawn = np.random.default_rng([seed, _DRAWN]).standard_normal(len(cell.free))
+    values = [
+        p.nominal + p.prior_sd * score if p.prior is None else float(p.prior.value(np.array(score)))
+        for p, score in zip(cell.free, drawn, strict=True)
+    ]
+    return Truth(cell.free, np.zeros(1), np.array([values]))
 
 
 def truth_of(cell: Cell, epochs: list[tuple[float, dict[str, float]]], place: str) -> Truth:

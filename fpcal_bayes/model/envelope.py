@@ -100,12 +100,8 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
     """Ranges of the joints within `low` to `high` (n_joints,) in which every pose stays in the envelope.
 
     Whatever the order in which joints move, a way between two such poses stays there too. Where the whole ranges do
-    not, the joint gives way whose return towards joint zero helps the worst pose most.
-
-    Raises
-    ------
-    InputError
-        If the cell may leave its envelope at joint zero already.
+    not, the joint gives way whose return towards joint zero helps the worst pose most. `InputError` if the cell may
+    leave its envelope at joint zero already.
     """
     cell, at = model.cell, home(model.cell)
     if cell.envelope is None:
@@ -239,11 +235,8 @@ def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, fil
 def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats]) -> tuple[Bools, Floats]:
     """At which poses (n, n_joints) the mirror stands behind the fibre whatever is likely of the cell, and the lengths.
 
-    Parameters
-    ----------
-    seen
-        Poses, lengths and standard deviations of lengths that were measured: (n_seen, n_joints), (n_seen,) twice. The
-        gap that the envelope states counts as one at joint zero.
+    seen: poses (n_seen, n_joints) whose lengths were measured, these and their standard deviations (n_seen,); the gap
+    that the envelope states counts as one at joint zero.
     """
     model, at = CavityModel.of(cell.with_opd("axis")), home(cell)[None]
     gap = () if cell.envelope is None or cell.envelope.gap is None else (cell.envelope.gap, cell.envelope.gap_sd or 0.0)

@@ -85,10 +85,10 @@ def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True)
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     before = home(cell)
     for row, (start, end) in enumerate(zip(q_start, q_end, strict=True)):
-        way = _box(cell, before, start) if ways else start[None][:0]
+        way = box(cell, before, start) if ways else start[None][:0]
         line = start + share * (end - start)
         if in_turn(cell, start != end):
-            line = np.vstack([line, _box(cell, start, end)])
+            line = np.vstack([line, box(cell, start, end)])
         first = count + len(way)
         steps.append(np.column_stack([np.arange(first, first + POINTS - 1), np.arange(first + 1, first + POINTS)]))
         parts += [way, line]
@@ -110,7 +110,7 @@ def task_path(cell: Cell, q: Floats, start: Floats | None = None) -> JointPath:
     steps, count = [], 0
     before = home(cell) if start is None else start
     for row, point in enumerate(q):
-        way = _box(cell, before, point) if row == 0 or in_turn(cell, before != point) else point[None][:0]
+        way = box(cell, before, point) if row == 0 or in_turn(cell, before != point) else point[None][:0]
         if row > 0:
             steps.append(np.array([[count - 1, count + len(way)]]))
         parts += [way, point[None]]
@@ -130,7 +130,7 @@ def _joined(
     return JointPath(q, np.concatenate(rows), np.concatenate(between), step, seconds)
 
 
-def _box(cell: Cell, start: Floats, end: Floats) -> Floats:
+def box(cell: Cell, start: Floats, end: Floats) -> Floats:
     """Poses between two, whatever the order in which the joints move: corners, and middles of those that turn."""
     # The distance of the mirror's plane is linear in each joint that travels: its extremes are at the ends.
     values = [

@@ -136,7 +136,12 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     axis.fill(*disc.T, facecolor="#dceefb", edgecolor="0.25", linewidth=1.2, zorder=3)
     normal = place + 0.95 * _PAGE @ seen.normal
     _arrow(axis, place, normal, GREEN, 2.0, zorder=6)
-    axis.text(normal[0], normal[1] + 0.12, "normal", color=GREEN, fontsize=9, ha="center", va="bottom", zorder=7)
+    # Beside the disc, on the side that the arrow points to.
+    side = float(np.sign(np.round(normal[0] - place[0], 1)))
+    words = {1.0: "left", -1.0: "right"}.get(side, "center")
+    axis.text(
+        normal[0] - 0.1 * side, normal[1] + 0.14, "normal", color=GREEN, fontsize=9, ha=words, va="bottom", zorder=7
+    )
     # A fibre above or below has less room, and words beside it.
     upright = abs(float((_PAGE @ seen.light)[1])) > 0.7
     room = 0.6 if upright else 1.0

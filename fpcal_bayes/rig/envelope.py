@@ -1,7 +1,7 @@
 """The cell's own envelope, for the moves of a rig."""
 
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import breaches
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.joint_path import JointPath
+from fpcal_bayes.model.joint_path import JointPath, box
 from fpcal_bayes.model.margin import estimate_draws, prior_draws, require_envelope
 
-#: Poses on the straight line between two stops, and per turning joint of the box around a move.
-_LINE, _TURNING = 9, 3
+#: Poses on the straight line between two stops.
+_LINE = 9
 
 
 class CellEnvelope:
@@ -21,7 +21,6 @@ class CellEnvelope:
 
     def __init__(self, cell: Cell, estimate: Estimate | None = None) -> None:
         self.together = require_envelope(cell).together
-        self._revolute = cell.revolute
         self._model, self._draws = prior_draws(cell) if estimate is None else estimate_draws(estimate)
 
     def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> list[str | None]:
@@ -30,7 +29,7 @@ class CellEnvelope:
         poses, rows, steps, seconds, count = [], [], [], [], 0
         for row, stops in enumerate(moves):
             for start, end in pairwise(stops):
-                turn = np.vstack([start + share * (end - start), self._box(start, end)])
+                turn = np.vstack([start + share * (end - start), box(self._model.cell, start, end)])
                 first = count + np.arange(_LINE - 1)
                 steps.append(np.column_stack([first, first + 1]))
                 seconds.append(np.full(_LINE - 1, (np.abs(end - start) / speed).max() / (_LINE - 1)))
@@ -41,13 +40,6 @@ class CellEnvelope:
         path = JointPath(q, row_of, np.zeros(len(q), dtype=bool), np.vstack(steps), np.concatenate(seconds))
         found = {breach.row: breach.what for breach in breaches(self._model, self._draws, path)}
         return [found.get(row) for row in range(len(moves))]
-
-    def _box(self, start: Floats, end: Floats) -> Floats:
-        values = [
-            (a,) if a == b else tuple(np.linspace(a, b, _TURNING if turns else 2))
-            for a, b, turns in zip(start.tolist(), end.tolist(), self._revolute, strict=True)
-        ]
-        return np.array(list(product(*values)))
 
 
 def envelope_of(cell: Cell, estimate: Estimate | None) -> CellEnvelope | None:

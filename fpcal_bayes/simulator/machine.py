@@ -5,11 +5,11 @@ Fourier features with kinks, moved through the whole chain, so that no study fla
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics.drive import Drive
@@ -159,31 +159,25 @@ class Machine:
             moved = pose != last
             side = np.where(moved, np.sign(pose - last), side)
             error = np.where(moved, self.return_sd * self.rng.standard_normal(len(pose)), error)
-            periodic = self.encoder * np.sin(2 * np.pi * pose / self.period + self.phase)
-            reached[k] = self.half_reversal * side + error + periodic
+            reached[k] = self.half_reversal * side + error
             last = pose
-        return reached
+        return reached + self.periodic(poses)
+
+    def periodic(self, q: Floats) -> Floats:
+        """The encoders' periodic errors at poses (n, n_joints), same shape."""
+        error: Floats = self.encoder * np.sin(2 * np.pi * q / self.period + self.phase)
+        return error
+
+    def reached(self, drive: Drive) -> tuple[Floats, Floats]:
+        """Own-axis errors at the start and the end of rows, without the encoders' part, shape (n, n_joints) each."""
+        q, _, starts, ends = _poses(drive)
+        errors = self.reach(q, self.side) - self.periodic(q)
+        return errors[starts], errors[ends]
 
     def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
         """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
-        poses: list[Floats] = []
-        minutes: list[float] = []
-        starts: list[int] = []
-        ends: list[int] = []
-        sweep = -1
-        for i in range(len(drive)):
-            if drive.sweep[i] != sweep and not drive.absolute[i]:
-                starts.append(len(poses))
-                poses.append(drive.q_start[i])
-                minutes.append(drive.start_min[i])
-            else:
-                starts.append(starts[-1] if starts else 0)
-            sweep = int(drive.sweep[i])
-            ends.append(len(poses))
-            poses.append(drive.q_end[i])
-            minutes.append(drive.end_min[i])
-        q = np.array(poses)
-        lengths = self.lengths(q, self.reach(q, self.side), np.array(minutes))
+        q, minutes, starts, ends = _poses(drive)
+        lengths = self.lengths(q, self.reach(q, self.side), minutes)
         noise = self._noise(len(q))
         own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[ends]
         dl: Floats = lengths[ends] + own * sigma / np.sqrt(2.0)
@@ -197,6 +191,18 @@ class Machine:
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
         changed: Floats = lengths[1:] - lengths[0]
         return changed
+
+    def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
+        """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
+
+        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Drift and
+        return are the emulated cell's own.
+        """
+        side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
+        still = replace(self, motions=[[np.zeros_like] * 6] * len(q))
+        errors = self.half_reversal * side + self.periodic(q)
+        added = self.lengths(q[None], errors[None], now) - still.lengths(q[None], np.zeros((1, len(q))), now)
+        return float(added[0])
 
     def _noise(self, n: int) -> Floats:
         dof = self.settings.student
@@ -214,6 +220,27 @@ class Machine:
         for i in range(1, n):
             values[i] = rho * values[i - 1] + np.sqrt(1 - rho**2) * self.rng.standard_normal()
         return size * values
+
+
+def _poses(drive: Drive) -> tuple[Floats, Floats, Ints, Ints]:
+    """Poses of rows one after the other with their minutes, and the place of each row's start and end among them."""
+    poses: list[Floats] = []
+    minutes: list[float] = []
+    starts: list[int] = []
+    ends: list[int] = []
+    sweep = -1
+    for i in range(len(drive)):
+        if drive.sweep[i] != sweep and not drive.absolute[i]:
+            starts.append(len(poses))
+            poses.append(drive.q_start[i])
+            minutes.append(drive.start_min[i])
+        else:
+            starts.append(starts[-1] if starts else 0)
+        sweep = int(drive.sweep[i])
+        ends.append(len(poses))
+        poses.append(drive.q_end[i])
+        minutes.append(drive.end_min[i])
+    return np.array(poses), np.array(minutes), np.array(starts), np.array(ends)
 
 
 def _draw_joint(cell: Cell, i: int, sizes: JointMechanics, rng: np.random.Generator, spread: float) -> list[Function]:

@@ -1,6 +1,6 @@
 """The simulated rig: how it moves and what disturbs it, and the voltages that its photodiode then shows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views, read_out, reflected
+from fpcal_bayes.simulator.machine import Machine
 
 #: Points at which the speed of a sweep is looked at before it is recorded.
 _COARSE = 257
@@ -85,6 +86,9 @@ class RecorderSettings:
 
 #: A poor day: gain, offset, second harmonic and noise relative to the fringes.
 HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
+#: How joints have reached poses: own-axis errors (n, n_joints) in um and rad, without the encoders' part, and
+#: minutes of the session (n,).
+Reached = tuple[Floats, Floats]
 #: Cavity length, perpendicular distance and tilt along a recording, each of shape (n,).
 Views = tuple[Floats, Floats, Floats]
 
@@ -126,6 +130,7 @@ class SimulatedOptics:
     cell: Cell
     truth: Truth
     settings: RecorderSettings
+    machine: Machine | None = None  # whose error motions are recorded; None on a perfect mechanism
 
     @cached_property
     def model(self) -> CavityModel:
@@ -138,13 +143,20 @@ class SimulatedOptics:
         s = self.settings
         return float(air_index(self.cell.wavelength, s.temperature_c, s.pressure_hpa, s.humidity_pct))
 
-    def views(self, q: Floats, time_h: Floats, of: Ints) -> Views:
-        """How the mirror stands at joint vectors `q` (n, n_joints), the truth taken at time ``time_h[of]``."""
+    def views(self, q: Floats, time_h: Floats, of: Ints, reached: Reached | None = None) -> Views:
+        """How the mirror stands at joint vectors `q` (n, n_joints), the truth taken at time ``time_h[of]``.
+
+        A machine shows its cavity length where it is told how it has `reached` them.
+        """
         result = np.empty((3, len(q)))
         times, epoch = np.unique(np.clip(time_h, self.truth.times_h[0], self.truth.times_h[-1]), return_inverse=True)
         for i, values in enumerate(self.truth.at(times)):
             now = (epoch == i)[of]
             result[:, now] = mirror_views(self.model, values, q[now])
+            if self.machine is not None and reached is not None:
+                machine = replace(self.machine, vector=self.model.vector(values))
+                errors = reached[0][now] + machine.periodic(q[now])
+                result[0, now] = np.copysign(machine.lengths(q[now], errors, reached[1][now]), result[0, now])
         return result[0], result[1], result[2]
 
     def counts(self, q_start: Floats, q_end: Floats, time_h: Floats) -> Ints:
@@ -200,11 +212,11 @@ class SimulatedOptics:
         noise = optics.noise if s.noise is None else s.noise * height
         return read_out(optics, signal + noise * chances.random.standard_normal(len(signal)))
 
-    def scan(self, q: Floats, time_h: float, chances: Chances) -> WavelengthScan:
+    def scan(self, q: Floats, time_h: float, chances: Chances, reached: Reached | None = None) -> WavelengthScan:
         """A wavelength scan at rest at one joint vector (n_joints,)."""
         s, optics = self.settings, self.cell.interferometer
         told = np.linspace(s.scan_from, s.scan_to, s.scan_samples)
-        length, distance, tilt = self.views(q[None], np.array([time_h]), np.zeros(1, dtype=np.int64))
+        length, distance, tilt = self.views(q[None], np.array([time_h]), np.zeros(1, dtype=np.int64), reached)
         share = reflected(optics, length, distance, tilt, wavelength=told + s.wavelength_error, index=self.index)
         height = optics.gain * float(fringe(optics, distance, tilt)[1][0])
         noise = optics.noise if s.noise is None else s.noise * height

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.reference import fit_fringe
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint, no_trace
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
-from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace
+from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace, WavelengthScan
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell, check_joints
-from fpcal_bayes.simulator.optics import Chances, RecorderSettings, SimulatedOptics
+from fpcal_bayes.simulator.machine import Machine
+from fpcal_bayes.simulator.optics import Chances, Reached, RecorderSettings, SimulatedOptics
+from fpcal_bayes.simulator.sweeps import machine_of
 
 #: Samples of the reference scan for each of its fringes.
 _REFERENCE_SAMPLES = 40
@@ -46,7 +49,7 @@ def record_sweeps(
     seed: int = 0,
     scans: NDArray[np.bool_] | bool = True,
 ) -> TraceIndex:
-    """Record sweeps on the simulated cell.
+    """Record sweeps on the simulated cell; one with mechanics is a machine that is drawn by `seed`.
 
     sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
     Joints reach either end with the cell's repeatability; the traces hold the positions that the controller
@@ -58,18 +61,27 @@ def record_sweeps(
     Returns its sweeps are a plan, without measurement.
     """
     settings = RecorderSettings() if settings is None else settings
-    rig, n = SimulatedOptics(cell, truth, settings), len(sweeps)
+    machine = None if cell.mechanics is None else machine_of(cell, truth, seed)
+    rig, n = SimulatedOptics(cell, truth, settings, machine), len(sweeps)
     check_sweeps(sweeps, cell)
     check_recordable(sweeps)
     chances = Chances.several(seed, n, len(cell.joints))
-    q_start = sweeps.q_start + cell.repeatability * np.array([c.start for c in chances])
-    q_end = sweeps.q_end + cell.repeatability * np.array([c.end for c in chances])
+    # A machine has return errors of its own.
+    repeatability = cell.repeatability * (machine is None)
+    q_start = sweeps.q_start + repeatability * np.array([c.start for c in chances])
+    q_end = sweeps.q_end + repeatability * np.array([c.end for c in chances])
+    at_start, at_end = (None, None) if machine is None else _reached(machine, sweeps, seed)
 
     counts = np.where(sweeps.absolute, 0, rig.counts(q_start, q_end, sweeps.time_h))
     done = [rig.progress(k, c.ripple) for k, c in zip(counts.tolist(), chances, strict=True)]
     sizes = [len(part) for part in done]
     first, share, of = np.concatenate([[0], np.cumsum(sizes)]), np.concatenate(done), np.repeat(np.arange(n), sizes)
-    views = rig.views(q_start[of] + (q_end - q_start)[of] * share[:, None], sweeps.time_h, of)
+    # Lost motion and return errors build up on the way.
+    along = None
+    if at_start is not None and at_end is not None:
+        errors = at_start[0][of] + share[:, None] * (at_end[0] - at_start[0])[of]
+        along = errors, at_start[1][of] + share * (at_end[1] - at_start[1])[of]
+    views = rig.views(q_start[of] + (q_end - q_start)[of] * share[:, None], sweeps.time_h, of, along)
     traces = []
     for i, chance in enumerate(chances):
         if sweeps.absolute[i]:
@@ -83,16 +95,34 @@ def record_sweeps(
         traces.append(Trace(step * np.arange(sizes[i]), believed, read))
 
     swept = np.broadcast_to(scans, n) & ~sweeps.absolute
-    before, after = (
-        [rig.scan(q[i], sweeps.time_h[i], chance) if wanted[i] else None for i, chance in enumerate(chances)]
-        for q, wanted in ((q_start, swept), (q_end, swept | sweeps.absolute))
-    )
+
+    def scanned(q: Floats, wanted: NDArray[np.bool_], reached: Reached | None) -> list[WavelengthScan | None]:
+        there = [None if reached is None else (reached[0][[i]], reached[1][[i]]) for i in range(n)]
+        return [
+            rig.scan(q[i], sweeps.time_h[i], chance, there[i]) if wanted[i] else None
+            for i, chance in enumerate(chances)
+        ]
+
+    before, after = scanned(q_start, swept, at_start), scanned(q_end, swept | sweeps.absolute, at_end)
     # What an index does not hold: changes of length, and which signs are known; the scans tell these.
     plan = replace(sweeps.with_measurement(np.full(n, np.nan), np.nan), signed=np.ones(n, dtype=bool))
     celsius, pressure, humidity = (
         np.full(n, value) for value in (settings.temperature_c, settings.pressure_hpa, settings.humidity_pct)
     )
     return TraceIndex(plan, np.full(n, np.nan), celsius, pressure, humidity, traces, before, after)
+
+
+def _reached(machine: Machine, sweeps: Sweeps, seed: int) -> tuple[Reached, Reached]:
+    """How a machine's joints have reached starts and ends of sweeps, session by session in the order of the rows."""
+    shape, rng = (2, *sweeps.q_start.shape), np.random.default_rng([seed, 6])
+    errors, minutes = np.zeros(shape), np.zeros(shape[:2])
+    for name in sweeps.sessions:
+        rows = np.flatnonzero(sweeps.session == name)
+        assert machine.cell.mechanics is not None
+        drive = drive_of_sweeps(sweeps.take(rows), machine.cell.mechanics.minutes_per_sweep)
+        errors[:, rows] = replace(machine, rng=rng).reached(drive)
+        minutes[:, rows] = drive.start_min, drive.end_min
+    return (errors[0], minutes[0]), (errors[1], minutes[1])
 
 
 def record_path(
@@ -102,6 +132,7 @@ def record_path(
     time_h: float = 0.0,
     settings: RecorderSettings | None = None,
     seed: int = 0,
+    machine_seed: int | None = None,
 ) -> PathTrace:
     """Record a path of all joints, between two reference scans of the joint that changes the cavity length most.
 
@@ -111,22 +142,32 @@ def record_path(
 
     path: joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
     time_h: when; the truth of that time is used.
+    machine_seed: of the machine, where the cell has mechanics; by default `seed`.
     Returns with the true cavity lengths.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():
         raise InputError(f"path of shape {path.shape}: expected two or more vectors of {len(cell.joints)} joint values")
     check_joints(cell, path, "path", range(1, len(path) + 1), cell.joint_columns)
-    rig = SimulatedOptics(cell, truth, RecorderSettings() if settings is None else settings)
+    machine, errors = None, np.zeros_like(path)
+    if cell.mechanics is not None:
+        machine = machine_of(cell, truth, seed if machine_seed is None else machine_seed)
+        machine = replace(machine, rng=np.random.default_rng([seed, 6]))
+        errors = machine.reach(path, machine.side) - machine.periodic(path)
+    rig = SimulatedOptics(cell, truth, RecorderSettings() if settings is None else settings, machine)
     chance = Chances.several(seed, 1, len(cell.joints))[0]
     n_reference = max(FEWEST, round(_REFERENCE_SAMPLES * rig.settings.reference_fringes))
     n_path = max(FEWEST, round(rig.settings.rate_hz * rig.settings.duration_s) + 1)
     reference = np.repeat([True, False, True], [n_reference, n_path, n_reference])
     at = np.linspace(0.0, 1.0, len(reference))
     joint, slope = reference_joint(cell, path[0])
+    places = np.linspace(0.0, len(path) - 1.0, n_path)
 
     def record(q: Floats, during: slice) -> tuple[Floats, Floats]:
-        seen = rig.views(q, np.array([time_h]), np.zeros(len(q), dtype=np.int64))
+        # On its way to a vector of the path a machine errs as it will there.
+        towards = np.concatenate([np.zeros(n_reference), np.ceil(places), np.full(n_reference, len(path) - 1)])
+        reached = errors[towards.astype(np.int64)[during]], np.zeros(len(q))
+        seen = rig.views(q, np.array([time_h]), np.zeros(len(q), dtype=np.int64), reached)
         return seen[0], rig.voltages(seen, chance, at[during])
 
     def scan_at(pose: Floats) -> Floats:
@@ -136,7 +177,6 @@ def record_path(
 
     first = scan_at(path[0])
     length, read = record(first, slice(None, n_reference))
-    places = np.linspace(0.0, len(path) - 1.0, n_path)
     along = np.column_stack([np.interp(places, np.arange(len(path)), column) for column in path.T])
     if rig.settings.quadrature:
         change = slope * (first[:, joint] - path[0, joint])

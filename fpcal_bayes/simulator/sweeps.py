@@ -17,13 +17,7 @@ from fpcal_bayes.simulator.machine import Machine
 
 
 def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
-    """Refuse sweeps that a cell could not make: the mirror stands behind the fibre, or leaves the envelope on the way.
-
-    Raises
-    ------
-    InputError
-        At the first such row.
-    """
+    """Raise `InputError` at the first row that a cell could not make: behind the fibre, or outside its envelope."""
     model = CavityModel.of(cell, truth.parameters)
     for name in sweeps.sessions:
         part = sweeps.of_session(name)

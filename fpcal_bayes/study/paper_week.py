@@ -107,7 +107,7 @@ def _driven(
     machine_seed: int,
 ) -> Circle:
     change = driven_error(cell, truth, task, estimate, time_h, machine_seed)
-    trace = record_path(cell, truth, task.q, time_h, seed=seed)
+    trace = record_path(cell, truth, task.q, time_h, seed=seed, machine_seed=machine_seed)
     return Circle(name, time_h, held, task.along, change - change[0], trace)
 
 

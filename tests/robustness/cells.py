@@ -16,11 +16,12 @@ import numpy as np
 from fpcal_bayes.cli.main import main as fpcal
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.commission import commission_plan
-from fpcal_bayes.infer.design.plan import plan
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, in_safe_order
+from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import add_midpoints
-from fpcal_bayes.measure.sweeps import join
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home
@@ -140,17 +141,31 @@ def three_cells(folder: Path) -> list[Cell]:
     """A 60 um cavity, one of 300 um from words, and one of five axes."""
     bounds = Envelope(15.0, 62.5, 2500.0, np.radians(20.0), 1000.0, gap=60.0, gap_sd=1.0)
     cells = [replace(load_cell(DATA / "lab7.toml", mechanics="none"), envelope=bounds)]
-    for name, words, side in (("six", "rz x -y ry z rx", "minus-z"), ("five", "x y z -rx rz", "+y")):
+    for name, words, side in (("six", "x -y z ry -rx rz", "minus-z"), ("five", "x y z -rx rz", "+y")):
         run("cell", "--new", words, "--side", side, "--gap-um", 300, "--gap-sd-um", 3, "-o", folder / f"{name}.toml")
         cells.append(load_cell(folder / f"{name}.toml", mechanics="none"))
     return cells
+
+
+def light_plan(ground: Ground, n: int) -> Sweeps:
+    """A plan of `n` sweeps, searched with little effort: where it goes matters, not how good it is."""
+    settings = PlanSettings(n_candidates=200, variations=5, iterations=10)
+    return in_safe_order(ground, Planner(ground, settings).best(n).sweeps)
 
 
 def estimate_of(cell: Cell, rng: np.random.Generator, folder: Path) -> Estimate:
     """What a calibration leaves of a cell that is drawn from its prior."""
     free = cell.free
     values = measured_gap(cell, free.nominal + free.prior_sd * np.clip(rng.standard_normal(len(free)), -1.5, 1.5))
-    sweeps = add_midpoints(join([commission_plan(cell), plan(cell, 12, draws=16)], "calibration"))
+    sweeps = add_midpoints(
+        join(
+            [
+                commission_plan(cell),
+                light_plan(prior_ground(cell, tasks=possible_tasks(cell, DEFAULT_TASKS), draws=4), 12),
+            ],
+            "calibration",
+        )
+    )
     return identify(cell, simulate(cell, Truth(free, np.zeros(1), values[None]), sweeps, sigma_nm=5.0, seed=1)).estimate
 
 
@@ -160,14 +175,14 @@ def envelope(n_draws: int) -> int:
     with tempfile.TemporaryDirectory() as text:
         for cell in three_cells(Path(text)):
             rng = np.random.default_rng(5)
-            made = plan(cell, 12, draws=16)
+            made = light_plan(prior_ground(cell, tasks=possible_tasks(cell, DEFAULT_TASKS), draws=4), 12)
             model, _ = prior_draws(cell, 2)
             draws = normal_draws(cell.free.nominal, np.diag(cell.free.prior_sd**2), n_draws, seed=11)
             shares = {"plan before": leaving(model, draws, sweep_path(cell, made.q_start, made.q_end), rng)}
             estimate = estimate_of(cell, rng, Path(text))
             known, few = estimate_draws(estimate)
             draws = normal_draws(estimate.values, estimate.covariance, n_draws, seed=12)
-            made = plan(cell, 8, estimate=estimate)
+            made = light_plan(estimate_ground(estimate, tasks=possible_tasks(cell, DEFAULT_TASKS)), 8)
             shares["plan after"] = leaving(known, draws, sweep_path(cell, made.q_start, made.q_end), rng)
             for name in possible_tasks(cell):
                 task = find_task(cell, estimate.vector(), name, n_points=31)

@@ -79,12 +79,13 @@ def verdict(cell: Cell, seed: int) -> tuple[str, bool, str]:
         return kind, found.estimate.trust.usable and kind == "none", found.estimate.trust.against or "no problem"
     mended = mend(found.problem, found.solution, found.fit.standardised)
     said = " or ".join(one.name for one in mended)
-    first = mended[0].name.split(", that is")[0] if mended else ""
-    named = {f"q{j + 1}" for j in range(len(cell.joints)) if f"q{j + 1}" in first}
     words = {"sign": "the other way", "swap": "swapped"}.get(kind, "stand")
     images = [{f"q{j + 1}" for j in one} for one in mirror_sets(cell)]
     alike = [names, *(names ^ image for image in images)] if kind == "sign" else [names]
-    return kind, words in first and named in alike, said
+    # Mistakes that are the same, such as lengths and all translations negated, fit the same and are named together.
+    best = [one.name.split(", that is")[0] for one in mended]
+    told = [words in name and {f"q{j + 1}" for j in range(6) if f"q{j + 1}" in name} in alike for name in best]
+    return kind, any(told), said
 
 
 def main(cases: int, cells: list[str]) -> int:

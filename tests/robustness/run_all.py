@@ -18,6 +18,7 @@ PROGRAMS = (
     (("faults.py", "--faults", "400"), 0.12),
     (("faults.py", "--faults", "300", "--kinds", "killed", "--even"), 0.12),
     (("faults.py", "--faults", "2000", "--kinds", "lexical", "--quick"), 0.1),
+    (("semantic.py", "--draws", "2"), 0.1),
     (("../rig_faults.py", "250"), 0.14),
     (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.12),
     (("determinism.py",), 0.15),

@@ -2,8 +2,8 @@
 
     python tests/robustness/semantic.py [--draws 25] [--kinds NAME ...] [--seed 0]
 
-Of each kind so many worlds are drawn: a cell from the prior, its sweeps with 5 nm of noise (end points or midpoints), and
-the fault. It is *told* where a command refuses it or says something that it does not say without the fault. It is
+Of each kind so many worlds are drawn: a cell from the prior, its sweeps with 5 nm of noise (end points or midpoints),
+and the fault. It is *told* where a command refuses it or says something that it does not say without the fault. It is
 *harmless* where no task moves by more than one standard deviation or 1 nm against the same data without the fault. The
 rest is counted as silent, kind by kind.
 """
@@ -231,7 +231,6 @@ SWEEP_FAULTS: dict[str, Callable[[Sweeps, Rng], Sweeps]] = {
     "another cell's rows": mixed,
     "the other path model": other_path,
     "rows twice": lambda s, r: join([s, s.take(r.choice(len(s), 10, replace=False))]),
-    "the last third lost": lambda s, r: s.take(np.arange(len(s)) < 2 * len(s) // 3),
     "groups lost": lambda s, r: replace(s, group=np.full(len(s), "")),
 }
 

@@ -10,8 +10,6 @@ Commands = Any  # argparse names the type of its subparsers only privately
 
 #: Error motions of the mechanism where the option is not given.
 MECHANICS = "stated"
-#: Of the option --radius-um.
-RADIUS_HELP = "of the circle (default: 100, less where the cell's limits are narrower)"
 
 
 class Folder(Path):
@@ -63,7 +61,9 @@ def add_goal(parser: argparse.ArgumentParser) -> None:
         "--task", metavar="TASK", action="append", help="to be held: circle (default), line-x, line-z, tilt-x, tilt-z, "
         "spin, one of the cell's own, or PATH.csv; may be given several times"
     )  # fmt: skip
-    parser.add_argument("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
+    parser.add_argument(
+        "--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)"
+    )
     parser.add_argument("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
     add_compensation(parser)
 
@@ -73,7 +73,9 @@ def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None
     parser.add_argument(
         "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
     )
-    parser.add_argument("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
+    parser.add_argument(
+        "--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)"
+    )
     parser.add_argument(
         "--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)"
     )
@@ -95,7 +97,8 @@ def positive(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 1e-9 <= value <= 1e9:
-        raise argparse.ArgumentTypeError(f"expected a number above zero, up to 1e9, found {text[:40]!r}")
+        limit = ", 1e-9 to 1e9" if value > 0 else ""
+        raise argparse.ArgumentTypeError(f"expected a number above zero{limit}, found {text[:40]!r}")
     return value
 
 

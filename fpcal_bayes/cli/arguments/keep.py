@@ -3,17 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import (
-    RADIUS_HELP,
-    Commands,
-    Folder,
-    add_command,
-    add_goal,
-    add_json,
-    count,
-    positive,
-    seed,
-)
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
 
 _PLAN = """\
 Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
@@ -44,7 +34,7 @@ def plan(commands: Commands) -> None:
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
     add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
-    add("--radius-um", type=positive, metavar="R", help=RADIUS_HELP)
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or as limits allow)")
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
     add("--estimate", metavar="ESTIMATE", help="with --for extrinsic: what is known")
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")

@@ -40,9 +40,10 @@ def cell(commands: Commands) -> None:
 
 
 _SIMULATE = """\
-The truth is by default what the paper's full identifications found, linear in time between them. A TOML file gives
-another one: a table [parameters] with lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several
-[[epoch]] tables with `time_h` and [epoch.parameters].
+The truth is by default what the paper's full identifications found, linear in time between them; of another robot than
+the paper's it is a draw of the cell's prior, by the seed. A TOML file gives another one: a table [parameters] with
+lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several [[epoch]] tables with `time_h` and
+[epoch.parameters].
 
 --traces records the irradiance in place of dL: FILE is an index for `fpcal ingest`, a CSV with its traces in a folder
 beside it or HDF5 with everything inside; the truth goes to FILE_truth.toml. Sweeps have wavelength scans before and

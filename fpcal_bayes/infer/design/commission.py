@@ -22,13 +22,7 @@ _FAR_TURN = 10.0
 
 
 def commission_plan(cell: Cell) -> Sweeps:
-    """Sweeps to commission a cell with, as a plan: each joint in turn, first from joint zero.
-
-    Raises
-    ------
-    InputError
-        If the mirror is out of sight, or may leave the cell's envelope, at joint zero.
-    """
+    """Sweeps to commission a cell with, as a plan; `InputError` if the mirror is out of sight at joint zero."""
     n, rng = len(cell.joints), np.random.default_rng(0)
     model = CavityModel.of(cell)
     ranges = visible_ranges(model, cell.free.nominal, SweepLimits().within_envelope(*prior_draws(cell)))

@@ -31,7 +31,7 @@ from fpcal_bayes.infer.fit.spectrum import (
     spectrum_of,
     statuses,
 )
-from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics
+from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
 from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
@@ -177,18 +177,26 @@ def identify(
         first = signs.solution.unknowns
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
+    whole, problem = problem, thinned(problem)
     problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
     others = distinct_minima(problem, solution, found)
     rival = second_solution(chosen.names, solution, others)
     machine, doubts, lost = None, [], None
     if cell.mechanics is not None:
+        many = len(whole.target) > len(problem.target)
+        if many and whole.considered is not None:
+            whole = whole.relinearised(solution.unknowns)
         try:
-            machine = fit_mechanics(problem, cell.mechanics, start=solution.unknowns, seed=seed)
+            machine = fit_mechanics(whole if many else problem, cell.mechanics, start=solution.unknowns, seed=seed)
         except np.linalg.LinAlgError:
             lost = replace(solution, converged=False)
         else:
             problem, solution = machine.problem, machine.solution
             doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+        if many and machine is not None:
+            # Second solutions of the thinned rows, as all rows see them.
+            others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
+            rival = second_solution(chosen.names, solution, others)
     solution = lost or solution
     unknowns = solution.unknowns
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns))
@@ -260,7 +268,8 @@ def _set_up(
     if hold == "consider" and len(held):
         considered = Considered.of(held, covariance)
     before = None if prior is None else Prior.joint(chosen, prior)
-    return Problem.of(CavityModel.of(cell, chosen, vector), sweeps, considered, prior=before)
+    model, few = CavityModel.of(cell, chosen, vector), not many_rows(cell, sweeps)
+    return Problem.of(model, sweeps, considered, prior=before, linearised=few)
 
 
 def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:

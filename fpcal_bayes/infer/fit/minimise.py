@@ -43,8 +43,13 @@ def solution_rank(solution: Solution) -> float:
 
 
 def minimise(problem: Problem, start: Floats) -> Solution:
-    """Run Levenberg-Marquardt from `start` (n_unknowns,) with the analytic Jacobian."""
-    found = optimize.least_squares(
+    """Find the minimum that lies down from `start` (n_unknowns,)."""
+    return polished(problem, descended(problem, start))
+
+
+def descended(problem: Problem, start: Floats) -> Floats:
+    """Run Levenberg-Marquardt from `start` (n_unknowns,) with the analytic Jacobian, to near a minimum."""
+    found: Floats = optimize.least_squares(
         problem.residuals,
         start,
         problem.jacobian,
@@ -54,8 +59,8 @@ def minimise(problem: Problem, start: Floats) -> Solution:
         xtol=1e-10,
         gtol=1e-12,
         max_nfev=_MAX_EVALUATIONS,
-    )
-    return polished(problem, found.x)
+    ).x
+    return found
 
 
 def polished(problem: Problem, unknowns: Floats) -> Solution:

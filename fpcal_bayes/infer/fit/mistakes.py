@@ -26,8 +26,10 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason
 #: A second minimum within this of the lowest sum of squares has at least a hundredth of its posterior density.
 RIVAL_EXCESS = 9.2
 #: Steps of the first look at a mistake, and how far above a fit that it is worth a second one its sum may still stand.
-_FEW_STEPS, _WORTH = 20, 100.0
-_LOOKED_AT = 10
+_FEW_STEPS, _WORTH = 60, 100.0
+_LOOKED_AT, _SIGN_ROUNDS = 10, 2
+#: Steps from a good fit to that of the same rows with axes the other way round: where there is one it is near.
+_NEAR_STEPS = 20
 #: A mistake that leaves less than this share of a poor sum of squares is named, even where the rest is not good.
 _MENDS = 0.05
 #: Factors that mend numbers in another unit than um and deg.
@@ -205,7 +207,7 @@ def axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
     sweeps, cell = problem.sweeps, problem.model.cell
     known = sweeps.signed | sweeps.absolute
     sets = axis_sets(cell, (sweeps.q_start != sweeps.q_end).any(axis=0))
-    if not known.all() or not solution.converged or len(sets) == 0:
+    if not solution.converged:
         return []
     told = []
     for axes in sets:
@@ -214,9 +216,15 @@ def axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
         # The whitening stays: that of another machine hardly differs where it fits as well.
         rows = problem.model.rows(sweeps.q_start * way, sweeps.q_end * way, sweeps.absolute)
         other = replace(problem, rows=rows)
-        if _quick(other).sum_of_squares > solution.sum_of_squares + _WORTH * len(sweeps):
+        near = _quick(other, solution.unknowns, _NEAR_STEPS)
+        for _ in range(0 if known.all() else _SIGN_ROUNDS):
+            # Rows without sign take that which this machine gives them.
+            predicted = problem.model.predict(problem.values(near.unknowns), rows)
+            other = other.with_target(np.where(known, problem.target, np.copysign(problem.target, predicted)))
+            near = _quick(other, near.unknowns, _NEAR_STEPS)
+        if near.sum_of_squares > solution.sum_of_squares + _WORTH * len(sweeps):
             continue
-        rival = minimise(other, np.zeros(other.n_unknowns))
+        rival = minimise(other, near.unknowns)
         if rival.converged and rival.sum_of_squares < solution.sum_of_squares + RIVAL_EXCESS:
             told.append((axes, rival, _telling(problem, solution, rival, way)))
     named = [(axes, rival, sweep) for axes, rival, sweep in told if sweep]
@@ -288,10 +296,8 @@ def _seen(problem: Problem, sweeps: Sweeps, start: Floats | None = None) -> Solu
     return _quick(_problem(problem, sweeps), start)
 
 
-def _quick(problem: Problem, start: Floats | None = None) -> Solution:
+def _quick(problem: Problem, start: Floats | None = None, steps: int = _FEW_STEPS) -> Solution:
     """A few steps towards the minimum."""
     first = np.zeros(problem.n_unknowns) if start is None else start
-    found = optimize.least_squares(
-        problem.residuals, first, problem.jacobian, method="lm", ftol=1e-4, max_nfev=_FEW_STEPS
-    )
+    found = optimize.least_squares(problem.residuals, first, problem.jacobian, method="lm", ftol=1e-6, max_nfev=steps)
     return Solution(found.x, 2.0 * float(found.cost), converged=False)

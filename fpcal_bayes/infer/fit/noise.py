@@ -137,6 +137,10 @@ class Whitening:
             batch.weigh(rows, result)
         return result
 
+    def weigh_each(self, rows: Floats) -> Floats:
+        """Multiply each of many vectors (n_vectors, n_rows) by the inverse covariance."""
+        return np.array([self.weigh(row) for row in rows])
+
     @cached_property
     def mix(self) -> sparse.csr_array | None:
         """The map as a matrix (n_rows, n_rows), or None if it only scales."""

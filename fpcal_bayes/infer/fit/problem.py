@@ -64,8 +64,13 @@ class Problem:
         considered: Considered | None = None,
         target: Floats | None = None,
         prior: Prior | None = None,
+        *,
+        linearised: bool = True,
     ) -> "Problem":
-        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters."""
+        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters.
+
+        Without `linearised` it still has to be: rows stand by themselves, with their sigma alone.
+        """
         problem = cls(
             model=model,
             sweeps=sweeps,
@@ -75,7 +80,7 @@ class Problem:
             prior=Prior.of(model.free) if prior is None else prior,
             considered=considered,
         )
-        return problem.relinearised(np.zeros(len(model.free)))
+        return problem.relinearised(np.zeros(len(model.free))) if linearised else problem
 
     @property
     def n_free(self) -> int:
@@ -152,12 +157,13 @@ class Problem:
 
         The `points` are scaled unknowns, shape (n_points, n_unknowns).
         """
-        change, scaled = self._unwhitened_batch(points)
+        change, scaled = self.unwhitened_batch(points)
         if self.whitening.only_scales:
             return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
         return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 
-    def _unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+    def unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Predicted minus measured rows (n_points, n_rows) and their derivatives by the unknowns, in um."""
         predicted, jacobian = self.model.predict_with_jacobian(self.values(points), self.rows)
         scaled = self.prior.by_scores(jacobian, points[:, : self.n_free])
         change = predicted - self.target
@@ -170,11 +176,11 @@ class Problem:
     def gradients(self, points: Floats) -> Floats:
         """Gradients J'r of half the sum of squares at many points (n_points, n_unknowns); same shape."""
         result = np.empty_like(points)
-        block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
+        block = max(1, 8_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
-            change, scaled = self._unwhitened_batch(part)
-            weighed = np.array([self.whitening.weigh(row) for row in change])
+            change, scaled = self.unwhitened_batch(part)
+            weighed = self.whitening.weigh_each(change)
             result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result
 

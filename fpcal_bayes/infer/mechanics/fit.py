@@ -8,15 +8,19 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.minimise import Solution, descended, minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
 from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design
 
 #: With more rows than this they are compressed, and the return's share of the noise is fitted instead of sampled.
 DENSE_ROWS = 320
+#: The minima of longer files are looked for with so many rows.
+_THINNED = 1000
 _DRAWS_PER_SCALE, _FEW_PER_SCALE = 20, 4
 
 
@@ -89,12 +93,25 @@ class MechanicsFit:
         return _draw(self, _FEW_PER_SCALE)
 
     @cached_property
+    def whole_density(self) -> ScaleDensity:
+        """Density of the scales by every row, however many they are."""
+        if len(self.rows.target) == len(self.problem.target):
+            return self.density
+        at = self.solution.unknowns
+        rows = _linear_rows(self.problem, self.design, self.noise, at, self.scales.mode, whole=True)
+        return ScaleDensity(rows, self.terms.scales)
+
+    @cached_property
     def factors(self) -> list[Floats]:
         """Lower Cholesky factor of the rows' covariance at each draw of the scales, geometry and weights included."""
         return [self.density.factor(log) for log in self.scales.log]
 
     def moments(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n)."""
+        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n).
+
+        Parameters that are held and considered keep their own (Schmidt): the rows do not move them.
+        """
+        n_free = self.problem.n_free
         means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
         geometry = self.rows.geometry
         for lower in self.factors:
@@ -103,6 +120,8 @@ class MechanicsFit:
             means.append(white.T @ target)
             spread += np.eye(len(spread)) - white.T @ white
         centres = np.array(means)
+        centres[:, n_free:] = 0.0
+        spread[n_free:, n_free:] = len(centres) * np.eye(len(spread) - n_free)
         mean = centres.mean(axis=0)
         around = centres - mean
         return mean, (spread + around.T @ around) / len(centres)
@@ -131,7 +150,7 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     made, noise = _designed(problem, terms, drive, unknowns)
     for _ in range(2):
         problem = replace(problem, whitening=scaled_whitening(noise, made, log), log_scales=log)
-        unknowns = minimise(problem, unknowns).unknowns
+        unknowns = descended(problem, unknowns)
         made, noise = _designed(problem, terms, drive, unknowns)
         rows = _linear_rows(problem, made, noise, unknowns, log)
         density = ScaleDensity(rows, terms.scales)
@@ -155,21 +174,38 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     )
 
 
+def many_rows(cell: Cell, sweeps: Sweeps) -> bool:
+    """Whether the minima are looked for with some of the rows: with mechanics marginalised all cost too much."""
+    return cell.mechanics is not None and len(sweeps) > _THINNED and bool((sweeps.signed | sweeps.absolute).all())
+
+
+def thinned(problem: Problem) -> Problem:
+    """The problem of rows spread over all of them, where they are many."""
+    sweeps = problem.sweeps
+    if not many_rows(problem.model.cell, sweeps):
+        return problem
+    chosen = np.zeros(len(sweeps), dtype=bool)
+    chosen[np.linspace(0, len(sweeps) - 1, _THINNED).astype(np.int64)] = True
+    return problem.take(chosen)
+
+
 def _designed(problem: Problem, terms: Terms, drive: Drive, unknowns: Floats) -> tuple[Design, RowNoise]:
     vector = problem.model.vector(problem.values(unknowns))
     made = design(terms, vector, drive, problem.sweeps.sigma)
     return made, RowNoise.of(problem.sweeps, made)
 
 
-def _linear_rows(problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats) -> LinearRows:
-    """The problem linearised at `unknowns`."""
+def _linear_rows(
+    problem: Problem, made: Design, noise: RowNoise, unknowns: Floats, log: Floats, *, whole: bool = False
+) -> LinearRows:
+    """The problem linearised at `unknowns`; many rows are compressed unless the `whole` is wanted."""
     predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
     geometry = problem.prior.by_scores(jacobian, unknowns[: problem.n_free])
     if problem.sensitivity is not None:
         predicted = predicted + problem.sensitivity @ unknowns[problem.n_free :]
         geometry = np.hstack([geometry, problem.sensitivity])
     target = problem.target - predicted + geometry @ unknowns
-    if len(target) <= DENSE_ROWS:
+    if whole or len(target) <= DENSE_ROWS:
         return LinearRows(target, geometry, made.matrix, made.scale, *noise.dense())
     return _compressed(target, geometry, made, noise, log, unknowns)
 
@@ -215,6 +251,8 @@ def _draw(fit: MechanicsFit, count: int) -> MechanicsDraws:
             error = factors[:, 1:] * rng.standard_normal((count, len(rows.target)))
         miss = rows.target - v @ rows.geometry.T - w @ rows.weights.T - error
         pull = linalg.cho_solve((lower, True), miss.T, check_finite=False)
-        scores.append(v + pull.T @ rows.geometry)
+        # What is held and considered stays as it was drawn.
+        v[:, : fit.problem.n_free] += pull.T @ rows.geometry[:, : fit.problem.n_free]
+        scores.append(v)
         weights.append(w + sd**2 * (pull.T @ rows.weights))
     return MechanicsDraws(np.concatenate(scores), np.concatenate(weights), np.repeat(fit.scales.log, count, axis=0))

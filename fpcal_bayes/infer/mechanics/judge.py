@@ -16,6 +16,7 @@ from scipy import special
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
+from fpcal_bayes.infer.mechanics.scales import LOG_SD_NOISE
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
 
@@ -91,7 +92,7 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
         text = f"{name}: the rows show {median:.2g} times the stated size (95 %: {lower:.2g} to {upper:.2g})"
         if lower > _ABSURD:
             found.append(Doubt("poor-fit", f"poor fit: {text}; fpcal doctor tries what may be wrong"))
-        elif lower > _BEYOND:
+        elif lower > _BEYOND and (name != "return" or _white_beyond(fit)):
             found.append(Doubt("mechanics", text))
     tests = term_tests(fit)
     found += [
@@ -100,6 +101,16 @@ def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
         if test.p_value < _LEVEL / len(tests)
     ]
     return tuple(found)
+
+
+def _white_beyond(fit: MechanicsFit) -> bool:
+    """Whether the rows' own errors lie beyond what readings and return, which takes their excess, may be together."""
+    returned = fit.design.matrix[:, fit.design.scale == fit.terms.scales.index("return")]
+    parts = (returned, fit.design.returned, fit.design.reached_start, fit.design.reached_end)
+    sizes = sum(float((part**2).sum()) for part in parts) / len(returned)
+    noise = float((fit.noise.sigma**2).mean())
+    found = np.exp(2.0 * fit.scales.log[:, -2:]) @ [sizes, noise]
+    return bool(np.quantile(found, 0.025) > _BEYOND**2 * sizes + np.exp(2.0 * LOG_SD_NOISE) * noise)
 
 
 def _p_value(white: Floats, columns: Floats) -> float:

@@ -75,18 +75,11 @@ def random_poses(cell: Cell, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 def covariance_of(fit: MechanicsFit) -> Floats:
     """Covariance of free and considered parameters over the mixture of scales in um and rad, shape (n, n)."""
-    problem, unknowns = fit.problem, fit.solution.unknowns
-    n = problem.n_free
-    slopes = problem.prior.slopes(unknowns[:n])
-    mixed = symmetric(slopes @ fit.moments()[1][:n, :n] @ slopes.T)
-    if problem.considered is None:
-        return mixed
-    # What is held keeps its covariance; the scales widen what is free.
-    full = problem.covariance(unknowns)
-    eigenvalues, vectors = linalg.eigh((mixed - full[:n, :n]) / np.outer(problem.prior.sd, problem.prior.sd))
-    wider = (vectors * np.clip(eigenvalues, 0.0, None)) @ vectors.T
-    full[:n, :n] += symmetric(wider * np.outer(problem.prior.sd, problem.prior.sd))
-    return full
+    problem = fit.problem
+    slopes = problem.prior.slopes(fit.solution.unknowns[: problem.n_free])
+    if problem.considered is not None:
+        slopes = linalg.block_diag(slopes, problem.considered.factor)
+    return symmetric(slopes @ fit.moments()[1] @ slopes.T)
 
 
 def _deviations(fit: MechanicsFit, scores: Floats) -> tuple[Floats, tuple[str, ...]]:

@@ -71,12 +71,17 @@ class MarginalWhitening(Whitening):
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance."""
+        weighed: Floats = self.weigh_each(rows[None])[0]
+        return weighed
+
+    def weigh_each(self, rows: Floats) -> Floats:
+        """Multiply each of many vectors (n_vectors, n_rows) by the inverse covariance."""
         # The whitened map is W = T M, M whitening Sigma and T symmetric: W'W = M' T^2 M.
-        scaled = super().apply(rows)
+        scaled = super().apply(np.ascontiguousarray(rows.T))
         double = 1.0 - (1.0 - self.shrink) ** 2
-        scaled = scaled - self.directions @ (double * (self.directions.T @ scaled))
+        scaled = scaled - self.directions @ (double[:, None] * (self.directions.T @ scaled))
         mix = self.base_mix
-        result: Floats = scaled * self.scale if mix is None else mix.T @ scaled
+        result: Floats = scaled.T * self.scale if mix is None else (mix.T @ scaled).T
         return result
 
     @property

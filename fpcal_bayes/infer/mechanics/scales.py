@@ -10,6 +10,7 @@ the mode, adapted once. It is sampled, not maximised: data that cannot see an er
 sheet puts it.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ LOG_SD, LOG_SD_NOISE = float(np.log(3.0)), float(np.log(1.5))
 _DOF = 7.0
 _FIRST, _SECOND = 200, 400
 _SWELL = 1.15
+#: Numbers in the covariances that are made together.
+_AT_ONCE = 1_000_000
 _MODE_STEPS, _LONGEST, _MODE_GAIN = 20, 1.0, 1e-2
 
 
@@ -99,12 +102,14 @@ class ScaleDensity:
         self.prior_sd = np.full(n_scales, LOG_SD)
         self.prior_sd[-1] = LOG_SD_NOISE
         self._parts = np.empty((n_scales, n, n))
-        self.columns = [np.flatnonzero(rows.scale == k) for k in range(n_scales - 2)]
+        self.columns = [np.flatnonzero(rows.scale == k) for k in range(n_scales)]
         for k, columns in enumerate(self.columns):
             part = rows.weights[:, columns]
             self._parts[k] = part @ part.T
-        self._parts[-2], self._parts[-1] = rows.returns, rows.noise
+        self._parts[-2] += rows.returns
+        self._parts[-1] += rows.noise
         self._fixed = rows.geometry @ rows.geometry.T
+        self._linear = np.asfortranarray(np.column_stack([rows.geometry, rows.target]))
         # A scale that no row feels stays out of the search; its draws come from the prior.
         self.felt = np.array([part.any() for part in self._parts])
 
@@ -124,15 +129,36 @@ class ScaleDensity:
         result: Floats = lower
         return result
 
+    def at(self, log_scales: Floats) -> Iterator[tuple[float, Floats]]:
+        """The log posterior at points (n_points, n_scales), each with the lower Cholesky factor of C(s) = K(s) - J J'.
+
+        What stands above a factor's diagonal is not to be read; a value of minus infinity comes with no factor.
+        """
+        n, n_geometry = self.rows.geometry.shape
+        step = max(1, _AT_ONCE // n**2)
+        for first in range(0, len(log_scales), step):
+            part = log_scales[first : first + step]
+            totals = (np.exp(2.0 * part) @ self._parts.reshape(len(self.names), -1)).reshape(-1, n, n)
+            for log, total in zip(part, totals, strict=True):
+                # Its transpose is itself, in the order that LAPACK takes.
+                lower, failed = linalg.lapack.dpotrf(total.T, lower=1, overwrite_a=1, clean=0)
+                if failed:
+                    yield -np.inf, lower
+                    continue
+                white = linalg.lapack.dtrtrs(lower, self._linear, lower=1)[0]
+                gram = white.T @ white
+                target = gram[-1, -1]
+                gram[np.arange(n_geometry), np.arange(n_geometry)] += 1.0
+                # Woodbury: K from C with the geometry's own few directions.
+                root = linalg.lapack.dpotrf(gram[:-1, :-1], lower=1, clean=0)[0]
+                seen = linalg.lapack.dtrtrs(root, gram[:-1, -1], lower=1)[0]
+                volume = np.log(lower.diagonal()).sum() + np.log(root.diagonal()).sum()
+                total_value = -0.5 * (target - seen @ seen) - volume - 0.5 * ((log / self.prior_sd) ** 2).sum()
+                yield float(total_value + self._rest(log[-1])), lower
+
     def value(self, log: Floats) -> float:
         """The log posterior."""
-        try:
-            lower = self.factor(log)
-        except linalg.LinAlgError:
-            return -np.inf
-        white = linalg.solve_triangular(lower, self.rows.target, lower=True, check_finite=False)
-        total = -0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * ((log / self.prior_sd) ** 2).sum()
-        return float(total + self._rest(log[-1]))
+        return next(self.at(log[None]))[0]
 
     def value_and_slope(self, log: Floats) -> tuple[float, Floats]:
         """The log posterior and its derivatives."""
@@ -151,7 +177,7 @@ class ScaleDensity:
         """Expected curvature (Fisher) of minus the log posterior, shape (n_scales, n_scales)."""
         lower = self.factor(log)
         white = []
-        for columns in self.columns:
+        for columns in self.columns[:-2]:
             part = self.rows.weights[:, columns]
             white.append(linalg.solve_triangular(lower, part, lower=True, check_finite=False))
         for part in self._parts[-2:]:
@@ -222,30 +248,12 @@ class ScaleProposal:
 
     def draw(self, count: int, rng: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draws (count, n_scales) and their log densities (count,)."""
-        normal = rng.standard_normal((count, len(self.centre))) @ self.factor.T
-        drawn = self.centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
+        drawn = _draw_t(self.centre, self.factor, count, rng)
         return drawn, self.log_density(drawn)
 
     def log_density(self, points: Floats) -> Floats:
         """Log density of points (n_points, n_scales), unnormalised."""
         return _log_t(points, self.centre, self.factor)
-
-
-def independent_scales(
-    density: ScaleDensity, mode: Floats, count: int, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Draws of scales (count, n_scales) by an independence Metropolis chain, and their log posterior (count,)."""
-    # Every fifth step of a chain that accepts about one proposal in four.
-    pool = _Pool(density, mode, (_FIRST, 5 * count), rng)
-    ratios = (pool.values - pool.log_mixture)[_FIRST:]
-    at = pool.resample(1, rng)[0]
-    best, places = (pool.values - pool.log_mixture)[at], []
-    for i, uniform in enumerate(np.log(rng.random(len(ratios)))):
-        if uniform < ratios[i] - best:
-            at, best = _FIRST + i, ratios[i]
-        if i % 5 == 4:
-            places.append(at)
-    return pool.log[places], pool.values[places]
 
 
 class _Pool:
@@ -259,7 +267,7 @@ class _Pool:
             proposals.append((centre, np.linalg.cholesky(_SWELL**2 * covariance)))
             drawn = _draw_t(*proposals[-1], count, rng)
             self.log = np.concatenate([self.log, drawn])
-            self.values = np.concatenate([self.values, [density.value(log) for log in drawn]])
+            self.values = np.concatenate([self.values, [value for value, _ in density.at(drawn)]])
             shares = np.array(counts[: len(proposals)], dtype=float)
             each = np.array([_log_t(self.log, *proposal) for proposal in proposals])
             self.log_mixture = np.logaddexp.reduce(each + np.log(shares / shares.sum())[:, None], axis=0)
@@ -289,7 +297,7 @@ class _Pool:
         return found
 
 
-def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator) -> Floats:
+def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator | np.random.RandomState) -> Floats:
     normal = rng.standard_normal((count, len(centre))) @ factor.T
     drawn: Floats = centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
     return drawn

@@ -1,6 +1,6 @@
 """The posterior of a machine: geometry and scales of the mechanics, exactly, by emcee.
 
-A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First a few Metropolis steps of
+A step of a walker (v, s) has two stages (delayed acceptance, Christen and Fox 2005). First a Metropolis step of
 the scales alone on what the linearised rows say of them, p(s): from s to s'. Then a geometry v' by randomise-then-
 optimise under the covariance of s', and one Metropolis step with the exact density:
 
@@ -22,13 +22,13 @@ from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import all_minima
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-from fpcal_bayes.infer.mechanics.posterior import RowCovariance, ScaleCharts
+from fpcal_bayes.infer.mechanics.posterior import ScaleCharts
 from fpcal_bayes.infer.mechanics.scales import ScaleProposal
 from fpcal_bayes.infer.posterior.moves import SCALES
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
-#: Steps of the scales before each geometry, and charts that are kept.
-_STEPS, _KEPT = 2, 256
+#: Numbers in the factors that are kept with their charts.
+_NUMBERS_KEPT = 2e7
 
 
 class MachineTarget(PosteriorTarget):
@@ -64,81 +64,96 @@ class MachineCharts:
     """Charts of the geometry around each minimum, one per set of scales, kept for the walkers that stand on them."""
 
     def __init__(self, fit: MechanicsFit, seed: np.random.SeedSequence) -> None:
-        self.fit, self.n = fit, fit.problem.n_unknowns
-        self.proposal = ScaleProposal.of(fit.density, fit.scales.mode, np.random.default_rng(seed))
+        self.fit, self.n, self.density = fit, fit.problem.n_unknowns, fit.whole_density
+        mode = fit.scales.mode if self.density is fit.density else self.density.mode(fit.scales.mode)
+        self.proposal = ScaleProposal.of(self.density, mode, np.random.default_rng(seed))
         minima = all_minima(fit.problem, fit.solution)
         self.references = [minimum.unknowns for minimum in minima]
         mass = [-0.5 * minimum.sum_of_squares for minimum in minima]
         shares = np.maximum(special.softmax(mass), 0.1)
         self.shares: Floats = shares / shares.sum()
         self.evaluations = 0
-        self._covariance = RowCovariance(fit)
-        self._kept: OrderedDict[bytes, list[ScaleCharts]] = OrderedDict()
+        self._most_kept = int(np.clip(_NUMBERS_KEPT / len(fit.problem.target) ** 2, 40, 256))
+        self._kept: OrderedDict[bytes, tuple[float, list[ScaleCharts]]] = OrderedDict()
         triangle = posterior_triangle(fit.problem.data_jacobian(fit.solution.unknowns))
         self.metric: Floats = linalg.solve_triangular(triangle, np.eye(self.n))
 
-    def linear(self, log_scales: Floats) -> Floats:
-        """What the linearised rows say of scales (n_points, n_scales), shape (n_points,)."""
-        return np.array([self.fit.density.value(log) for log in log_scales])
-
     def prior(self, log_scales: Floats) -> Floats:
         """Log prior of scales (n_points, n_scales), shape (n_points,)."""
-        density: Floats = -0.5 * ((log_scales / self.fit.density.prior_sd) ** 2).sum(axis=1)
+        density: Floats = -0.5 * ((log_scales / self.density.prior_sd) ** 2).sum(axis=1)
         return density
 
-    def charts(self, log_scales: Floats) -> list[ScaleCharts]:
-        """Charts around each reference, one per set of scales."""
-        found = []
-        for log in log_scales:
-            key = log.tobytes()
+    def charts(
+        self, log_scales: Floats, made: dict[bytes, tuple[float, Floats]] | None = None
+    ) -> tuple[Floats, list[ScaleCharts]]:
+        """What the linearised rows say of scales (n_points, n_scales), and charts around each reference.
+
+        `made` holds densities and factors that are known already, by the scales' bytes.
+        """
+        keys, made = [log.tobytes() for log in log_scales], {} if made is None else made
+        missing = [i for i, key in enumerate(keys) if key not in self._kept and key not in made]
+        made |= {keys[i]: each for i, each in zip(missing, self.density.at(log_scales[missing]), strict=True)}
+        for key in keys:
             if key not in self._kept:
-                self._kept[key] = [
-                    ScaleCharts(self.fit, log[None], reference, self._covariance) for reference in self.references
-                ]
-                while len(self._kept) > _KEPT:
-                    self._kept.popitem(last=False)
+                value, lower = made[key]
+                # A copy, without the others that were factorised beside it.
+                factor, problem = [lower.copy(order="F")], self.fit.problem
+                self._kept[key] = value, [ScaleCharts(problem, each, factor) for each in self.references]
             self._kept.move_to_end(key)
-            found.append(self._kept[key])
-        return [ScaleCharts.joined(parts) for parts in zip(*found, strict=True)]
+        found = [self._kept[key] for key in keys]
+        while len(self._kept) > self._most_kept:
+            self._kept.popitem(last=False)
+        joined = [ScaleCharts.joined(parts) for parts in zip(*(charts for _, charts in found), strict=True)]
+        return np.array([value for value, _ in found]), joined
+
+    def move_scales(self, log_scales: Floats, random: Any) -> tuple[Floats, dict[bytes, tuple[float, Floats]]]:
+        """A Metropolis step of scales (n_points, n_scales) on the linearised rows, and what `charts` takes."""
+        level = self.charts(log_scales)[0] - self.proposal.log_density(log_scales)
+        drawn, log_drawn = self.proposal.draw(len(log_scales), random)
+        found = list(self.density.at(drawn))
+        there = np.array([value for value, _ in found]) - log_drawn
+        moved = np.log(random.random_sample(len(drawn))) < there - level
+        made = {drawn[i].tobytes(): found[i] for i in np.flatnonzero(moved)}
+        return np.where(moved[:, None], drawn, log_scales), made
 
     def log_density(self, points: Floats) -> Floats:
         """The log posterior of geometry and scales at points (n_points, n_unknowns), unnormalised."""
         own, log_scales = points[:, : self.n], points[:, self.n :]
         self.evaluations += len(points)
-        return self.charts(log_scales)[0].at(own)[3] + self.prior(log_scales)
+        return self.charts(log_scales)[1][0].log_density(own) + self.prior(log_scales)
 
     def log_proposal(self, points: Floats) -> Floats:
         """Log density with which points (n_points, n_unknowns) are proposed; minus infinity outside every chart."""
         own, log_scales = points[:, : self.n], points[:, self.n :]
-        parts = np.array([charts.log_proposal(own) for charts in self.charts(log_scales)])
-        return self._mixed(parts) + self.linear(log_scales)
+        linear, charts = self.charts(log_scales)
+        return self._mixed(np.array([each.log_proposal(own) for each in charts])) + linear
 
-    def propose(self, log_scales: Floats, random: Any, widen: float = 1.0) -> tuple[Floats, Floats, Floats]:
+    def propose(
+        self,
+        log_scales: Floats,
+        random: Any,
+        made: dict[bytes, tuple[float, Floats]] | None = None,
+        widen: float = 1.0,
+    ) -> tuple[Floats, Floats, Floats]:
         """Geometries for sets of scales: points (n_points, n_unknowns), their log density and log proposal density."""
         count = len(log_scales)
         normal = widen * random.standard_normal((count, self.n))
         chosen = np.searchsorted(np.cumsum(self.shares)[:-1], random.random_sample(count), side="right")
-        charts = self.charts(log_scales)
-        own = np.empty((count, self.n))
-        found = np.zeros(count, dtype=bool)
+        linear, charts = self.charts(log_scales, made)
+        own = np.repeat(self.references[0][None], count, axis=0)
+        log_density, parts = np.full(count, -np.inf), np.full((len(charts), count), -np.inf)
         for i, each in enumerate(charts):
-            if (chosen == i).any():
-                points, weights = each.solve(normal[:, None])
-                mine = chosen == i
-                own[mine], found[mine] = points[mine, 0], np.isfinite(weights[mine, 0])
-        own[~found] = self.references[0]
-        log_density = charts[0].at(own)[3] + self.prior(log_scales)
-        parts = np.full((len(charts), count), -np.inf)
-        for i, each in enumerate(charts):
+            points, density, proposal = each.solve(normal, chosen == i)
             # The own chart's solution is on the right side of every fold.
-            h, _, log_determinant, _ = each.at(own)
-            direct = log_determinant - 0.5 * (h**2).sum(axis=1)
-            parts[i] = np.where(chosen == i, direct, -np.inf)
+            mine = (chosen == i) & np.isfinite(proposal)
+            own[mine], log_density[mine], parts[i, mine] = points[mine], density[mine], proposal[mine]
+        for i, each in enumerate(charts):
             if (chosen != i).any():
-                parts[i] = np.where(chosen == i, direct, each.log_proposal(own))
-        log_proposal = np.where(found, self._mixed(parts) + self.linear(log_scales), -np.inf)
+                parts[i] = np.where(chosen == i, parts[i], each.log_proposal(own))
+        found = np.isfinite(log_density)
+        log_proposal = np.where(found, self._mixed(parts) + linear, -np.inf)
         self.evaluations += 4 * count
-        return np.hstack([own, log_scales]), np.where(found, log_density, -np.inf), log_proposal
+        return np.hstack([own, log_scales]), log_density + self.prior(log_scales), log_proposal
 
     def _mixed(self, parts: Floats) -> Floats:
         with np.errstate(divide="ignore"):
@@ -147,7 +162,7 @@ class MachineCharts:
 
 
 class MachineMove(Move):  # type: ignore[misc]
-    """Scales by a few steps on their linearised posterior, then a geometry, then the exact step."""
+    """Scales by a step on their linearised posterior, then a geometry, then the exact step."""
 
     def __init__(self, charts: MachineCharts) -> None:
         self.charts = charts
@@ -158,14 +173,8 @@ class MachineMove(Move):  # type: ignore[misc]
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
         """Move every walker once."""
         random, charts = model.random, self.charts
-        log_scales = state.coords[:, charts.n :].copy()
-        level = charts.linear(log_scales) - charts.proposal.log_density(log_scales)
-        for _ in range(_STEPS):
-            drawn, log_drawn = charts.proposal.draw(len(log_scales), random)
-            there = charts.linear(drawn) - log_drawn
-            moved = np.log(random.random_sample(len(drawn))) < there - level
-            log_scales[moved], level[moved] = drawn[moved], there[moved]
-        points, log_density, log_proposal = charts.propose(log_scales, random)
+        log_scales, made = charts.move_scales(state.coords[:, charts.n :], random)
+        points, log_density, log_proposal = charts.propose(log_scales, random, made)
         log_uniform = np.log(random.random_sample(len(points)))
         with np.errstate(invalid="ignore"):
             log_ratio = (log_density - log_proposal) - (state.log_prob - state.blobs)

@@ -219,7 +219,7 @@ class _MachineEnsemble(_Ensemble):
         scales = self.charts.fit.scales.log
         while sum(map(len, found)) < N_WALKERS:
             drawn = scales[self.random.randint(len(scales), size=N_WALKERS)]
-            points, _, log_proposal = self.charts.propose(drawn, self.random, _OVER_DISPERSION)
+            points, _, log_proposal = self.charts.propose(drawn, self.random, widen=_OVER_DISPERSION)
             found.append(points[np.isfinite(log_proposal)])
         return emcee.State(np.concatenate(found)[:N_WALKERS], random_state=self.random.get_state())
 

@@ -5,7 +5,7 @@ import numpy as np
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.model.mechanics.design import path_design
-from fpcal_bayes.model.mechanics.errors import MechanicsTaskErrors, approached, drifted, returned_errors
+from fpcal_bayes.model.mechanics.errors import MechanicsTaskErrors, approached, drifted, encoder_errors, returned_errors
 from fpcal_bayes.motion.tasks import Task
 
 #: Points of a path: return errors make a peak to peak grow with their number, so it is fixed and stated.
@@ -28,6 +28,7 @@ def mechanics_task_errors(fit: MechanicsFit, task: Task, *, seed: int = 0) -> Me
     drifting = [i for i, name in enumerate(fit.design.names) if name.startswith("drift along")]
     session_min = float(fit.drive.end_min.max())
     repeatable += sum(approached(fit.terms, path, draws.log_scales, rng).values())
+    repeatable += sum(encoder_errors(fit.terms, path, draws.log_scales, rng).values())
     repeatable += drifted(fit.terms, path, draws.weights[:, drifting], session_min, rng)
     returned = np.sum(
         [np.zeros_like(repeatable), *returned_errors(fit.terms, path, draws.log_scales, rng).values()], axis=0

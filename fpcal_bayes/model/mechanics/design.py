@@ -15,6 +15,11 @@ from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
 _MOST_SLOW = 24
 #: They fall beyond this share of them.
 _KNEE = 0.35
+#: Names of weights that belong to the session alone.
+_OWN = ("drift", "slow", "first approach", "return of", "position of")
+#: Errors of positions that several rows share are weights of their own, at most so many of a kind, if they reach this
+#: share of the readings' noise. The rest is new in each sweep, and in longer files than this all is.
+_MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class Design:
     @cached_property
     def motion_count(self) -> int:
         """Number of leading weights that a task shares (error motions, reversal, encoders)."""
-        return sum(not name.startswith(("drift", "slow", "first approach")) for name in self.names)
+        return sum(not name.startswith(_OWN) for name in self.names)
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,10 @@ class PathDesign:
         Of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3).
     returned_start, returned_point
         Of standard normal return errors at the start and at each point, shapes (n_points, n_joints).
+    encoded
+        The same of encoders of unknown period, the start first, shape (n_points + 1, n_joints).
+    places
+        Number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints).
     steps
         Joints that stand still between one point and the next keep their return error, shape (n_points, n_joints):
         number of the position that each joint has reached.
@@ -73,6 +82,8 @@ class PathDesign:
     drift: Floats
     returned_start: Floats
     returned_point: Floats
+    encoded: Floats
+    places: Ints
     steps: Ints
 
 
@@ -167,14 +178,24 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     names += ["slow reading error"] * slow.shape[1]
     scales += [index["slow noise"]] * slow.shape[1]
 
-    returned = _return_sd(terms)
+    travel = np.stack([-begun * start.drive, end.drive])
+    values = np.stack([drive.q_start, drive.q_end])
+    places = np.stack([np.unique(each, return_inverse=True)[1].reshape(each.shape) for each in values.T], axis=-1)
+    encoded, left = _shared(travel * _unknown_encoder(terms), places.transpose(1, 0, 2), np.arange(len(drive)), sigma)
+    # An encoder's error at a position that no other row has counts as return.
+    effects = np.copysign(np.hypot(travel * terms.return_sd, left), travel)
+    reached = np.stack([drive.start_reach, drive.end_reach])
+    returned, (starts, ends) = _shared(effects, reached, drive.sweep, sigma)
+    for word, kind, found in (("position of", "encoder", encoded), ("return of", "return", returned)):
+        parts += [column[:, None] for _, column in found]
+        names += [f"{word} q{joint + 1}" for joint, _ in found]
+        scales += [index[kind]] * len(found)
     moved = drive.moved
-    ends, starts = end.drive * returned, begun * start.drive * returned
     made = Design(
         matrix=np.hstack(parts),
         names=tuple(names),
         scale=np.array(scales, dtype=np.int64),
-        returned=np.where(moved, 0.0, ends - starts),
+        returned=np.where(moved, 0.0, ends + starts),
         reached_start=np.where(moved, starts, 0.0),
         reached_end=np.where(moved, ends, 0.0),
     )
@@ -183,17 +204,35 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
 
 def _shared_first(made: Design) -> Design:
     """The same with the weights that a task shares in front."""
-    own = np.array([name.startswith(("drift", "slow", "first approach")) for name in made.names], dtype=bool)
+    own = np.array([name.startswith(_OWN) for name in made.names], dtype=bool)
     order = np.argsort(own, kind="stable")
     names = tuple(made.names[i] for i in order)
     return replace(made, matrix=np.ascontiguousarray(made.matrix[:, order]), names=names, scale=made.scale[order])
 
 
-def _return_sd(terms: Terms) -> Floats:
-    """Return error of each joint with the error of an encoder whose period is not known, in um or rad."""
-    unknown = np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder / np.sqrt(2.0))
-    together: Floats = np.hypot(terms.return_sd, unknown)
-    return together
+def _unknown_encoder(terms: Terms) -> Floats:
+    """Error of each encoder whose period is not known, at any position, one sd in um or rad, shape (n_joints,)."""
+    return np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder / np.sqrt(2.0))
+
+
+def _shared(effects: Floats, places: Ints, users: Ints, sigma: Floats) -> tuple[list[tuple[int, Floats]], Floats]:
+    """Errors of positions (`places`) that several `users`, one per row, share: joint and column of each, and the rest.
+
+    The `effects` are those of unit errors at the start and end of each row; all but users are (2, n, n_joints).
+    """
+    left, found = effects.copy(), []
+    least = _FELT * float(np.median(sigma)) if 0 < len(sigma) <= _LONG else np.inf
+    for i in np.flatnonzero(np.abs(effects).max(axis=(0, 1), initial=0.0) > least).tolist():
+        effect, place = effects[:, :, i], places[:, :, i]
+        pairs = np.unique(np.stack([place.ravel(), np.tile(users, 2)])[:, effect.ravel() != 0], axis=1)
+        numbers, counts = np.unique(pairs[0], return_counts=True)
+        for number in numbers[counts > 1]:
+            column = (effect * (place == number)).sum(axis=0)
+            found.append((float(np.abs(column).max()), i, int(number), column))
+    found = sorted((each for each in found if each[0] > least), key=lambda each: -each[0])[:_MOST_SHARED]
+    for _, i, number, _ in found:
+        left[:, :, i][places[:, :, i] == number] = 0.0
+    return [(i, column) for _, i, _, column in found], left
 
 
 def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: Floats) -> tuple[Floats, list[str]]:
@@ -259,7 +298,7 @@ def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> Pat
         parts.append((drive[1:] * side)[:, reversing])
     # Until a joint has moved, the side from which the start was reached counts at the point too.
     unknown = drive[1:] * (side == 0) - drive[:1]
-    returned = at.drive * _return_sd(terms)
+    returned = at.drive * terms.return_sd
     moved = np.vstack([np.zeros(len(start_q), dtype=bool), np.diff(poses, axis=0) != 0])
     return PathDesign(
         motions=np.hstack(parts),
@@ -267,5 +306,7 @@ def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> Pat
         drift=at.fibre[1:] - at.fibre[:1],
         returned_start=np.repeat(returned[:1], len(q), axis=0),
         returned_point=returned[1:],
+        encoded=at.drive * _unknown_encoder(terms),
+        places=np.column_stack([np.unique(values, return_inverse=True)[1] for values in poses.T]),
         steps=np.cumsum(moved, axis=0)[1:].astype(np.int64),
     )

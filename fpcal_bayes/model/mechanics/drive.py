@@ -21,6 +21,8 @@ class Drive:
         Number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,).
     start_side, end_side
         Direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints).
+    start_reach, end_reach
+        Number of the position that each joint has reached: the same while it stands still, shape (n, n_joints).
     start_min, end_min
         When start and end were read, in minutes, shape (n,).
     span_min
@@ -33,6 +35,8 @@ class Drive:
     sweep: Ints
     start_side: Floats
     end_side: Floats
+    start_reach: Ints
+    end_reach: Ints
     start_min: Floats
     end_min: Floats
     span_min: Floats
@@ -43,7 +47,7 @@ class Drive:
     @property
     def moved(self) -> Bools:
         """Joints that move between start and end, shape (n, n_joints)."""
-        different: Bools = self.q_start != self.q_end
+        different: Bools = self.start_reach != self.end_reach
         different[self.absolute] = True
         return different
 
@@ -73,7 +77,7 @@ def drive_of(
     approach
         Stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
-    start_side, end_side = _sides(q_start, q_end, absolute, sweep)
+    (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
     if approach is not None:
         end_side = np.where(approach != 0, approach, end_side)
     fraction = _fractions(q_start, q_end, absolute, sweep)
@@ -87,7 +91,8 @@ def drive_of(
         start = np.where(known, 60.0 * (t_start_h - origin), start)
         end = np.where(known, 60.0 * (t_end_h - origin), end)
         span = np.where(known, 0.0, span)
-    return Drive(q_start, q_end, absolute, sweep, start_side, end_side, start, end, span)
+    sides = (start_side, end_side, start_reach, end_reach)
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span)
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
@@ -111,8 +116,10 @@ def _follow(steps: Floats, first: Floats) -> Floats:
     return np.take_along_axis(known, latest, axis=0)
 
 
-def _sides(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> tuple[Floats, Floats]:
-    """Directions of approach at start and end of each row, zero before a joint's first move."""
+def _approaches(
+    q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints
+) -> tuple[tuple[Floats, Floats], tuple[Ints, Ints]]:
+    """At start and end of each row: directions of approach, zero before a joint's first move; positions reached."""
     n, n_joints = q_end.shape
     new = np.ones(n, dtype=bool)
     new[1:] = sweep[1:] != sweep[:-1]
@@ -124,12 +131,13 @@ def _sides(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> tupl
     start_place = place[starts] - 1
     poses[start_place] = q_start[starts]
     steps = np.vstack([np.zeros(n_joints), np.diff(poses, axis=0)])
-    sides = _follow(np.sign(steps), np.zeros(n_joints))[:, :]
+    sides = _follow(np.sign(steps), np.zeros(n_joints))
+    reached = np.cumsum(steps != 0, axis=0)
     first = np.full(n, -1)
     first[starts] = start_place
     first = np.maximum.accumulate(first)
     start_side = np.where(first[:, None] >= 0, sides[np.maximum(first, 0)], 0.0)
-    return start_side, sides[place]
+    return (start_side, sides[place]), (reached[np.maximum(first, 0)], reached[place])
 
 
 def _fractions(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> Floats:

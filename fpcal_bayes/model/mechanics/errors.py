@@ -88,7 +88,7 @@ def known_task_errors(
     for word in dict.fromkeys(words[i] for i in moved):
         own = [k for k, i in enumerate(moved) if words[i] == word]
         parts[word] = weights[:, moved[own]] @ path.motions[:, own].T
-    parts |= approached(terms, path, log_scales, rng)
+    parts |= approached(terms, path, log_scales, rng) | encoder_errors(terms, path, log_scales, rng)
     if drifting.any():
         parts["drift"] = drifted(terms, path, weights[:, drifting], knowledge.session_min, rng)
     if added is not None:
@@ -109,6 +109,18 @@ def approached(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.rando
         f"first approach of q{i + 1}": signs[:, [i]] * path.unknown_side[:, i]
         for i in np.flatnonzero(path.unknown_side.any(axis=0)).tolist()
     }
+
+
+def encoder_errors(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.random.Generator) -> dict[str, Floats]:
+    """Errors of encoders of unknown period, the same whenever a joint is at the same position, by joint."""
+    factor, found = np.exp(log_scales[:, terms.scales.index("encoder")])[:, None], {}
+    for joint in np.flatnonzero(path.encoded.any(axis=0)).tolist():
+        places = path.places[:, joint]
+        drawn = (
+            factor * rng.standard_normal((len(log_scales), int(places.max()) + 1))[:, places] * path.encoded[:, joint]
+        )
+        found[f"encoder of q{joint + 1}"] = drawn[:, 1:] - drawn[:, :1]
+    return found
 
 
 def drifted(terms: Terms, path: PathDesign, weights: Floats, session_min: float, rng: np.random.Generator) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, write_text
 from fpcal_bayes.io.truth import read_truth
-from fpcal_bayes.measure.truth import Truth, paper_truth
+from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.emulate.attocube import IDS3010
@@ -40,7 +40,8 @@ class EmulatedBench:
     def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:
         stated = rig.emulation
         if truth is None:
-            truth = read_truth(Path(rig.file).parent / stated.truth, cell) if stated.truth else paper_truth(cell)
+            place = Path(rig.file).parent / stated.truth
+            truth = read_truth(place, cell) if stated.truth else default_truth(cell, stated.seed)
         instrument = rig.instrument
         if not isinstance(instrument, IDSDevice):
             raise InputError(f"{rig.file}: key interferometer.record: a program is not emulated, expected attocube-ids")

@@ -200,7 +200,10 @@ def test_a_fit_that_is_wrong_is_of_no_use(tmp_path):
         (["campaign.h5", "-o", "none/r.html"], "does not exist"),
         (["campaign.h5", "-o", "campaign.h5"], "is an input of this command"),
         (["campaign.h5", "-o", "r.html", "--now", "3"], "lies in the future"),
-        (["campaign.h5", "-o", "r.html", "--posterior", "campaign.h5"], "attribute cell_sha256"),
+        (
+            ["campaign.h5", "-o", "r.html", "--posterior", "campaign.h5"],
+            "campaign.h5: /posterior: the group is missing",
+        ),
     ],
 )
 def test_refusals(file, monkeypatch, capsys, options, expected):

@@ -110,7 +110,10 @@ class TestUsage:
                 "argument --sigma-nm: expected a number above zero, found '0'",
             ),
             (["simulate", "-o", "a.csv", "--sigma-nm", "nan"], "--sigma-nm: expected a number above zero, found 'nan'"),
-            (["simulate", "-o", "a.csv", "--sigma-nm", "inf"], "--sigma-nm: expected a number above zero, found 'inf'"),
+            (
+                ["simulate", "-o", "a.csv", "--sigma-nm", "inf"],
+                "--sigma-nm: expected a number above zero, 1e-9 to 1e9, found 'inf'",
+            ),
             (["simulate", "-o", "a.csv", "--signs", "some"], "argument --signs: invalid choice: 'some'"),
             (["week", "--seed", "x"], "argument --seed: expected a whole number from 0, found 'x'"),
         ],

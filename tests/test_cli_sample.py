@@ -107,7 +107,7 @@ class TestRefused:
     def test_outputs_that_cannot_be(self, capsys):
         assert "missing" in refused(capsys, "sample", CASE_A, "-o", "missing/p.nc")
         Path("p.nc").write_text("")
-        assert "expected another name" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--json", "p.nc")
+        assert "expected two names" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--json", "p.nc")
 
     def test_blocks_of_another_run(self, capsys, monkeypatch):
         """Resuming with another seed is refused; the blocks of the first run stay for it."""

@@ -274,7 +274,7 @@ class TestCommand:
         assert axis["fits"]
         assert axis["elpd"] == pytest.approx(252.5, abs=1.5)
         assert axis["bad_k"] == axis["refitted"]
-        assert (perpendicular["state"], perpendicular["elpd"]) == ("no minimum", None)
+        assert (perpendicular["state"], perpendicular["elpd"]) == ("not sampled", None)
         assert written["verdict"].startswith("the data favour the axis path")
         assert f"verdict: {written['verdict']}" in text
         assert all(line.startswith("fpcal: warning: ") for line in error_lines(err))

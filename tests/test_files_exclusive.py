@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fpcal_bayes.cli import track
+from fpcal_bayes.analysis import keep
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import exclusive, replacing, write_text
@@ -161,13 +161,13 @@ def test_track_does_not_overwrite_what_another_program_put_there(tmp_path, capsy
     for file, seed in ((path, "0"), (other, "1")):
         assert main(["simulate", "-o", str(file), "--seed", seed, "--quiet"]) == 0
     expected = other.read_bytes()
-    real = track.record_of
+    real = keep.record_of
 
     def replaced_meanwhile(*arguments):
         os.replace(other, path)
         return real(*arguments)
 
-    monkeypatch.setattr(track, "record_of", replaced_meanwhile)
+    monkeypatch.setattr(keep, "record_of", replaced_meanwhile)
     assert main(["track", str(path), "--quiet"]) == 0
     assert "the states are not saved" in capsys.readouterr().err
     assert path.read_bytes() == expected

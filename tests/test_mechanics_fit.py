@@ -21,6 +21,7 @@ from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
@@ -112,7 +113,9 @@ def test_held_parameters_keep_their_covariance(cell):
     plan = protocol_by_name("paper-mid", cell)
     measured = plan.with_measurement(machine.sweep(drive_of_sweeps(plan, 1.0), SIGMA), SIGMA)
     extrinsic = [name for name in cell.free.names if name.endswith(("_et", "_wf"))]
-    found = identify(replace(cell, mechanics=SIZES), measured, free=extrinsic)
+    real = replace(cell, mechanics=SIZES)
+    known = Estimate(real, real.free, real.free.nominal, np.diag(real.free.prior_sd**2), ("weak",) * len(real.free))
+    found = identify(real, measured, free=extrinsic, start=known)
     fit, n = found.machine, len(extrinsic)
     covariance = covariance_of(fit)
     held = fit.problem.considered.parameters

@@ -145,14 +145,15 @@ def test_fit_lines(result):
         "chi-square of the data 62.8, expected 53.6 (p = 0.18)"
     )
     assert lines[1] == "rank: 16 of 21 combinations of the free parameters are seen by the data"
-    assert lines[2].startswith("largest residuals: node5-rz +3.3 sd, ")
-    assert lines[3:] == [f"time: {1e3 * result.seconds:.0f} ms"]
-    assert fit_lines(result, timed=False) == lines[:3]
+    assert lines[2].startswith("along the others the estimate is the prior: theta_3, d_4, ")
+    assert lines[3].startswith("largest residuals: node5-rz +3.25 sd, ")
+    assert lines[4:] == [f"time: {1e3 * result.seconds:.0f} ms"]
+    assert fit_lines(result, timed=False) == lines[:4]
 
 
 def test_fit_lines_of_unsigned_sweeps_and_of_a_failure(result):
     unsigned = identify(CELL, mark_signs(result.problem.sweeps, "paper"))
-    assert fit_lines(unsigned)[3] == "signs: 53 decided with the fit, 0 of them doubtful"
+    assert fit_lines(unsigned)[4] == "signs: 53 decided with the fit, 0 of them doubtful"
     failed = replace(result, solution=replace(result.solution, converged=False))
     assert fit_lines(failed)[0].startswith("fit: NOT CONVERGED, ")
 

@@ -216,8 +216,10 @@ def test_refuses_columns_that_this_version_does_not_read(tmp_path, column, plan)
 def test_refuses_columns_of_plans(tmp_path, column):
     beside = refusal(write(tmp_path, with_option(column, "1")))
     assert beside == f"row 1: the column {column} belongs to a plan, expected no column dl_um beside it"
-    path = write(tmp_path, ",".join([*QS, column]) + "\n" + ",".join([*ROW.split(",")[3:15], "1"]) + "\n")
-    assert "reserved and not read by this version" in refusal(path, plan=True)
+    value = "2026-11-28T08:00:00Z" if column == "expires_utc" else "1"
+    path = write(tmp_path, ",".join([*QS, column]) + "\n" + ",".join([*ROW.split(",")[3:15], value]) + "\n")
+    assert len(read_csv(path, CELL, plan=True)) == 1
+    assert f"the column {column} belongs to a plan, expected measured sweeps" in refusal(path)
 
 
 def test_refuses_what_is_no_text_file(tmp_path):

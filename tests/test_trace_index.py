@@ -112,8 +112,8 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex) -
 
 
 def test_a_matlab_file_with_a_reserved_column_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
-    savemat(tmp_path / "index.mat", variables(femto, index) | {"readings": np.ones((3, 1))})
-    with pytest.raises(InputError, match="variables: the column readings is reserved and not read by this version"):
+    savemat(tmp_path / "index.mat", variables(femto, index) | {"beam": np.array(["a", "a", "a"], dtype=object)})
+    with pytest.raises(InputError, match="variables: the column beam is reserved and not read by this version"):
         read_recordings(tmp_path / "index.mat", femto)
 
 

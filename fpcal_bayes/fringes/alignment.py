@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.linalg import chi2_tail, covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.amplitude import Amplitudes
 from fpcal_bayes.fringes.fit import CALM
@@ -75,7 +75,7 @@ class Alignment:
     @property
     def probability(self) -> float:
         """Probability of a larger chi-square, if the amplitudes follow the model."""
-        return float(stats.chi2.sf(self.chi_square, self.freedom))
+        return chi2_tail(self.chi_square, self.freedom)
 
     def content(self) -> dict[str, Any]:
         """The JSON content: the estimate, and under ``alignment`` the direction with the mirror held; deg and um."""
@@ -117,7 +117,7 @@ def align(cell: Cell, amplitudes: Amplitudes, estimate: Estimate | None = None) 
     noise = scatter + np.diag(np.tile(drift**2, len(amplitudes)))
     found = _update(view.shape, view.steps, measured, noise, mean, covariance, first.mean)
     freedom = len(measured)
-    if not (found.converged and stats.chi2.sf(found.chi_square, freedom) > _IMPROBABLE):
+    if not (found.converged and chi2_tail(found.chi_square, freedom) > _IMPROBABLE):
         raise InputError(
             f"{file}: the fringe amplitudes do not follow the coupling of mirror and fibre (chi-square "
             f"{found.chi_square:.0f}, expected {freedom}): they do not tell the fibre's direction"

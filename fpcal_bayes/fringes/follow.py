@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit, Nuisance, fit_course
@@ -154,7 +154,10 @@ def _late(samples: Samples, place: float) -> Samples:
 def _lagging(samples: Samples, lag: float) -> Samples:
     share = np.exp(-2.0 / (len(samples) - 1) / lag)
     first = samples.s[0]
-    return replace(samples, s=first + lfilter([1.0 - share], [1.0, -share], samples.s - first))
+    # s' = share s'(before) + (1 - share) s, a bidiagonal system.
+    bands = np.vstack([np.ones(len(samples)), np.full(len(samples), -share)])
+    lagged = solve_banded((1, 0), bands, (1.0 - share) * (samples.s - first))
+    return replace(samples, s=first + lagged)
 
 
 def _scanned(

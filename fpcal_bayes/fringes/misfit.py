@@ -8,8 +8,8 @@ as noise.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit
 from fpcal_bayes.fringes.profile import legendre
@@ -70,7 +70,7 @@ class PhaseErrors:
     @property
     def probability(self) -> float:
         """That noise alone leaves as much."""
-        return float(stats.chi2.sf(self.scores @ self.scores, len(self.s)))
+        return chi2_tail(float(self.scores @ self.scores), len(self.s))
 
     def straightened(self, stretch: float) -> tuple[float, float, float]:
         """A line's slope beside a hop, a ripple or a bow that may explain the errors of a wavelength scan.

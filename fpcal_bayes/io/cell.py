@@ -128,7 +128,7 @@ class _Reader(Tables):
         name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
-        wavelength = self.number(optics, "optics", "wavelength_nm", low=200.0, high=20_000.0) * 1e-3
+        wavelength = self.number(optics, "optics", "wavelength_nm", low=1e-3, high=20_000.0) * 1e-3
         opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 

@@ -39,7 +39,7 @@ def read_csv_index(path: Path, cell: Cell) -> TraceIndex:
     check_names(records.header, cell, path, plan=True, row=records.header_row, also=INDEX)
     table = parsed(records)
     rows = records.rows
-    sweeps = from_columns(table, cell, str(path), rows, plan=True)
+    sweeps = from_columns(table, cell, str(path), rows, plan=True, whole=True)
     n = len(sweeps)
 
     def named(name: str, i: int) -> Path | None:

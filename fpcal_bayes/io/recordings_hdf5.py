@@ -81,7 +81,7 @@ def get_index(reader: Reader, group: Any, cell: Cell) -> TraceIndex:
     place = f"{reader.path}: {part.name}"
     table = get_columns(reader, part, cell, plan=True)
     n = len(next(iter(table.values())))
-    sweeps = from_columns(table, cell, str(reader.path), np.arange(1, n + 1), plan=True)
+    sweeps = from_columns(table, cell, str(reader.path), np.arange(1, n + 1), plan=True, whole=True)
 
     conditions = reader.group(group, "conditions")
     numbers = [reader.numbers(conditions, name) for name in CONDITIONS]

@@ -42,7 +42,7 @@ def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
         for name, value in variables.items()
         if name not in apart
     }
-    sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True)
+    sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True, whole=True)
     unknown = np.full(n, np.nan)
     wavelength_nm, celsius, pressure, humidity = (
         mat_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS

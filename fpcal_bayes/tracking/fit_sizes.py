@@ -208,6 +208,10 @@ _CONTRADICTED, _WORTH_SAYING = 0.01, float(np.log(1.5))
 _STEP, _STEP_WIDTH = 0.05, 30.0
 
 
+#: Last sessions that tell the pace: more cost time, and say how the cell drifted long ago.
+_LEARNT_FROM = 24
+
+
 def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]) -> Track:
     """The track with the drift as fast as its innovations say, one scale of robot and one of mirror and fibre.
 
@@ -223,7 +227,7 @@ def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]
     groups = _parts(found.drift)
     if min(fast, slow) > _CONTRADICTED or not groups:
         return found
-    begun = replace(found, outcomes=found.outcomes[:1])
+    begun = replace(found, outcomes=found.outcomes[: max(1, len(found.outcomes) - _LEARNT_FROM)])
     log = np.zeros(len(groups))
     for which in (np.ones(len(groups), dtype=bool), *np.eye(len(groups), dtype=bool)[: len(groups) - 1]):
         trials = [np.where(which, centre, log) for centre in _SCALES]
@@ -236,7 +240,12 @@ def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]
     told = [(np.exp(each), group) for each, group in zip(log, groups, strict=True) if abs(each) > _WORTH_SAYING]
     said = "; ".join(f"{', '.join(group)}: {scale:.2g} times" for scale, group in told)
     pace = "faster" if log.sum() > 0 else "slower"
-    note = f"drift {pace} than stated ({said}): forecasts take it so; fpcal track --fit-drift gives sizes for the cell"
+    # Sizes that blame the robot where the stated ones do not are no better than these.
+    blames = found.trust.usable and not learnt.trust.usable
+    taken = "forecasts keep the stated sizes" if blames else "forecasts take it so"
+    note = f"drift {pace} than stated ({said}): {taken}; fpcal track --fit-drift gives sizes for the cell"
+    if blames:
+        return replace(found, pace=note if told else None)
     return replace(learnt, resumed=found.resumed, stated=found, pace=note if told else None)
 
 

@@ -27,8 +27,11 @@ INPUTS = (
     "control --estimate estimate.json --task circle -o joints.csv",
     "simulate --path joints.csv --traces -o driven.csv",
     "simulate --traces -o index.h5",
+    "decide sweeps.csv --tolerance-nm 500 -o ticket.csv",
 )
 COMMANDS = {
+    "append": "append sweeps.csv driven.csv --ticket ticket.csv",
+    "trace": "trace index.h5",
     "cell": "cell femto-st",
     "identify": "identify sweeps.csv",
     "observe": "observe sweeps.csv",

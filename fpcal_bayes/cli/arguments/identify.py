@@ -36,7 +36,9 @@ def identify(commands: Commands) -> None:
     add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
     add(
         "--traces",
-        action="store_true",
+        dest="module",
+        action="store_const",
+        const="identify_traces",
         help="fit every sample of recorded traces (FILE: what fpcal ingest reads or made)",
     )
     add_json(parser)

@@ -132,7 +132,7 @@ BAD = [
     ("wavelength_nm = 1560.0", "wavelength_nm = nan", "key optics.wavelength_nm: expected a finite number, found nan"),
     ("wavelength_nm = 1560.0", "wavelength_nm = inf", "key optics.wavelength_nm: expected a finite number, found inf"),
     ("wavelength_nm = 1560.0", "wavelength_nm = 1e999", "key optics.wavelength_nm: expected a finite number"),
-    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 200"),
+    ("wavelength_nm = 1560.0", "wavelength_nm = -1560.0", "key optics.wavelength_nm: expected a number from 0.001"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 400}", "key optics.wavelength_nm: expected a finite number"),
     ("wavelength_nm = 1560.0", f"wavelength_nm = {'9' * 5000}", "not a TOML file"),
     (

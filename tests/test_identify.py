@@ -192,7 +192,7 @@ class TestTruthsFromThePrior:
     @pytest.fixture(scope="class")
     @classmethod
     def trials(cls) -> Trials:
-        return drawn(500)
+        return drawn(430)
 
     def test_global_minimum(self, trials):
         assert len(trials.missed()) <= 2

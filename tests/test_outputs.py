@@ -163,8 +163,10 @@ def test_temporary_files_of_processes_that_have_ended_are_removed(tmp_path: Path
 
 
 SLOW_WRITER = """
-import sys, time
+import signal, sys, time
 from fpcal_bayes.cli import cell, main
+# A shell that starts its jobs in the background has them ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 def write(*_):
     from pathlib import Path
     from fpcal_bayes.core.files import replacing

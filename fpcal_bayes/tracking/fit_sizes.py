@@ -201,7 +201,7 @@ def _resized(drift: DriftModel, groups: Sequence[Sequence[str]], factors: Floats
 
 #: Scales of all drifts that are tried where innovations contradict those stated, and the prior of their logarithm.
 _SCALE_SD = float(np.log(3.0))
-_SCALES = _SCALE_SD * np.linspace(-2.0, 2.0, 9)
+_SCALES = _SCALE_SD * np.linspace(-2.0, 2.0, 7)
 #: Innovations so unlikely that the scale is learnt; a scale within this of one is not worth a word.
 _CONTRADICTED, _WORTH_SAYING = 0.01, float(np.log(1.5))
 #: A session is a step, a knock or a slip with this probability; its innovation is then so many times as wide.
@@ -209,7 +209,7 @@ _STEP, _STEP_WIDTH = 0.05, 30.0
 
 
 #: Last sessions that tell the pace: more cost time, and say how the cell drifted long ago.
-_LEARNT_FROM = 24
+_LEARNT_FROM = 8
 
 
 def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]) -> Track:

@@ -164,10 +164,10 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
     if (np.diff(moves) < 0).any():
         raise located(path, "expected moves in ascending order", row=rows[int(np.argmax(np.diff(moves) < 0)) + 1])
     ends = np.append(np.flatnonzero(np.diff(moves) > 0), n - 1)
-    q, poses = np.full(len(cell.joints), np.nan), []
+    last, q, poses = set(ends.tolist()), np.full(len(cell.joints), np.nan), []
     for i, j in enumerate(joints):
         q[j] = values[i]
-        if i in set(ends.tolist()):
+        if i in last:
             poses.append(q.copy())
     placed = np.array(poses)
     if np.isnan(placed[0]).any():
@@ -190,6 +190,7 @@ def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
     else:
         records = read_records(path, "a header and moves")
         names, rows, n = records.header, records.rows.tolist(), len(records.rows)
+        columns = records.columns()
     for name in _NEEDED:
         if name not in names:
             raise located(
@@ -205,9 +206,9 @@ def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
             read = mat_texts if name in _TEXTS else mat_numbers
             table[name] = read(path, name, found[name], n).tolist()
         elif name in _TEXTS:
-            table[name] = list(records.columns()[name])
+            table[name] = list(columns[name])
         else:
-            texts = records.columns()[name]
+            texts = columns[name]
             numbers = records.numbers(name, [text if text or name in _NEEDED else "0" for text in texts], finite=True)
             table[name] = np.where([text != "" for text in texts], numbers, np.nan).tolist()
     return table, rows

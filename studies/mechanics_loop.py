@@ -5,7 +5,7 @@ python studies/mechanics_loop.py [--tolerance-nm 50 100 200] [--weeks 10] [--day
 Each machine, as in `mechanics_tracking`, is calibrated and kept by the policy of `fpcal week`, two sweeps a session at
 most. At regular times the circle is driven with compensation by the estimate that the controller holds; the share of
 circles within the tolerance is compared with the mean probability that the forecast of the same moment gives. Machines
-are independent, looks at one machine are not: standard errors are over machines. Machines that cannot meet the tolerance
+are independent, looks at one machine are not: standard errors are over machines. Machines that cannot meet a tolerance
 are counted: the policy says so before anything is promised. Tolerances share the calibration.
 """
 

@@ -68,15 +68,16 @@ def test_a_replicate_depends_on_its_number_alone(femto):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("minima_only")
 def test_calibrated(femto):
-    """20 truths a protocol, ranked together: what is wrong with the sampler is so under both.
+    """10 truths a protocol, ranked together: what is wrong with the sampler is so under both.
 
     The study runs hundreds of each, to convergence, and judges them apart.
     """
     ranks = []
     for protocol in ("paper", "random"):
         study = Ranks(cell=femto, plan=sbc_plan(protocol, femto), protocol=protocol, seed=1, draws=400, steps=20)
-        ranks += [study.replicate(number)["ranks"] for number in range(20)]
+        ranks += [study.replicate(number)["ranks"] for number in range(10)]
     found = np.array(ranks)
     assert np.isfinite(found).all()
 

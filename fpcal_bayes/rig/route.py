@@ -49,28 +49,15 @@ class ForbiddenMoveError(InputError):
 
 @dataclass(frozen=True)
 class Leg:
-    """One move and the reading after it.
+    """One move and the reading after it."""
 
-    Attributes
-    ----------
-    name
-        What it is for.
-    start, end
-        Joint vectors in um and rad.
-    seconds
-        That it takes, with settling.
-    gap
-        Least distance of fibre and mirror on the way, in um.
-    fringe_rate
-        Most fringes per second.
-    """
-
-    name: str
+    name: str  # what it is for
+    # start, end: joint vectors in um and rad
     start: Floats
     end: Floats
-    seconds: float
-    gap: float
-    fringe_rate: float
+    seconds: float  # that it takes, with settling
+    gap: float  # least distance of fibre and mirror on the way, in um
+    fringe_rate: float  # most fringes per second
 
 
 class Guard:

@@ -9,40 +9,27 @@ from fpcal_bayes.core.typing import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class Drive:
-    """Rows in the order in which they were driven; joint vectors in um and rad.
+    """Rows in the order in which they were driven; joint vectors in um and rad."""
 
-    Attributes
-    ----------
-    q_start, q_end
-        Shape (n, n_joints).
-    absolute
-        Rows that give L(end) itself, shape (n,).
-    sweep
-        Number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,).
-    start_side, end_side
-        Direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints).
-    start_reach, end_reach
-        Number of the position that each joint has reached: the same while it stands still, shape (n, n_joints).
-    start_min, end_min
-        When start and end were read, in minutes, shape (n,).
-    span_min
-        How long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,).
-    session
-        Number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint
-        reached from an unknown side.
-    """
-
+    # q_start, q_end: shape (n, n_joints)
     q_start: Floats
     q_end: Floats
-    absolute: Bools
-    sweep: Ints
+    absolute: Bools  # rows that give L(end) itself, shape (n,)
+    sweep: Ints  # number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,)
+    # start_side, end_side: direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints)
     start_side: Floats
     end_side: Floats
+    # start_reach, end_reach: number of the position that each joint has reached: the same while it stands still, shape
+    # (n, n_joints)
     start_reach: Ints
     end_reach: Ints
+    # start_min, end_min: when start and end were read, in minutes, shape (n,)
     start_min: Floats
     end_min: Floats
+    # how long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,)
     span_min: Floats
+    # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
+    # from an unknown side
     session: Ints
 
     def __len__(self) -> int:

@@ -17,18 +17,11 @@ _MOST_DRAWS = 4000
 
 @dataclass(frozen=True)
 class MechanicsTaskErrors:
-    """Draws of a task's error along its path, in um.
+    """Draws of a task's error along its path, in um."""
 
-    Attributes
-    ----------
-    repeatable
-        By geometry, error motions, reversal and encoders: the same each time, shape (n_draws, n_points).
-    returned
-        By return errors: another one each time, same shape.
-    """
-
+    # by geometry, error motions, reversal and encoders: the same each time, shape (n_draws, n_points)
     repeatable: Floats
-    returned: Floats
+    returned: Floats  # by return errors: another one each time, same shape
 
     @property
     def total(self) -> Floats:

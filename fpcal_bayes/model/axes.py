@@ -40,18 +40,10 @@ class Sight:
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Direction of each joint's axis and a point on it, in the world frame.
 
-    Parameters
-    ----------
-    vector
-        Model vector, shape (model size,), in um and rad.
-    q
-        Joint vector, shape (n_joints,), in um and rad.
-
-    Returns
-    -------
-    tuple of ndarray
-        Unit vectors along which positive joint values move, or about which they turn by the right hand, and points in
-        um; shape (n_joints, 3) each.
+    vector: model vector, shape (model size,), in um and rad.
+    q: joint vector, shape (n_joints,), in um and rad.
+    Returns unit vectors along which positive joint values move, or about which they turn by the right hand, and points
+    in um; shape (n_joints, 3) each.
     """
     pose, directions, points = np.eye(4), [], []
     for i, joint in enumerate(cell.joints):

@@ -116,19 +116,11 @@ class Known:
 def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1) -> Margin:
     """What a path leaves between mirror and fibre.
 
-    Parameters
-    ----------
-    model, draws
-        A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
-    exact
-        The draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
-    rows
-        How many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
-
-    Raises
-    ------
-    InputError
-        If the cell has no envelope, or the gap that it states and the one that the draws have measured disagree.
+    model, draws: A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
+    exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
+    rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+    Raises InputError if the cell has no envelope, or the gap that it states and the one that the draws have measured
+    disagree.
     """
     envelope = require_envelope(model.cell)
     told = Known.of(model, draws)

@@ -33,13 +33,9 @@ class Envelope(Protocol):
     def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> Sequence[str | None]:
         """Why each of some moves may leave the envelope, or None.
 
-        Parameters
-        ----------
-        moves
-            Joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
-            end. Between two of them each joint may be anywhere between its values.
-        speed
-            Speeds of the joints, in um/s and rad/s, shape (n_joints,).
+        moves: joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
+        end. Between two of them each joint may be anywhere between its values.
+        speed: speeds of the joints, in um/s and rad/s, shape (n_joints,).
         """
 
 
@@ -63,12 +59,8 @@ class Leg:
 class Guard:
     """Looks at every move before it is made.
 
-    Parameters
-    ----------
-    estimate
-        Geometry by which gap and length are told; by default the cell's nominal one.
-    envelope
-        Where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
+    estimate: geometry by which gap and length are told; by default the cell's nominal one.
+    envelope: where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
     """
 
     def __init__(
@@ -196,10 +188,7 @@ class Guard:
 def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]]:
     """Every move of every order, looked at and timed, none made.
 
-    Raises
-    ------
-    ForbiddenMoveError
-        At the first move that must not be made.
+    Raises ForbiddenMoveError at the first move that must not be made.
     """
     moves = []
     for order in orders:

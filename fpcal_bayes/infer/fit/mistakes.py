@@ -71,12 +71,8 @@ class Mended:
 def mend(problem: Problem, solution: Solution, worst: Floats) -> list[Mended]:
     """Mistakes that explain a poor fit, the best first and all others that do as well.
 
-    Parameters
-    ----------
-    problem, solution
-        As identified; rows without sign are left out.
-    worst
-        Size of each row's residual, shape (n_rows,): mistakes of the joints that the worst rows move come first.
+    problem, solution: as identified; rows without sign are left out.
+    worst: size of each row's residual, shape (n_rows,): mistakes of the joints that the worst rows move come first.
     """
     known = problem.sweeps.signed | problem.sweeps.absolute
     if known.sum() < min(problem.n_free, len(known)):

@@ -62,12 +62,8 @@ class ScalePosterior:
 class ScaleDensity:
     """Unnormalised log posterior of the logarithms of the scales.
 
-    Parameters
-    ----------
-    rows
-        The linearised problem.
-    names
-        Of the scales; the last two are return and noise.
+    rows: the linearised problem.
+    names: of the scales; the last two are return and noise.
     """
 
     def __init__(self, rows: LinearRows, names: tuple[str, ...]) -> None:

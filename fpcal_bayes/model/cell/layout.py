@@ -66,10 +66,7 @@ class Layout:
 def read_axes(text: str) -> tuple[AxisWord, ...]:
     """Axes from words such as ``x y z rx rz -ry``, from base to mirror.
 
-    Raises
-    ------
-    InputError
-        If a word is none, or there is none or more than twelve.
+    Raises InputError if a word is none, or there is none or more than twelve.
     """
     words = text.replace(",", " ").split()
     axes = []
@@ -104,12 +101,8 @@ def read_side(text: str) -> Floats:
 def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout:
     """The layout of axes that meet at the mirror, with the fibre on one side of it.
 
-    Parameters
-    ----------
-    side
-        Direction from the mirror to the fibre, along a world axis, shape (3,).
-    gap
-        In um.
+    side: direction from the mirror to the fibre, along a world axis, shape (3,).
+    gap: in um.
     """
     links, frame = np.zeros((len(axes), 5)), np.eye(3)
     for i, axis in enumerate(axes):

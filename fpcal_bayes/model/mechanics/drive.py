@@ -66,16 +66,10 @@ def drive_of(
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
-    Parameters
-    ----------
-    sweep
-        Number of each row's sweep, rising by one, shape (n,).
-    time_h
-        Of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
-    t_start_h, t_end_h
-        When start and end were read, shape (n,), or None.
-    approach
-        Stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
+    sweep: number of each row's sweep, rising by one, shape (n,).
+    time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
+    t_start_h, t_end_h: when start and end were read, shape (n,), or None.
+    approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
     if approach is not None:
@@ -99,10 +93,7 @@ def drive_of(
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Directions of approach along a path that is driven point by point from `start`.
 
-    Returns
-    -------
-    tuple of ndarray
-        At the start, where nothing is known, shape (n_joints,), and at the points, shape (n_points, n_joints).
+    Returns the sides at the start, where nothing is known, shape (n_joints,), and at the points, shape (n_points, n_joints).
     """
     poses = np.vstack([start, q])
     return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))

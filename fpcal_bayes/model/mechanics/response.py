@@ -37,10 +37,7 @@ class Directions:
 def directions(cell: Cell, levers_mm: Floats) -> Directions:
     """Directions of each joint's error motions, at joint zero of the nominal cell.
 
-    Parameters
-    ----------
-    levers_mm
-        In world axes, shape (n_joints, 3).
+    levers_mm: in world axes, shape (n_joints, 3).
     """
     vector = cell.parameters.nominal
     beam = chain.optical_axis(cell, vector).real

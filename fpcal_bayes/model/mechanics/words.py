@@ -38,14 +38,10 @@ LEGENDRE, HARMONICS = 5, 4
 def peak_to_valley(word: Word, value: float, *, travel: float = 0.0, shape: Shape = "legendre") -> float:
     """Peak to valley that a statement stands for, in the unit of the statement.
 
-    Parameters
-    ----------
-    word
-        ``peak-to-valley``, ``plus-minus`` (half of it, as runout and wobble are stated), ``rms``, ``percent-of-travel``
-        (of `travel`, in the unit wanted), or for the two repeatabilities ``unidirectional`` and ``bidirectional``
-        see `return_sd` and `reversal`.
-    value
-        As stated.
+    word: ``peak-to-valley``, ``plus-minus`` (half of it, as runout and wobble are stated), ``rms``,
+    ``percent-of-travel`` (of `travel`, in the unit wanted), or for the two repeatabilities ``unidirectional`` and
+    ``bidirectional`` see `return_sd` and `reversal`.
+    value: as stated.
     """
     if word == "peak-to-valley":
         return value
@@ -83,10 +79,7 @@ def reversal(word: Word, value: float, *, unidirectional: float = 0.0) -> float:
 def weight_sd(size: float, shape: Shape) -> Floats:
     """Standard deviations of the weights of one function of peak to valley `size`.
 
-    Returns
-    -------
-    ndarray
-        By k, shape (5,) or (4,); zero for a fundamental that is not there.
+    Returns by k, shape (5,) or (4,); zero for a fundamental that is not there.
     """
     count = LEGENDRE if shape.startswith("legendre") else HARMONICS
     sd: Floats = size / PEAK_TO_VALLEY[shape] / np.arange(1, count + 1)

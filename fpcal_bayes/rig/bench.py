@@ -63,7 +63,10 @@ class Reading:
 class Bench:
     """All devices of a rig.
 
-    folder: where a recording program writes its traces.
+    Parameters
+    ----------
+    folder
+        Where a recording program writes its traces.
     """
 
     def __init__(self, cell: Cell, rig: Rig, guard: Guard, halt: Halt, log: CommandLog, folder: Path) -> None:
@@ -108,10 +111,14 @@ class Bench:
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
         """Move to a pose and wait until it is reached and held; the joint values read back.
 
-        Raises ForbiddenMoveError if the move is forbidden; then nothing has moved.
-        Raises DeviceError if a device fails or an axis does not get there.
-        Raises Disturbed if `watch` is set and the fringes were lost on the way; the joints are at the target all the
-        same.
+        Raises
+        ------
+        ForbiddenMoveError
+            If the move is forbidden; then nothing has moved.
+        DeviceError
+            If a device fails or an axis does not get there.
+        Disturbed
+            If `watch` is set and the fringes were lost on the way; the joints are at the target all the same.
         """
         here = self.position()
         # Where the joints were sent they stand; the encoders' last digits are no motion.
@@ -188,8 +195,12 @@ class Bench:
     def read(self, target: Floats) -> Reading:
         """Read positions and length at rest.
 
-        Raises Disturbed if the length is not steady or not seen, or the joints move meanwhile.
-        Raises DeviceError if a device fails or a joint does not stand at `target`.
+        Raises
+        ------
+        Disturbed
+            If the length is not steady or not seen, or the joints move meanwhile.
+        DeviceError
+            If a device fails or a joint does not stand at `target`.
         """
         before = self.position()
         away = np.abs(before - target) > self._guard.tolerance

@@ -38,7 +38,9 @@ arguments.MECHANICS = "none"
 DATA = Path(__file__).parent / "data"
 
 # The same examples on every run: a failure is never a matter of luck. `--hypothesis-profile explore` draws new ones.
-settings.register_profile("repeatable", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "repeatable", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.register_profile("explore", deadline=None, max_examples=1000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 

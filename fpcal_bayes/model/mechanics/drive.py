@@ -93,7 +93,7 @@ def drive_of(
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Directions of approach along a path that is driven point by point from `start`.
 
-    Returns the sides at the start, where nothing is known, shape (n_joints,), and at the points, shape (n_points, n_joints).
+    Returns the sides at the start, not known, shape (n_joints,), and at the points, shape (n_points, n_joints).
     """
     poses = np.vstack([start, q])
     return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))

@@ -9,8 +9,8 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
+from fpcal_bayes.model.mechanics.basis import Shape, weight_sd
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
-from fpcal_bayes.model.mechanics.words import Shape, weight_sd
 
 #: Scales that are not those of error motions, in their order behind them.
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")

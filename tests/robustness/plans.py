@@ -14,11 +14,12 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from cells import DATA, SIDES, light_plan, measured_gap, random_words, run
+from cells import DATA, SIDES, light_plan, random_words, run
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, POINTS, prior_ground
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
 from fpcal_bayes.io.cell import load_cell
@@ -27,6 +28,7 @@ from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.measure.truth import Truth
+from fpcal_bayes.model.axes import home
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import find_task, possible_tasks
@@ -56,6 +58,16 @@ def cell_file(rng: np.random.Generator, number: int, folder: Path) -> str:
     path.unlink(missing_ok=True)
     run("cell", "--new", words, "--side", side, "--gap-um", 300, "--gap-sd-um", 5, "-o", path)
     return str(path)
+
+
+def drawn_truth(cell: Cell, rng: np.random.Generator) -> np.ndarray:
+    """Parameters from the prior, given the gap that the envelope states within two of its standard deviations."""
+    envelope, prior, model = cell.envelope, Prior.of(cell.free), CavityModel.of(cell.with_opd("axis"))
+    values = prior.values(rng.standard_normal((5000, len(cell.free))))
+    if envelope is None or envelope.gap is None or envelope.gap_sd is None:
+        return values[0]
+    lengths = model.predict(values, model.pose_rows(home(cell)[None]))[:, 0]
+    return values[int(np.argmax(np.abs(lengths - envelope.gap) < 2.0 * envelope.gap_sd))]
 
 
 def ratios(
@@ -96,10 +108,8 @@ def main(plans: int, truths: int, first: int) -> int:
             rows = read_sweeps(folder / "p.csv", cell, plan=True)
             found, said, without = [], "", 0
             for seed in range(truths):
-                away = cell.free.nominal + cell.free.prior_sd * rng.standard_normal(len(cell.free))
                 try:
-                    values = away if cell.envelope is None else measured_gap(cell, away)
-                    each, drawn = ratios(cell, expected, values, rows, seed)
+                    each, drawn = ratios(cell, expected, drawn_truth(cell, rng), rows, seed)
                 except InputError as error:
                     said = f"; not measured: {error}"
                     continue

@@ -93,6 +93,8 @@ def track(commands: Commands) -> None:
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
     add("--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell")
+    add("-o", "--output", metavar="CELL.toml", type=Path, help="with --fit-drift: write the cell with these sizes")
+    add("--force", action="store_true", help="write over CELL.toml")
     add_json(parser)
 
 

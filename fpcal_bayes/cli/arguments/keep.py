@@ -87,7 +87,7 @@ def track(commands: Commands) -> None:
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
     add(
         "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again"
+        "sample) in place of a few that are made here; takes in all sessions again; with --mechanics none"
     )  # fmt: skip
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")

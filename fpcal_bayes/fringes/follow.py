@@ -26,8 +26,9 @@ from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fring
 #: lags tried, in half traces.
 _MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 2, 6, 200.0
 _LAGS = np.geomspace(2e-3, 0.2, 8)
-#: Polynomials of an uneven course, with the size in um of the first; sizes of the others fall as one over their number.
-_COURSES = ((10, 0.15), (20, 0.3), (30, 0.6), (40, 1.0))
+#: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
+_SIZINGS = 2
+_COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
@@ -48,12 +49,17 @@ class Followed:
     #: set_out, lag: Place at which the mirror set out, and how long it lags, as a share of half the trace.
     set_out: float = -1.0
     lag: float = 0.0
-    uneven: bool = False  # whether the course has polynomials that no joint makes
+    size: float = 0.0  # of a course that has polynomials that no joint makes, in um
 
     @cached_property
     def errors(self) -> PhaseErrors:
         """What the best fit leaves."""
         return PhaseErrors.of(self.solution.best, self.solution.samples, self.phase_per_um)
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the course has polynomials that no joint makes."""
+        return self.size > 0.0
 
     @property
     def astray(self) -> bool:
@@ -121,7 +127,7 @@ def follow(
     ranked = sorted(tries, key=lambda each: -each.solution.best.evidence)[:3]
     for each in {id(each): each for each in (tries[0], *ranked)}.values():
         old, moved = each.solution.best, each.solution.samples
-        prior = profile if len(old.profile) == DEGREE else _loose(profile, len(old.profile))
+        prior = loosened(profile, len(old.profile), each.size) if each.uneven else profile
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends)
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
@@ -260,20 +266,26 @@ def _laid(
     return [(each, float(v), 0.25 * width) for each, v in zip(found, near, strict=True)]
 
 
-def _loose(profile: DisplacementProfile, degree: int) -> DisplacementProfile:
-    return loosened(profile, degree, dict(_COURSES)[degree])
-
-
 def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[Followed]:
-    """Fits of courses with more and more polynomials, along the places of `base`."""
+    """Fits of courses with more and more polynomials, along the places of `base`, until one holds."""
     old, moved = base.solution.best, base.solution.samples
     begin = _demodulated(old, moved, base.phase_per_um)
-    tried = []
-    for degree, _ in _COURSES:
-        if len(moved) > 5 * degree:
-            prior = _loose(profile, degree)
-            best = replace(fit(moved, None, prior, begin[:degree]), ends=old.ends, ends_variance=old.ends_variance)
-            tried.append(replace(base, solution=FringeSolution((best,), moved), uneven=True))
+    tried: list[Followed] = []
+    for degree, size in _COURSES:
+        if len(moved) <= 2 * degree:
+            break
+        best = fit(moved, None, loosened(profile, degree, size), begin[:degree])
+        tried.append(replace(base, solution=FringeSolution((best,), moved), size=size))
+        holds = tried[-1].errors.probability > UNLIKELY
+        for _ in range(_SIZINGS if holds else 0):
+            # The polynomials that no joint makes tell how large the course is.
+            own = (best.profile**2 + np.diag(best.covariance))[DEGREE:].sum()
+            size *= float(np.sqrt(own / np.diag(loosened(profile, degree, size).covariance)[DEGREE:].sum()))
+            best = fit(moved, None, loosened(profile, degree, size), best.profile)
+        best = replace(best, ends=old.ends, ends_variance=old.ends_variance)
+        tried[-1] = replace(base, solution=FringeSolution((best,), moved), size=size)
+        if holds and best.evidence < max(each.solution.best.evidence for each in tried):
+            break
     return tried
 
 

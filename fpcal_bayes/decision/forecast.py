@@ -136,7 +136,7 @@ class Forecaster:
         machine = drift.motions is not None
         counts = [PATH_POINTS if machine else _CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
-            find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).driven()
+            find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).within_turns()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
         ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()

@@ -26,27 +26,15 @@ _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
 
 @dataclass(frozen=True)
 class Design:
-    """What weights of unit prior variance add to rows, to first order.
+    """What weights of unit prior variance add to rows, to first order."""
 
-    Attributes
-    ----------
-    matrix
-        In um, shape (n_rows, n_weights).
-    names
-        Of the weights' terms, n_weights of them.
-    scale
-        Position of each weight's scale in `Terms.scales`, shape (n_weights,).
-    returned
-        What the return errors of joints that stand still in a row do to it: change of the response between its ends
-        times the return's sd, shape (n_rows, n_joints).
-    reached_start, reached_end
-        The same of joints that are reached anew at an end, shape (n_rows, n_joints).
-    """
-
-    matrix: Floats
-    names: tuple[str, ...]
-    scale: Ints
+    matrix: Floats  # in um, shape (n_rows, n_weights)
+    names: tuple[str, ...]  # of the weights' terms, n_weights of them
+    scale: Ints  # position of each weight's scale in `Terms.scales`, shape (n_weights,)
+    # what the return errors of joints that stand still in a row do to it: change of the response between its ends times
+    # the return's sd, shape (n_rows, n_joints)
     returned: Floats
+    # reached_start, reached_end: the same of joints that are reached anew at an end, shape (n_rows, n_joints)
     reached_start: Floats
     reached_end: Floats
 
@@ -58,34 +46,20 @@ class Design:
 
 @dataclass(frozen=True)
 class PathDesign:
-    """What the same weights add to L(q) - L(q0) along a path.
+    """What the same weights add to L(q) - L(q0) along a path."""
 
-    Attributes
-    ----------
-    motions
-        Of the shared weights, shape (n_points, motion_count).
-    unknown_side
-        Of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints).
-    drift
-        Of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3).
-    returned_start, returned_point
-        Of standard normal return errors at the start and at each point, shapes (n_points, n_joints).
-    encoded
-        The same of encoders of unknown period, the start first, shape (n_points + 1, n_joints).
-    places
-        Number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints).
-    steps
-        Joints that stand still between one point and the next keep their return error, shape (n_points, n_joints):
-        number of the position that each joint has reached.
-    """
-
-    motions: Floats
+    motions: Floats  # of the shared weights, shape (n_points, motion_count)
+    # of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints)
     unknown_side: Floats
-    drift: Floats
+    drift: Floats  # of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3)
+    # returned_start, returned_point: of standard normal return errors at the start and at each point, shapes (n_points,
+    # n_joints)
     returned_start: Floats
     returned_point: Floats
-    encoded: Floats
-    places: Ints
+    encoded: Floats  # the same of encoders of unknown period, the start first, shape (n_points + 1, n_joints)
+    places: Ints  # number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints)
+    # joints that stand still between one point and the next keep their return error, shape (n_points, n_joints): number
+    # of the position that each joint has reached
     steps: Ints
 
 

@@ -249,3 +249,5 @@ def test_posterior_draws_to_start_from(capsys):
         assert given[name]["sd"] == pytest.approx(entry["sd"], rel=0.25)
     capsys.readouterr()
     assert "week.csv: not a netCDF file" in refused(capsys, file, "--posterior", file)
+    line = refused(capsys, file, "--posterior", "posterior.nc", "--mechanics", "stated")
+    assert "posterior.nc: holds draws of the geometry" in line

@@ -31,6 +31,7 @@ _COMMANDS = (
     identify.identify,
     identify.sample,
     identify.compare,
+    identify.verify,
     identify.task_error,
     identify.control,
     identify.check,

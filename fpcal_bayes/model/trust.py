@@ -33,6 +33,7 @@ KINDS: dict[str, bool] = {
     "nothing-determined": False,
     "mechanics": False,
     "residuals": False,
+    "verification": False,
     "mechanics-left-out": False,
     "unrecorded": False,
 }

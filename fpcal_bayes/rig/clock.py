@@ -27,6 +27,10 @@ class Clock:
         wall = time.time()
         return wall if self.speedup == 1.0 else self.anchor + (wall - self.anchor) * self.speedup
 
+    def ticks(self) -> float:
+        """Seconds of the cell since some moment; they go on evenly where the clock is set."""
+        return time.monotonic() * self.speedup
+
     def utc(self) -> datetime:
         """The cell's clock time."""
         return datetime.fromtimestamp(self.now(), UTC)

@@ -116,6 +116,27 @@ def _at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str]
     return matrix, names, scales
 
 
+def weight_rows(terms: Terms) -> list[tuple[int, int, int, float]]:
+    """What each weight that a task shares stands for, in their order: joint, kind, order, size in um or rad.
+
+    Kinds are 1 to 6, directions of `Responses.motion`; 7, radial against the turn; 8, encoder of known period; 9,
+    reversal. Orders are those of Legendre polynomials, or of harmonics, a sine's negative.
+    """
+    rows: list[tuple[int, int, int, float]] = []
+    for motion in terms.motions:
+        count = len(motion.sd)
+        waves = [sign * (k + 1) for k in range(count // 2) for sign in (1, -1)]
+        orders = waves if group_of(terms.cell, motion.joint) == "rotary" else range(1, count + 1)
+        kinds = zip(orders, motion.sd.tolist(), strict=True)
+        rows += [(motion.joint, motion.direction + 1, order, sd) for order, sd in kinds if sd > 0]
+    for motion in terms.motions:
+        if motion.direction == UP and group_of(terms.cell, motion.joint) == "rotary":
+            rows += [(motion.joint, 7, sign, 2.0 * float(motion.sd[2])) for sign in (1, -1)]
+    known = (terms.encoder > 0) & np.isfinite(terms.encoder_period)
+    rows += [(i, 8, s, float(terms.encoder[i] / np.sqrt(2.0))) for i in np.flatnonzero(known).tolist() for s in (1, -1)]
+    return rows + [(i, 9, 0, float(terms.reversal[i])) for i in np.flatnonzero(terms.reversal > 0).tolist()]
+
+
 def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     """The design matrix of rows; sessions share the weights that a task shares, and each has its own others.
 
@@ -269,14 +290,14 @@ def _time_polynomial(minutes: Floats, last: float, order: int) -> Floats:
 
 
 def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
-    """Cosines over the order of the rows."""
+    """Cosines over the order of the rows; of few rows one error that they share."""
     count = min(_MOST_SLOW, n // 4)
-    if count == 0:
-        return np.zeros((n, 0))
     stated = terms.sizes.correlated_nm
-    size = 0.8 * float(np.median(sigma)) if stated is None else 1e-3 * stated
+    size = 0.0 if n == 0 else 0.8 * float(np.median(sigma)) if stated is None else 1e-3 * stated
     if size == 0.0:
         return np.zeros((n, 0))
+    if count == 0:
+        return np.full((n, 1), size)
     k = np.arange(1, count + 1)
     weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
     weight *= size / np.sqrt((weight**2).sum())

@@ -18,6 +18,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.mistakes import axis_sets, mend, mirror_sets
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.truth import Truth
@@ -58,7 +59,7 @@ def measured(cell: Cell, rng: np.random.Generator) -> Sweeps:
     """The sweeps of a commissioning on a cell that is drawn from the prior, within 2 standard deviations."""
     free = cell.free
     away = np.clip(rng.standard_normal(len(free)), -2.0, 2.0)
-    truth = Truth(free, np.zeros(1), (free.nominal + free.prior_sd * away)[None])
+    truth = Truth(free, np.zeros(1), Prior.of(free).values(away)[None])
     return simulate_um(cell, truth, commission_plan(cell), sigma=0.005, seed=int(rng.integers(2**31)))
 
 

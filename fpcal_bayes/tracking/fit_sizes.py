@@ -42,7 +42,7 @@ _CHANGED = float(np.log(1.1))
 #: A session is a step with this probability.
 _STEP = 0.05
 #: The pace is that of the last sessions, of about so many rows and at most so many sessions; as many are judged anew.
-_LEARNT_ROWS, _LEARNT_SESSIONS = 96, 64
+_LEARNT_ROWS, _LEARNT_SESSIONS = 48, 64
 
 
 def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats) -> Floats:

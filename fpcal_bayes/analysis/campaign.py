@@ -133,6 +133,11 @@ def follow(
 def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
     """The draws of the parameters that are followed, shape (n_draws, n_parameters)."""
     read = read_posterior(posterior, cell)
+    if cell.mechanics is not None:
+        raise InputError(
+            f"{posterior}: holds draws of the geometry, and a track of this cell starts from error motions too: "
+            "leave --posterior out, the first session tells both; or take a perfect mechanism by --mechanics none"
+        )
     missing = [name for name in drift.parameters.names if name not in read.parameters]
     if missing:
         raise InputError(f"{posterior}: expected draws of all free parameters, {missing[0]} is missing")

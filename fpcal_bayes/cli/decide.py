@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         now_h = hours_now(sweeps, found.last.time_h)
     decision = decide_track(found, sweeps, goal, costs, now_h)
 
-    warnings = verdict_lines(found) + followed.notes
+    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
     estimate = found.estimate()
     warnings += [reason.text for reason in estimate.trust.reasons if reason.text not in warnings]
     for name in goal.tasks:

@@ -106,7 +106,7 @@ class TaskForecast:
 
     def attainable(self, level: float) -> float:
         """The tolerance that is passed with probability `level`, in um."""
-        return float(np.quantile(self.worst, 1.0 - level))
+        return float(np.quantile(self.worst, 1.0 - level, method="higher"))
 
 
 @dataclass(frozen=True)

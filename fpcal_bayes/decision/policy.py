@@ -182,8 +182,7 @@ class Policy:
         """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
 
         `calibration_due` says why a full calibration is due whatever the error, or is None; `diagnosed_h` when a
-        session could last show a change of the robot, in hours since the campaign began. `InputError` if the tolerance
-        cannot be met.
+        session could last show a change of the robot, in hours since the campaign began.
         """
         decision = self._decide(forecast, state, calibration_due)
         left = self._look_in(forecast, state, diagnosed_h)
@@ -279,8 +278,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     Raises
     ------
     InputError
-        If `now_h` lies before the last session, a task cannot be driven, the tolerance cannot be met, or the sweeps may
-        leave the cell's envelope.
+        If `now_h` lies before the last session, a task cannot be driven, or the sweeps may leave the cell's envelope.
     """
     last = track.last
     if not now_h >= last.time_h:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -224,3 +225,14 @@ def propagated(estimate: Estimate, hours: float) -> Estimate:
     drift = DriftModel.of(estimate.cell, estimate.parameters)
     _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)
     return replace(estimate, covariance=drift.covariance(later))
+
+
+def drift_root(cell: Cell, parameters: ParameterSet, hours: float) -> Floats | None:
+    """Square root (n, k), in um and rad, of the covariance by which parameters drift in some hours; None if none do."""
+    if not cell.drift or hours == 0.0:
+        return None
+    drift = DriftModel.of(cell, parameters)
+    start = np.eye(drift.n_states)
+    start[: drift.n_parameters, : drift.n_parameters] = 0.0
+    _, later = drift.propagate(np.zeros(drift.n_states), start, abs(hours))
+    return covariance_root(drift.covariance(later), parameters.prior_sd)

@@ -16,17 +16,10 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 @dataclass(frozen=True)
 class Clock:
-    """Clock time of a cell.
+    """Clock time of a cell."""
 
-    Attributes
-    ----------
-    speedup
-        Seconds of the cell in a second of the wall; 1 for every cell that is real.
-    anchor
-        Unix time at which both clocks show the same; an emulated cell and who drives it have the same one.
-    """
-
-    speedup: float = 1.0
+    speedup: float = 1.0  # seconds of the cell in a second of the wall; 1 for every cell that is real
+    # Unix time at which both clocks show the same; an emulated cell and who drives it have the same one
     anchor: float = 0.0
 
     def now(self) -> float:

@@ -28,14 +28,9 @@ def sweeps_of(
 ) -> Sweeps | None:
     """The rows of all orders that gave reliable numbers; None if there is none.
 
-    Parameters
-    ----------
-    outcomes
-        By the order's place.
-    sigma
-        Standard deviation of a row, in um.
-    origin_s
-        Unix time of the campaign's beginning.
+    outcomes: by the order's place.
+    sigma: standard deviation of a row, in um.
+    origin_s: Unix time of the campaign's beginning.
     """
     rows: list[dict[str, Any]] = []
     for number, outcome in sorted(outcomes.items()):

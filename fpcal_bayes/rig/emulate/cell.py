@@ -83,16 +83,10 @@ class Axis:
 class SimulatedCell:
     """A cell with a truth through time, as its devices see it.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one position that the interferometer reads, in um.
-    settle_s
-        How long an axis rings.
-    time_h
-        Hours of the campaign at the beginning.
-    machine
-        Mechanics beyond the geometry, or None.
+    noise: standard deviation of one position that the interferometer reads, in um.
+    settle_s: how long an axis rings.
+    time_h: hours of the campaign at the beginning.
+    machine: mechanics beyond the geometry, or None.
     """
 
     def __init__(

@@ -12,9 +12,9 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from rig_fixtures import constant, live  # noqa: E402
+from rig_fixtures import constant, live
 
-from fpcal_bayes.io.cell import load_cell  # noqa: E402
+from fpcal_bayes.io.cell import load_cell
 
 
 def main() -> int:
@@ -32,12 +32,13 @@ def main() -> int:
         device.TCP_PORT = address.port
         device.connect()
         length_pm = 1e6 * found.lab.length()
+        shift = device.displacement
         answers = {
             "mode": (device.system.getCurrentMode(), lambda found: found == "measurement running"),
-            "position": (device.displacement.getAbsolutePosition(0)[1], lambda found: abs(found - length_pm) < 2e4),
-            "positions": (device.displacement.getAbsolutePositions()[1:], lambda found: abs(found[0] - length_pm) < 2e4),
-            "displacements": (device.displacement.getAxesDisplacement()[1:], lambda found: len(found) == 3),
-            "quality": (device.displacement.getAxisSignalQuality(0)[1:], lambda found: tuple(found) == (500, 200)),
+            "position": (shift.getAbsolutePosition(0)[1], lambda found: abs(found - length_pm) < 2e4),
+            "positions": (shift.getAbsolutePositions()[1:], lambda found: abs(found[0] - length_pm) < 2e4),
+            "displacements": (shift.getAxesDisplacement()[1:], lambda found: len(found) == 3),
+            "quality": (shift.getAxisSignalQuality(0)[1:], lambda found: tuple(found) == (500, 200)),
             "temperature": (device.ecu.getTemperatureInDegrees(), lambda found: found == 20.0),
             "index": (device.ecu.getRefractiveIndex(), lambda found: 1.0 < found < 1.001),
         }

@@ -98,12 +98,10 @@ class Server:
         if self._thread is not None:
             self._thread.join()
 
-    def run(self, halt: Halt | None = None) -> None:
-        """Serve until `stop`, or until `halt` says so."""
-        if halt is not None:
-            self._selector.register(halt, selectors.EVENT_READ, None)
+    def run(self) -> None:
+        """Serve until `stop`."""
         try:
-            while not self._halt.reason and not (halt is not None and halt.reason):
+            while not self._halt.reason:
                 for key, _ in self._selector.select(self._until_next_end()):
                     if isinstance(key.data, Endpoint):
                         self._accept(key.data)

@@ -49,7 +49,7 @@ class Lab:
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
 def test_days_without_clock_times(tmp_path, suffix):
     lab, measured = Lab(tmp_path, suffix), []
-    for _ in range(6):
+    for _ in range(8):
         found = lab.keeper().round()
         assert found.now_h == pytest.approx((lab.now - 1.8e9) / 3600.0, abs=1e-6)
         ticket = read_ticket(lab.outputs.ticket, CELL)

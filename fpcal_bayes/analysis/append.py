@@ -40,22 +40,12 @@ def append(
 
     A session that is there already, under a ticket that was not emptied, is taken as done.
 
-    Parameters
-    ----------
-    campaign
-        CSV or HDF5; replaced in one step, under the lock of its writers.
-    measured
-        Sessions that the campaign does not hold yet, all later than its first.
-    ticket
-        What was to be measured.
-    now
-        Unix time, by default this machine's: sessions after it are refused.
-
-    Raises
-    ------
-    InputError
-        If a row is not what the ticket asks for, is there already, or the sessions do not go together; the campaign
-        stays as it was.
+    campaign: CSV or HDF5; replaced in one step, under the lock of its writers.
+    measured: sessions that the campaign does not hold yet, all later than its first.
+    ticket: what was to be measured.
+    now: Unix time, by default this machine's: sessions after it are refused.
+    Raises InputError if a row is not what the ticket asks for, is there already, or the sessions do not go together;
+    the campaign stays as it was.
     """
     asked = None if ticket is None else read_ticket(ticket, cell)
     if asked is not None and asked.plan is None:
@@ -127,7 +117,9 @@ def _refuse_impossible(sweeps: Sweeps, cell: Cell) -> None:
     far = np.abs(measured - middle) > spread + _FAR_SHARE * np.abs(middle)
     if 2 * far.sum() > (far | (np.abs(middle) > spread)).sum():
         worst = int(np.argmax(np.abs(measured - middle) / spread))
-        what = f"found {sweeps.dl[worst]:.6g} um, expected {middle[worst]:.4g} um within {spread[worst]:.2g}: check units"
+        what = (
+            f"found {sweeps.dl[worst]:.6g} um, expected {middle[worst]:.4g} um within {spread[worst]:.2g}: check units"
+        )
         raise located(sweeps.file, what, row=int(sweeps.rows[worst]), column="dl_um")
 
 

@@ -9,40 +9,26 @@ from fpcal_bayes.measure.ticket import Ticket
 
 @dataclass(frozen=True)
 class Order:
-    """One drive: from a start through some poses, where the length is read, and back.
+    """One drive: from a start through some poses, where the length is read, and back."""
 
-    Attributes
-    ----------
-    row
-        Line of the ticket.
-    session, label, time_h, group
-        The rows that come of it; `group` is empty where there is one, without a group of its own.
-    start
-        Joint vector in um and rad, shape (n_joints,).
-    targets, labels
-        Joint vectors where the length is read, shape (n, n_joints), and the labels of their rows.
-    whole
-        Whether the whole way is recorded.
-    """
-
-    row: int
+    row: int  # line of the ticket
+    # session, label, time_h, group: the rows that come of it; `group` is empty where there is one, without a group of
+    # its own
     session: str
     label: str
     time_h: float
     group: str
-    start: Floats
+    start: Floats  # joint vector in um and rad, shape (n_joints,)
+    # targets, labels: joint vectors where the length is read, shape (n, n_joints), and the labels of their rows
     targets: Floats
     labels: tuple[str, ...]
-    whole: bool
+    whole: bool  # whether the whole way is recorded
 
 
 def orders_of(ticket: Ticket) -> list[Order]:
     """The drives of a ticket: a row with n readings is one, and so are the rows of a group.
 
-    Raises
-    ------
-    InputError
-        If a row is no sweep, or a group's row asks for readings of its own.
+    Raises InputError if a row is no sweep, or a group's row asks for readings of its own.
     """
     plan = ticket.plan
     if plan is None:

@@ -16,41 +16,20 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class Ticket:
-    """Sweeps to measure.
+    """Sweeps to measure."""
 
-    Attributes
-    ----------
-    file
-        Where it was read.
-    plan
-        Whole sweeps without measurement; None if nothing is to be measured.
-    readings
-        How many each sweep has, at equal steps; 0: the whole trace, shape (n,).
-    expires_h
-        Hours of the campaign, or NaN.
-    expires_utc
-        Unix time, or NaN.
-    name
-        The ticket's own, or empty.
-    sha256
-        Of the file.
-    """
-
-    file: str
-    plan: Sweeps | None
-    readings: Ints
-    expires_h: float = np.nan
-    expires_utc: float = np.nan
-    name: str = ""
-    sha256: str = ""
+    file: str  # where it was read
+    plan: Sweeps | None  # whole sweeps without measurement; None if nothing is to be measured
+    readings: Ints  # how many each sweep has, at equal steps; 0: the whole trace, shape (n,)
+    expires_h: float = np.nan  # hours of the campaign, or NaN
+    expires_utc: float = np.nan  # Unix time, or NaN
+    name: str = ""  # the ticket's own, or empty
+    sha256: str = ""  # of the file
 
     def rows(self) -> Sweeps:
         """The rows that measuring gives, as a plan; a whole trace is one.
 
-        Raises
-        ------
-        ValueError
-            If nothing is to be measured.
+        Raises ValueError if nothing is to be measured.
         """
         if self.plan is None:
             raise ValueError("a ticket without sweeps has no rows")

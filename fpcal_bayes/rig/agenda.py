@@ -35,27 +35,16 @@ _MOST_DISTURBED = 3
 
 @dataclass(frozen=True)
 class Origin:
-    """When the campaign began.
+    """When the campaign began."""
 
-    Attributes
-    ----------
-    moment_s
-        Unix time.
-    known
-        Whether a clock time of the campaign says so; else the ticket's own time is taken to be now.
-    """
-
-    moment_s: float
-    known: bool
+    moment_s: float  # Unix time
+    known: bool  # whether a clock time of the campaign says so; else the ticket's own time is taken to be now
 
 
 def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
     """When the campaign of a ticket began.
 
-    Raises
-    ------
-    InputError
-        If the campaign holds rows that lie in the future, or the ticket's session already.
+    Raises InputError if the campaign holds rows that lie in the future, or the ticket's session already.
     """
     planned = 0.0 if ticket.plan is None else float(ticket.plan.time_h.max())
     if campaign is None:
@@ -79,17 +68,9 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 class Agenda:
     """The orders of a ticket and what came of them.
 
-    Parameters
-    ----------
-    output
-        The session's file; the journal stands beside it.
-    command
-        How the session came about, kept in its file.
-
-    Raises
-    ------
-    InputError
-        If the ticket is out of date, was measured before, or the journal is another ticket's.
+    output: the session's file; the journal stands beside it.
+    command: how the session came about, kept in its file.
+    Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
     """
 
     def __init__(self, ticket: Ticket, cell: Cell, rig: Rig, output: Path, origin: Origin, command: str = "") -> None:

@@ -69,10 +69,7 @@ class Reading:
 class Bench:
     """All devices of a rig.
 
-    Parameters
-    ----------
-    folder
-        Where a recording program writes its traces.
+    folder: where a recording program writes its traces.
     """
 
     def __init__(self, cell: Cell, rig: Rig, guard: Guard, halt: Halt, log: CommandLog, folder: Path) -> None:
@@ -117,14 +114,10 @@ class Bench:
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
         """Move to a pose and wait until it is reached and held; the joint values read back.
 
-        Raises
-        ------
-        ForbiddenMoveError
-            If the move is forbidden; then nothing has moved.
-        DeviceError
-            If a device fails or an axis does not get there.
-        Disturbed
-            If `watch` is set and the fringes were lost on the way; the joints are at the target all the same.
+        Raises ForbiddenMoveError if the move is forbidden; then nothing has moved.
+        Raises DeviceError if a device fails or an axis does not get there.
+        Raises Disturbed if `watch` is set and the fringes were lost on the way; the joints are at the target all the
+        same.
         """
         self._log.check()
         here = self.position()
@@ -202,12 +195,8 @@ class Bench:
     def read(self, target: Floats) -> Reading:
         """Read positions and length at rest.
 
-        Raises
-        ------
-        Disturbed
-            If the length is not steady or not seen, or the joints move meanwhile.
-        DeviceError
-            If a device fails or a joint does not stand at `target`.
+        Raises Disturbed if the length is not steady or not seen, or the joints move meanwhile.
+        Raises DeviceError if a device fails or a joint does not stand at `target`.
         """
         before = self.position()
         away = np.abs(before - target) > self._guard.tolerance
@@ -351,10 +340,7 @@ class Bench:
 def only_one(rig: Rig) -> Iterator[None]:
     """Hold the controllers of a rig: two programs that drive one cell would stop each other's axes.
 
-    Raises
-    ------
-    InputError
-        If another `fpcal` on this computer drives one of them.
+    Raises InputError if another `fpcal` on this computer drives one of them.
     """
     with contextlib.ExitStack() as held:
         for controller in rig.controllers:

@@ -38,21 +38,12 @@ _DRAWS = 400
 
 @dataclass(frozen=True)
 class MotionStates:
-    """What the states of the error motions stand for.
+    """What the states of the error motions stand for."""
 
-    Attributes
-    ----------
-    terms
-        The weights of the cell.
-    log_scales
-        Logarithms of the factors on the stated sizes, as the calibration found them: draws, shape (n_draws, n_scales).
-    session_min
-        How long the calibration took, in minutes.
-    """
-
-    terms: Terms
+    terms: Terms  # the weights of the cell
+    # logarithms of the factors on the stated sizes, as the calibration found them: draws, shape (n_draws, n_scales)
     log_scales: Floats
-    session_min: float
+    session_min: float  # how long the calibration took, in minutes
 
     @classmethod
     def of(cls, fit: MechanicsFit) -> "MotionStates":

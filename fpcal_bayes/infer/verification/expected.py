@@ -50,16 +50,9 @@ class Expected:
     def of(cls, found: Identification, sweeps: Sweeps, fitted: Bools, drift: Floats | None = None) -> "Expected":
         """The rows that `found` was made from, those picked by `fitted` (n,), beside the others of `sweeps`.
 
-        Parameters
-        ----------
-        drift
-            Square root (n_free, n_drift), in um and rad, of the covariance by which the geometry drifted between; by
-            default it did not.
-
-        Raises
-        ------
-        InputError
-            If rows are too many, or the fit holds parameters that are uncertain.
+        drift: square root (n_free, n_drift), in um and rad, of the covariance by which the geometry drifted between; by
+        default it did not.
+        Raises InputError if rows are too many, or the fit holds parameters that are uncertain.
         """
         problem, unknowns = found.problem, found.solution.unknowns
         if len(sweeps) > _MOST_ROWS:

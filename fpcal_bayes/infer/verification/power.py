@@ -44,18 +44,10 @@ _UNSEEN = {
 
 @dataclass(frozen=True)
 class Effects:
-    """Errors that a machine may have, as a task and the rows feel them once the fit has taken up its part.
+    """Errors that a machine may have, as a task and the rows feel them once the fit has taken up its part."""
 
-    Attributes
-    ----------
-    names
-        Kind of each error, (n_effects,).
-    rows
-        What it adds to the fresh rows, in um, shape (n_effects, n_fresh): scaled to be just worth finding.
-    """
-
-    names: tuple[str, ...]
-    rows: Floats
+    names: tuple[str, ...]  # kind of each error, (n_effects,)
+    rows: Floats  # what it adds to the fresh rows, in um, shape (n_effects, n_fresh): scaled to be just worth finding
 
     def power(self, covariance: Floats) -> dict[str, float]:
         """Probability of finding each kind of error with fresh rows of `covariance` (n_fresh, n_fresh), at `LEVEL`."""
@@ -73,10 +65,7 @@ def power_of(excess: Floats, n_rows: int) -> Floats:
 def effects_of(expected: Expected, tasks: Sequence[tuple[Task, float, float]], *, seed: int = 0) -> dict[str, Effects]:
     """Errors that bring each task beyond its tolerance, by the task's name.
 
-    Parameters
-    ----------
-    tasks
-        Paths that were found with the fit, with tolerance and upper edge of the band, peak to peak, in um.
+    tasks: paths that were found with the fit, with tolerance and upper edge of the band, peak to peak, in um.
     """
     problem, rng = expected.problem, np.random.default_rng([seed, 7])
     model, cell = problem.model, problem.model.cell

@@ -155,10 +155,7 @@ def kept_rows(sweeps: Sweeps, share: float) -> Bools:
     Whole sweeps are left out, spread over the session, of each set of moving joints; one at least of each stays.
     Rows of kind path are neither.
 
-    Raises
-    ------
-    InputError
-        If the share leaves no sweep out.
+    Raises InputError if the share leaves no sweep out.
     """
     number = sweep_numbers(sweeps)
     first = np.unique(number, return_index=True)[1]

@@ -117,9 +117,7 @@ def _refuse_impossible(sweeps: Sweeps, cell: Cell) -> None:
     far = np.abs(measured - middle) > spread + _FAR_SHARE * np.abs(middle)
     if 2 * far.sum() > (far | (np.abs(middle) > spread)).sum():
         worst = int(np.argmax(np.abs(measured - middle) / spread))
-        what = (
-            f"found {sweeps.dl[worst]:.6g} um, expected {middle[worst]:.4g} um within {spread[worst]:.2g}: check units"
-        )
+        what = f"expected {middle[worst]:.4g} um within {spread[worst]:.2g}, found {sweeps.dl[worst]:.6g}: check units"
         raise located(sweeps.file, what, row=int(sweeps.rows[worst]), column="dl_um")
 
 

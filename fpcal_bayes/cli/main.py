@@ -43,6 +43,7 @@ _COMMANDS = (
     keep.import_,
     live.measure,
     live.rig,
+    live.serve,
     keep.report,
     keep.week,
     keep.study,

@@ -257,6 +257,39 @@ class Policy:
         return measure_instead(decision, forecast, self.model, state, self.costs, sweeps, reason)
 
 
+def _standing(
+    track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float
+) -> tuple[Policy, Forecaster, State, Floats]:
+    """The policy for a cell that was followed so far, and what is known of it now; arguments as in `decide_track`."""
+    last = track.last
+    if not now_h >= last.time_h:
+        raise InputError(
+            f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
+        )
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    forecast = Forecaster.of(track.drift, model, goal, last.state.mean)
+    state = forecast.ahead(last.state, now_h - last.time_h)
+    # A robot that moved by itself is known as before its first calibration only.
+    values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
+    known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
+    motion = SweepLimits().within_envelope(model, known)
+    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session), motion)
+    return policy, forecast, state, known
+
+
+def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float, n: int) -> Sweeps:
+    """At most `n` sweeps that would tell most about the tasks now, the most useful first, whether due or not.
+
+    Arguments and errors as in `decide_track`; `InputError` too where the track is not to be used.
+    """
+    if not track.trust.usable:
+        raise InputError(f"the estimate is not to be used: {track.trust.against}")
+    policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
+    chosen = policy.choose(forecast, state, n)
+    require_within_envelope(policy.model, known, chosen.q_start, chosen.q_end, file="suggested sweeps")
+    return chosen
+
+
 def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
     """What to do now with a cell that was followed so far.
 
@@ -275,26 +308,14 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
         If `now_h` lies before the last session, a task cannot be driven, the tolerance cannot be met, or the sweeps may
         leave the cell's envelope.
     """
-    last = track.last
-    if not now_h >= last.time_h:
-        raise InputError(
-            f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
-        )
-    model = CavityModel.of(track.cell, track.drift.parameters)
-    forecast = Forecaster.of(track.drift, model, goal, last.state.mean)
-    state = forecast.ahead(last.state, now_h - last.time_h)
-    # A robot that moved by itself is known as before its first calibration only.
-    values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
-    known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
-    motion = SweepLimits().within_envelope(model, known)
-    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session), motion)
+    policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     due = track.calibration_due
     reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     decision = policy.decide(forecast, state, reason, diagnosed)
     if decision.sweeps is not None:
         planned, file = decision.sweeps, f"sweeps of the {decision.action} session"
-        require_within_envelope(model, known, planned.q_start, planned.q_end, file=file)
+        require_within_envelope(policy.model, known, planned.q_start, planned.q_end, file=file)
     return decision
 
 

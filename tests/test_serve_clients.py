@@ -136,14 +136,14 @@ def test_octave_asks_and_is_refused(url, tmp_path):
 DRIVE = """
 way = fpcal_client('{url}', 'joints', struct('task', 'circle', 'points', {points}));
 assert(all(strcmp(way.status, 'ok')));
-stage = popen("bash -c 'cat > /dev/tcp/{pi}'", 'w'); turn = popen("bash -c 'cat > /dev/tcp/{smaract}'", 'w');
+stage = popen("bash -c 'exec cat > /dev/tcp/{pi}'", 'w'); turn = popen("bash -c 'exec cat > /dev/tcp/{smaract}'", 'w');
 fprintf(turn, ':CHAN%d:MMOD 0\\n', 1:3);
 for i = 0:rows(way.q)
   q = way.q(max(i, 1), :);
   if i == 0, aligned = fpcal_client('{url}', 'joints', zeros(1, 6)); q = aligned.q; end
   fprintf(stage, 'MOV 1 %.6f 2 %.6f 3 %.6f\\n', q(1:3) + 150); fflush(stage);
   fprintf(turn, ':MOVE%d %d\\n', [1:3; round(q(4:6) * 1e9)]); fflush(turn);
-  disp(i); fflush(stdout); fgetl(stdin);
+  disp(i); fflush(stdout); input('', 's');
 end
 """
 
@@ -154,7 +154,7 @@ def test_octave_drives_a_circle_on_the_emulated_cell_while_it_is_kept(tmp_path, 
     pytest.importorskip("pipython")
     monkeypatch.chdir(tmp_path)
     points, done = 9, threading.Event()
-    with live(CELL, tmp_path, speedup=500.0) as cell:
+    with live(CELL, tmp_path, speedup=100.0) as cell:
         cell.measure(write_ticket(tmp_path / "day0.csv", CELL, session="full-T0"), tmp_path / "campaign.h5")
 
         def sleep(seconds):
@@ -162,7 +162,7 @@ def test_octave_drives_a_circle_on_the_emulated_cell_while_it_is_kept(tmp_path, 
                 raise SystemExit
 
         monkeypatch.setattr(watch, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))
-        line = "keep campaign.h5 --ticket ticket.csv --estimate now.json --rig live.toml --tolerance-nm 400 --look-s 1"
+        line = "keep campaign.h5 --ticket ticket.csv --estimate now.json --rig live.toml --tolerance-nm 400 --every-min 6000"
         keeper = threading.Thread(target=lambda: main([*line.split(), "--quiet"]))
         keeper.start()
         try:

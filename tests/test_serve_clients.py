@@ -162,8 +162,8 @@ def test_octave_drives_a_circle_on_the_emulated_cell_while_it_is_kept(tmp_path, 
                 raise SystemExit
 
         monkeypatch.setattr(watch, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))
-        line = "keep campaign.h5 --ticket ticket.csv --estimate now.json --rig live.toml --tolerance-nm 400 --every-min 6000"
-        keeper = threading.Thread(target=lambda: main([*line.split(), "--quiet"]))
+        line = "keep campaign.h5 --ticket ticket.csv --estimate now.json --rig live.toml --tolerance-nm 400 --quiet"
+        keeper = threading.Thread(target=lambda: main([*line.split(), "--every-min", "6000"]))
         keeper.start()
         try:
             end = time.monotonic() + 60.0

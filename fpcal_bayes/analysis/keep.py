@@ -83,7 +83,7 @@ class Round:
     followed: Followed
     now_h: float
     valid_until_h: float | None
-    decision: Decision | None  # None where the tolerance cannot be met
+    decision: Decision | None  # None where nothing can be decided
     ticket: Ticket  # as it stands in the file now
     notes: tuple[str, ...]
 
@@ -136,6 +136,7 @@ class Keeper:
         decision: Decision | None = None
         try:
             decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+            notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
         remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}

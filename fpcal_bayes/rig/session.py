@@ -87,7 +87,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
         here = bench.position()
         legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], here)
         agenda.begin()
-        expected, began, planned = total_seconds(legs), agenda.rig.clock.now(), 0.0
+        expected, began, planned = total_seconds(legs), agenda.rig.clock.ticks(), 0.0
         durations = dict(zip(agenda.left, (total_seconds([order]) for order in legs), strict=True))
         while not agenda.should_stop()[0]:
             for point in agenda.suggest(1):
@@ -95,7 +95,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
                 outcome = bench.drive(number, agenda.orders[number])
                 agenda.ingest([outcome])
                 planned += durations[number]
-                pace = (agenda.rig.clock.now() - began) / planned if planned > 0.0 else 1.0
+                pace = (agenda.rig.clock.ticks() - began) / planned if planned > 0.0 else 1.0
                 done = len(agenda.outcomes)
                 left = (expected - planned) * pace
                 tell(Progress(done, len(agenda.orders), str(point["label"]), str(outcome["doubt"]), left))

@@ -139,3 +139,10 @@ class Rig:
     repeats: int
     least_gap: float
     emulation: EmulationSettings
+
+    @property
+    def measuring(self) -> tuple[object, ...]:
+        """What the numbers of a session depend on, which therefore stays the same until its end."""
+        device = self.instrument
+        read = (device.settings, device.noise) if isinstance(device, IDSDevice) else device
+        return (tuple(joint.axis for joint in self.joints), read)

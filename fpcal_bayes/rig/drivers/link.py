@@ -92,10 +92,7 @@ class Link:
     def take(self, length_of: Callable[[bytes], int]) -> str:
         """Wait for the answer to the message sent last.
 
-        Parameters
-        ----------
-        length_of
-            Length of the answer that the bytes so far begin with, or 0 while it is incomplete.
+        length_of: length of the answer that the bytes so far begin with, or 0 while it is incomplete.
         """
         end = time.monotonic() + self.timeout_s
         while (length := length_of(bytes(self._buffer))) == 0:

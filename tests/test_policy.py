@@ -15,11 +15,13 @@ from fpcal_bayes.decision.decision import Costs, expected_after
 from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy, decide_track, valid_until
+from fpcal_bayes.infer.design.candidates import SweepLimits, tilts
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
-from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import Innovation, update
@@ -268,3 +270,17 @@ def test_which_session_could_last_see_the_robot():
     assert last_diagnosis(track(CELL, varied), varied, Limits()) == 16.0
     _, poor = campaign(3, sessions=2, count=2)
     assert last_diagnosis(track(CELL, poor), poor, Limits()) == 0.0
+
+
+def test_a_mirror_that_stands_askew_is_measured_as_far_as_its_calibration_stood():
+    nominal = paper_truth(CELL).at(0.0)
+    values = nominal + np.where([p.name == "theta_et" for p in CELL.free], np.radians(4.5), 0.0)
+    poses = np.vstack([PROTOCOL.q_start, PROTOCOL.q_end])
+    assert tilts(MODEL, values, np.zeros((1, 6)))[0] > SweepLimits().tilt
+    sweeps = simulate_um(CELL, Truth(CELL.free, np.zeros(1), values[None]), PROTOCOL, sigma=SIGMA, seed=1)
+    found = track(CELL, sweeps)
+    decision = decide_track(found, sweeps, GOAL, Costs(), found.last.time_h + 6.0)
+    assert decision.action == "extrinsic"
+    asked = np.vstack([decision.sweeps.q_start, decision.sweeps.q_end])
+    assert 0 < len(decision.sweeps) < len(PROTOCOL)
+    assert tilts(MODEL, values, asked).max() <= tilts(MODEL, values, poses).max() + 1e-3

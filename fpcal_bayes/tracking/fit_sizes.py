@@ -39,7 +39,7 @@ _PACES = _PACE_SD * np.linspace(-2.0, 2.0, 13)
 _CONTRADICTED = float(np.log(20.0))
 #: A change of the pace that is worth taking the sessions in again.
 _CHANGED = float(np.log(1.1))
-#: A session is a step with this probability.
+#: A session is a step with this probability, half of it of one parameter alone.
 _STEP = 0.05
 #: The pace is that of the last sessions, of about so many rows and at most so many sessions, which are judged anew.
 _LEARNT_ROWS, _LEARNT_SESSIONS = 48, 64
@@ -48,8 +48,12 @@ _LEARNT_ROWS, _LEARNT_SESSIONS = 48, 64
 def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats) -> Floats:
     """Log likelihood of the sessions after `first` under each of some paces (n_paces, 2), shape (n_paces,)."""
     drift, outcomes = found.drift, found.outcomes
-    model, step = CavityModel.of(found.cell, drift.parameters), np.zeros(drift.n_states)
-    step[: drift.n_parameters] = Limits().jump(drift) ** 2
+    model, n = CavityModel.of(found.cell, drift.parameters), drift.n_parameters
+    # Variances of what a session may be: calm, a jump of all parameters, of each alone.
+    jumps = np.zeros((n + 2, drift.n_states))
+    jumps[1, :n] = Limits().jump(drift) ** 2
+    jumps[2:, :n] = np.diag(jumps[1, :n])
+    odds = np.log([1.0 - _STEP, 0.5 * _STEP, *[0.5 * _STEP / n] * n])
     # What moves a state is linear in the squares of the paces.
     alone = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
     total = np.zeros(len(paces))
@@ -68,16 +72,19 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
         rows, seen = equivalent_rows(misfit + jacobian @ at, jacobian)
         left = rows - mean @ seen.T
 
-        def taken(covariance: Floats, seen: Floats = seen, left: Floats = left) -> tuple[Floats, Floats]:
-            expected = seen @ covariance @ seen.T + np.eye(len(seen))
-            weighed = np.linalg.solve(expected, left[..., None])[..., 0]
-            return -0.5 * ((left * weighed).sum(axis=1) + np.linalg.slogdet(expected)[1]), expected
-
-        calm, stepped = taken(spread)[0] + np.log1p(-_STEP), taken(spread + np.diag(step))[0] + np.log(_STEP)
-        total += np.logaddexp(calm, stepped)
-        spread = spread + np.where(stepped > calm, 1.0, 0.0)[:, None, None] * np.diag(step)
+        expected = seen @ spread @ seen.T + np.eye(len(seen))
+        likely = np.empty((len(paces), n + 2))
+        for column, covariance in enumerate((expected, expected + (seen * jumps[1]) @ seen.T)):
+            weighed = np.linalg.solve(covariance, left[..., None])[..., 0]
+            likely[:, column] = -0.5 * ((left * weighed).sum(axis=1) + np.linalg.slogdet(covariance)[1])
+        size = jumps[1, :n] * (seen * np.linalg.solve(expected, seen)).sum(axis=1)[:, :n]
+        along = np.linalg.solve(expected, left[..., None])[..., 0] @ seen[:, :n]
+        single = 0.5 * (jumps[1, :n] * along**2 / (1.0 + size) - np.log1p(size))
+        likely[:, 2:] = likely[:, :1] + single
+        total += special.logsumexp(odds + likely, axis=1)
+        spread = spread + jumps[(odds + likely).argmax(axis=1)][:, :, None] * np.eye(drift.n_states)
         cross = seen @ spread
-        gain = np.linalg.solve(taken(spread)[1], cross)
+        gain = np.linalg.solve(cross @ seen.T + np.eye(len(seen)), cross)
         mean = mean + np.einsum("gij,gi->gj", gain, left)
         spread = spread - np.swapaxes(cross, 1, 2) @ gain
     return total

@@ -29,7 +29,7 @@ LEAST_DIFFERENCE = 4.0
 #: And a difference must exceed so many of its standard errors.
 LEAST_ERRORS = 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
-_POOR_DRAWS, _POOR_STEPS, _POOR_REFITS = 400, 300, 40
+_POOR_DRAWS, _POOR_STEPS, _POOR_REFITS = 400, 100, 40
 _MOST_REFITS = 200
 #: Cavity shorter than this in um: mirror and fibre touch.
 _TOUCHING = 1.0

@@ -29,6 +29,10 @@ _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
 _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
+#: Odds of a late start where nothing speaks for it.
+_LATE_ODDS = 0.01
+#: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
+_IMAGES = np.linspace(0.5, 2.0, 13)
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
@@ -138,6 +142,29 @@ def follow(
     apart = np.array([each.change[0] - chosen.change[0] for each in fits])
     wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
     return replace(best, solution=replace(best.solution, fits=(wide,)))
+
+
+def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
+    """What a late start that few samples tell adds to the variance of a change, in um^2.
+
+    Shortly before an extreme of the fringe a mirror may as well stand at its image beyond, until the joint is there.
+    """
+    phase = fit.phase(samples.s, phase_per_um)
+    ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
+    first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
+    extreme = np.pi * np.ceil(first / np.pi)
+    least, found = np.inf, 0.0
+    for image in extreme + (extreme - first) * _IMAGES:
+        early = np.cumsum(ahead * phase > image) == 0
+        few = samples.part(early)
+        stands, moves = (
+            few.count @ (few.signal - fit.signal(few.s, few.time, phase_per_um, turn)) ** 2
+            for turn in (ahead * image - phase[early], 0.0)
+        )
+        if stands - moves < least:
+            least, found = stands - moves, image
+    odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
+    return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)

@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow
+from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow, hidden_start
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -109,7 +109,9 @@ def _followed(
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
     if smooth is not None and smooth.errors.probability > UNLIKELY:
-        return smooth
+        hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
+        fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
+        return replace(smooth, solution=replace(smooth.solution, fits=fits))
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution

@@ -70,7 +70,9 @@ class Fit:
     def change(self) -> tuple[float, float]:
         """L(end) - L(start) and its standard deviation, in um."""
         weights = end_weights(len(self.profile), self.ends)
-        return float(weights @ self.profile), float(np.sqrt(weights @ self.covariance @ weights + self.ends_variance))
+        # Rounding may leave the variance of many polynomials a trace below zero.
+        own = max(float(weights @ self.covariance @ weights), 0.0)
+        return float(weights @ self.profile), float(np.sqrt(own + self.ends_variance))
 
     @property
     def amplitude(self) -> float:

@@ -85,12 +85,14 @@ def follow(
     nuisance: Nuisance,
     noise: float,
     mirror_light: float = 0.0,
+    errs: bool = False,
 ) -> Followed | None:
     """The most likely course of a mirror, the smooth one among others.
 
     smooth: what was found on the joint's course, if anything.
     nuisance: what the signal may do beside its fringes.
     noise: standard deviation of one reading in V to begin with.
+    errs: whether the mirror is known to leave the joint's course.
     Returns none where nothing resembles a fringe.
     """
     start = smooth.best.profile if smooth else _searched(samples, profile, phase_per_um)
@@ -122,7 +124,7 @@ def follow(
         tries.append(_set_out(samples, size, places, tries[0], fit))
     tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.solution.best.evidence)
-    if best.errors.probability < UNLIKELY:
+    if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.solution.best.evidence)

@@ -190,6 +190,7 @@ class _IndexReader:
                     wavelength=float(self.vacuum[i] / self.air[i]),
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
+                    errs=self.cell.mechanics is not None,
                     sign_sources=tuple(sign_sources),
                 )
             )

@@ -30,8 +30,8 @@ _VISIBLE = 0.05
 _ROUGH = 0.25
 #: Phase errors of blocks, in rad, and their mean square by the noise, above which a fit does not hold.
 _OFF_PHASE, _OFF_SQUARE = 0.3, 25.0
-#: Mean square of some samples in a row, by the noise, above which a hop or a glitch spoils a course of its own.
-_JUMP = 7.0
+#: Mean square of some samples in a row, by the noise, above which a hop may spoil a course of its own, and does.
+_MAY_JUMP, _JUMP = 7.0, 25.0
 #: Fringes that a mirror may stand still or go astray before the joint's position means nothing.
 _ASTRAY = 2.0
 #: An uneven course that runs back by this much more than its joint's, in um, may have been mirrored.
@@ -130,8 +130,13 @@ def _followed(
         found.errors,
         rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
     )
-    if errors.probability < UNLIKELY:
+    jumps = found.uneven and errors.worst > _MAY_JUMP
+    if jumps or errors.probability < UNLIKELY:
         off = max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+        if jumps:
+            # A hop leaves half of itself to either side, at half height of the fringe.
+            best = found.solution.best
+            off += 2.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
         wide = [replace(fit, ends_variance=fit.ends_variance + 2.0 * off) for fit in solution.fits]
         solution = replace(solution, fits=tuple(wide))
     return replace(found, solution=solution)

@@ -146,8 +146,8 @@ def fit_course(
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
     if warm is not None:
-        own = len(unknowns) - (slope is not None)
-        unknowns[:own] = warm.unknowns[:own]
+        n_warm = len(unknowns) - (slope is not None)
+        unknowns[:n_warm] = warm.unknowns[:n_warm]
     matrix = np.empty((len(unknowns), len(unknowns)))
     prior_weight = np.diag(prior_sd**-2)
     if known is not None:

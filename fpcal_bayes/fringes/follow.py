@@ -155,8 +155,8 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
     ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
     first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
     extreme = np.pi * np.ceil(first / np.pi)
-    least, found = np.inf, 0.0
-    for image in extreme + (extreme - first) * _IMAGES:
+    least, found = np.inf, first
+    for image in (extreme + (extreme - first) * _IMAGES).tolist():
         early = np.cumsum(ahead * phase > image) == 0
         few = samples.part(early)
         stands, moves = (
@@ -164,7 +164,7 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
             for turn in (ahead * image - phase[early], 0.0)
         )
         if stands - moves < least:
-            least, found = stands - moves, image
+            least, found = float(stands - moves), image
     odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
     return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
 
@@ -244,14 +244,16 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
     """A mirror that lags: the best of some lags, then one more unknown of the fit."""
     per_um, held = smooth.phase_per_um, smooth.solution.best
     fits = []
-    for lag in _LAGS:
-        held = fit(_chunked(_lagging(whole, float(lag)), size), held)
+    lags = _LAGS.tolist()
+    for lag in lags:
+        held = fit(_chunked(_lagging(whole, lag), size), held)
         fits.append(held)
     best = int(np.argmax([each.evidence for each in fits]))
-    held, lag = fits[best], float(_LAGS[best])
+    held, lag = fits[best], lags[best]
     for _ in range(_ROUNDS):
         moved = _lagging(whole, lag)
-        shift = _chunked(replace(moved, s=(_lagging(whole, lag * np.exp(1e-4)).s - moved.s) / 1e-4), size).s
+        rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
+        shift = _chunked(replace(moved, s=rise), size).s
         moved = _chunked(moved, size)
         held = fit(moved, held, slope=per_um * Legendre([0.0, *held.profile]).deriv()(moved.s) * shift)
         step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))

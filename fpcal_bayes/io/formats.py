@@ -62,7 +62,7 @@ def _picked(
         if len(same) == 1:
             chosen.append(found[same[0]])
         elif step > 0.0 and name == names[0]:
-            chosen.append(step * np.arange(len(next(iter(found.values()), ()))))
+            chosen.append(np.asarray(step * np.arange(len(next(iter(found.values()), ()))), dtype=float))
         else:
             known = ", ".join(repr(key) for key in list(found)[:_SHOWN]) + (", ..." if len(found) > _SHOWN else "")
             what = f"expected the header {','.join(names)}, found {known or 'no columns'}"

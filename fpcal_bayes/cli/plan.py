@@ -7,6 +7,7 @@ from math import radians
 
 import numpy as np
 
+from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
@@ -37,8 +38,9 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    if options.commission == (options.n is not None or options.reach is not None):
-        raise InputError("expected --n N or --reach TASK=NM,.., or --commission alone")
+    sizes = (options.n is not None or options.reach is not None, options.commission, options.validation is not None)
+    if sum(sizes) != 1:
+        raise InputError("expected --n N or --reach TASK=NM,.., or --commission alone, or --validation N alone")
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
@@ -46,6 +48,8 @@ def run(options: argparse.Namespace) -> int:
     settings = _settings(options)
     if options.commission:
         return _commission(options, cell, settings)
+    if options.validation is not None:
+        return plan_validation.run(options, cell, settings.limits)
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)

@@ -12,6 +12,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.rows import plan_rows, sweep_rows
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -144,7 +145,7 @@ def prior_ground(
 ) -> Ground:
     """A cell before its first calibration: its prior, averaged over `draws` draws of it."""
     model, free = CavityModel.of(cell), cell.free
-    values = free.nominal + free.prior_sd * np.random.default_rng(seed).standard_normal((draws, len(free)))
+    values = Prior.of(free).values(np.random.default_rng(seed).standard_normal((draws, len(free))))
     goals = goals_of(model, values, tasks, radius=radius, points=points)
     return Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
 

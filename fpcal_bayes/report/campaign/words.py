@@ -22,6 +22,11 @@ from fpcal_bayes.tracking.session import SessionOutcome
 
 _ACTIONS = {
     "hold": ("Hold", "good", "The cell keeps its tolerance; nothing is to be measured now."),
+    "out of reach": (
+        "Out of reach",
+        "bad",
+        "No measurement brings the tasks into this tolerance.",
+    ),
     "extrinsic": ("Re-identify", "caution", "A few sweeps now bring mirror and fibre back into tolerance."),
     "full": ("Recalibrate", "bad", "The whole calibration is to be made again."),
 }
@@ -49,7 +54,8 @@ def verdict(facts: CampaignFacts) -> Headline:
     if facts.decision is None or facts.track is None:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
         return Headline("No verdict", "caution", meaning, tuple(sentences))
-    word, style, meaning = _ACTIONS[facts.decision.action]
+    out_of_reach = facts.decision.action == "hold" and facts.decision.attainable_nm is not None
+    word, style, meaning = _ACTIONS["out of reach" if out_of_reach else facts.decision.action]
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
@@ -286,8 +292,8 @@ def mechanics_sentence(estimate: Estimate) -> str:
         return "The mechanism is taken as perfect: no error motion, no reversal, no return error."
     sources = {joint.source or "no source stated" for joint in estimate.mechanics.sizes.joints}
     return (
-        f"Sizes as the cell states them ({', '.join(sorted(sources))}). The calibration marginalises them; the "
-        "filter of the drift does not know them yet."
+        f"Sizes as the cell states them ({', '.join(sorted(sources))}). The calibration finds geometry "
+        "and error motions together; the filter of the drift follows both."
     )
 
 

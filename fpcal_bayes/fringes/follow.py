@@ -155,7 +155,8 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
     ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
     first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
     extreme = np.pi * np.ceil(first / np.pi)
-    least, found = np.inf, first
+    # A start that explains hardly more than the fit is left to the fit.
+    least, found = -2.0 * fit.noise**2, first
     for image in (extreme + (extreme - first) * _IMAGES).tolist():
         early = np.cumsum(ahead * phase > image) == 0
         few = samples.part(early)
@@ -309,10 +310,15 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
         tried.append(replace(base, solution=FringeSolution((best,), moved), size=size))
         holds = tried[-1].errors.probability > UNLIKELY
         for _ in range(_SIZINGS if holds else 0):
-            # The polynomials that no joint makes tell how large the course is.
-            own = (best.profile**2 + np.diag(best.covariance))[DEGREE:].sum()
-            size *= float(np.sqrt(own / np.diag(loosened(profile, degree, size).covariance)[DEGREE:].sum()))
-            best = fit(moved, None, loosened(profile, degree, size), best.profile)
+            # The polynomials that the joint makes less of tell how large the course is.
+            prior, joint = loosened(profile, degree, size), np.pad(profile.covariance, (0, degree - DEGREE))
+            room, own = np.diag(prior.covariance - joint), (best.profile - prior.mean) ** 2 + np.diag(best.covariance)
+            told = room > np.diag(joint)
+            wanted = size * float(np.sqrt(own[told].sum() / room[told].sum()))
+            better = fit(moved, None, loosened(profile, degree, wanted), best.profile)
+            if better.evidence < best.evidence:
+                break
+            best, size = better, wanted
         best = replace(best, ends=old.ends, ends_variance=old.ends_variance)
         tried[-1] = replace(base, solution=FringeSolution((best,), moved), size=size)
         if holds and best.evidence < max(each.solution.best.evidence for each in tried):

@@ -289,7 +289,8 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     if np.sqrt(np.mean(errors.phase**2)) > _OFF_PHASE or errors.excess > _OFF_SQUARE:
         return f"the signal does not follow a smooth sweep (phase errors {errors.excess**0.5:.1f} times the noise)"
     if found.astray and errors.worst > _JUMP:
-        return f"the light jumps within the sweep (some samples in a row {errors.worst**0.5:.0f} times the noise off)"
+        off = errors.worst**0.5
+        return f"the signal does not follow a smooth sweep (it jumps: samples in a row {off:.0f} times the noise off)"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
     if missing > 3.0 * sd:

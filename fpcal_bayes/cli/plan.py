@@ -43,6 +43,10 @@ from fpcal_bayes.report.plan import (
 )
 from fpcal_bayes.tracking.drift import propagated
 
+#: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
+_DRAWS, _MACHINE_DRAWS = 192, 24
+#: Other draws that a plan is judged on, at most.
+_CHECKED = 96
 #: Seconds until the first line of progress, and between two.
 _FIRST_LINE, _BETWEEN_LINES = 2.0, 5.0
 #: Sweeps up to which the frontier goes at least.
@@ -67,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
     if options.commission:
         return _commission(options, cell, settings)
     tasks = _tasks(options, targets, cell)
+    options.draws = options.draws or (_DRAWS if cell.mechanics is None else _MACHINE_DRAWS)
     bar = _Bar(options.quiet)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
@@ -98,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
             f"{options.minutes:g}"
         )
     if settings.several:
-        single = Planner(ground, replace(settings, several=False), reference, bar.part("one joint at a time"))
+        single = planner.short(several=False)
         plain = single.in_order(single.best(len(ordered)).sweeps)
         expected["one joint at a time"] = check.expected_sd(plain, readings=readings, sigma=sigma)
         seconds["one joint at a time"] = duration(cell, plain, readings, settings.limits)
@@ -116,8 +121,7 @@ def run(options: argparse.Namespace) -> int:
 
     frontier = None
     if options.frontier is not None:
-        along = Planner(ground, settings, reference, bar.part("frontier"))
-        frontier = along.frontier(check, max(len(ordered), _MOST_FRONTIER))
+        frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
         points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
     bar.stop()
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
@@ -179,19 +183,16 @@ class _Bar:
 
     def __init__(self, quiet: bool) -> None:
         self._terminal, self._quiet = sys.stderr.isatty(), quiet
-        self._began = time.monotonic()
-        self._next = self._began + _FIRST_LINE
+        self._next = time.monotonic() + _FIRST_LINE
         self._bar = Progress(console=Console(stderr=True), disable=quiet or not self._terminal, transient=True)
         self._bar.start()
 
     def part(self, name: str) -> Callable[[float], None]:
         """What shows the share done of a part of the work."""
-        task, began = self._bar.add_task(name, total=1.0), None
+        task, began = self._bar.add_task(name, total=1.0), time.monotonic()
 
         def tell(share: float) -> None:
-            nonlocal began
             now = time.monotonic()
-            began = began or now
             self._bar.update(task, completed=share)
             if self._quiet or self._terminal or now < self._next or not share > 0:
                 return
@@ -250,7 +251,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     if estimate is not None:
         grounds = [estimate_ground(estimate, **common)] * 2
     else:
-        grounds = [prior_ground(cell, draws=options.draws, seed=options.seed + i, **common) for i in (0, 1_000_003)]
+        draws = (options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)
+        grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
         extra.append(_absolute(cell))
@@ -314,6 +316,7 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
         criterion=options.criterion,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,
+        **({} if cell.mechanics is None else {"starts": 4, "finalists": 1}),
         seed=options.seed,
         limits=_limits(options),
     )

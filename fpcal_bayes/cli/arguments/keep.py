@@ -51,7 +51,7 @@ def plan(commands: Commands) -> None:
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)")
     add("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
-    add("--draws", type=count, default=128, metavar="N", help="of the prior (default: 128)")
+    add("--draws", type=count, metavar="N", help="of the prior (default: 192; with mechanics 24)")
     add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
     add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
     add("--coordinated", action=argparse.BooleanOptionalAction, help="joints of one controller may move together")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from scipy import optimize
@@ -28,7 +29,7 @@ _MARGIN = 1e-4
 _BACK = (0.0, 1e-3, 1e-2, 0.1, 0.5)
 _LEAST_GAIN = 1e-6
 #: Sweeps that descend together.
-_TOGETHER = 16
+_TOGETHER = 20
 
 
 def descend(
@@ -40,7 +41,7 @@ def descend(
     *,
     several: bool = True,
     iterations: int = 100,
-    tell: Callable[[int], None] = lambda _: None,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Sweeps:
     """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
@@ -51,14 +52,19 @@ def descend(
     `sweeps` are a plan of whole sweeps that can be followed, and so is the result; `judge` gives the criterion over a
     set of candidates, whose rows `made` makes. Visibility and fringe rate are judged at `values` (n_free,) of the
     cell's free parameters. With `several` all joints of a controller may move that moves one, else only those that
-    move. Each part takes `iterations` steps at most; `tell` is called with their number.
+    move. Each part takes `iterations` steps at most; `tell` with the share done.
     """
     if iterations < 1:
         return sweeps
     everyone = np.arange(len(sweeps))
-    for part in np.array_split(everyone, -(-len(sweeps) // _TOGETHER)):
+    parts = np.array_split(everyone, -(-len(sweeps) // _TOGETHER))
+    for number, part in enumerate(parts):
+
+        def step(taken: int, number: int = number) -> None:
+            tell((number + min(1.0, taken / iterations)) / len(parts))
+
         space = _Space.of(sweeps.take(part), CavityModel.of(made.model.cell), values, limits, several)
-        moved = _part_descended(space, sweeps.take(np.setdiff1d(everyone, part)), judge, made, limits, iterations, tell)
+        moved = _part_descended(space, sweeps.take(np.setdiff1d(everyone, part)), judge, made, limits, iterations, step)
         q_start, q_end = sweeps.q_start.copy(), sweeps.q_end.copy()
         q_start[part], q_end[part] = moved.q_start, moved.q_end
         sweeps = replace(sweeps, q_start=q_start, q_end=q_end)
@@ -93,12 +99,7 @@ def _part_descended(
             last = x.tobytes(), criterion_at(space.sweeps(x))
         return last[1]
 
-    steps = 0
-
-    def count(_: object) -> None:
-        nonlocal steps
-        steps += 1
-        tell(steps)
+    steps = count(1)
 
     def value(x: Floats) -> float:
         return at(x).value(chosen) / abs(first)
@@ -121,7 +122,7 @@ def _part_descended(
         method="SLSQP",
         bounds=[(0.0, 1.0)] * space.sweep_of.size,
         constraints=visible,
-        callback=count,
+        callback=lambda _: tell(next(steps)),
         options={"maxiter": iterations, "ftol": _LEAST_GAIN},
     )
     better = _followed(space.plan, space.sweeps(found.x), space, limits)

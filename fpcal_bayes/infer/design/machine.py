@@ -20,7 +20,7 @@ from fpcal_bayes.model.mechanics.design import at_poses
 from fpcal_bayes.model.mechanics.response import responses
 
 #: Combinations of weights that change rows and tasks by less than this, in um, root mean square, are left out.
-_NEGLIGIBLE = 3e-4
+_NEGLIGIBLE = 6e-4
 
 
 @dataclass(frozen=True)

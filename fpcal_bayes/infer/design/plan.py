@@ -29,6 +29,8 @@ from fpcal_bayes.model.joint_path import travel_seconds
 #: A task is left undetermined if more than this share of its standard deviation is left.
 LEFT_SHARE = 0.1
 _NAMED = 3
+#: Share of the work until every start has its candidates.
+_BEGUN = 0.15
 #: Steps of a descent on few draws, least candidates of a start, and by how much more draws finalists descend on.
 _SHORT, _FEW, _WIDER = 30, 300, 4
 #: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
@@ -124,9 +126,9 @@ class PlanSettings:
     n_candidates: int = 2000  # random sweeps to choose from
     # starts of the search, draws that each is averaged over, and how many of them descend over four times as many; the
     # best of these descends over all draws at the end
-    starts: int = 12
+    starts: int = 8
     share: int = 16
-    finalists: int = 3
+    finalists: int = 2
     passes: int = 1  # passes of the exchange
     iterations: int = 100  # steps of the descent at the end; 0 keeps to the candidates
     several: bool = False  # also move several joints of one controller at once
@@ -215,20 +217,22 @@ class Planner:
         stages = (settings.share, settings.share * _WIDER, n_draws)
         counts = (settings.starts, settings.finalists, 1)
         work = np.cumsum([n * min(share, n_draws) for n, share in zip(counts, stages, strict=True)])
-        found = [self._start(n, number) for number in range(settings.starts)]
+        found = []
+        for number in range(settings.starts):
+            found.append(self._start(n, number))
+            self.tell(_BEGUN * (number + 1) / settings.starts)
         for stage, (count, share) in enumerate(zip(counts, stages, strict=True)):
             values = [self.judge(plan).value(range(n)) for plan in found]
             kept = [found[i] for i in np.argsort(values)[:count].tolist()]
             done, found = 0 if stage == 0 else work[stage - 1], []
+            each = (work[stage] - done) / count
             for number, plan in enumerate(kept):
-                part = self._part(number, share)
-                each = (work[stage] - done) / count
-                begun, length = done + number * each, _SHORT if stage < 2 else settings.iterations
 
-                def tell(step: int, begun: float = begun, each: float = each, length: int = length) -> None:
-                    self.tell(float(begun + each * min(1.0, step / max(1, length))) / float(work[-1]))
+                def tell(share: float, begun: float = done + number * each, each: float = each) -> None:
+                    self.tell(_BEGUN + (1.0 - _BEGUN) * float((begun + each * share) / work[-1]))
 
-                found.append(self._descended(plan, part, length, tell))
+                length = _SHORT if stage < 2 else settings.iterations
+                found.append(self._descended(plan, self._part(number, share), length, tell))
         return self._finished(found[0])
 
     def _start(self, n: int, number: int) -> Sweeps:
@@ -252,7 +256,7 @@ class Planner:
         return self._finished(self._descended(sweeps, self.ground, self.settings.iterations))
 
     def _descended(
-        self, sweeps: Sweeps, ground: Ground, iterations: int, tell: Callable[[int], None] = lambda _: None
+        self, sweeps: Sweeps, ground: Ground, iterations: int, tell: Callable[[float], None] = lambda _: None
     ) -> Sweeps:
         settings = self.settings
         return descend(
@@ -312,20 +316,23 @@ class Planner:
             raise InputError(f"{seconds / 60.0:g} min: not even one sweep takes as little")
         return best
 
-    def frontier(self, check: Ground, most: int) -> "Frontier":
+    def short(self, several: bool) -> "Planner":
+        """A planner that searches less, for a comparison."""
+        less = replace(self.settings, starts=2, finalists=1, iterations=_SHORT, several=several)
+        return Planner(self.ground, less, self._tolerances)
+
+    def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
         """What plans of several numbers of sweeps, up to `most`, are expected to leave, with a short search for each.
 
-        They are judged on the ground `check`.
+        They are judged on the ground `check`; `tell` is called with the share done.
         """
-        settings = self.settings
-        short = Planner(self.ground, replace(settings, starts=2, finalists=1, iterations=_SHORT), self._tolerances)
-        points = []
+        settings, short, points = self.settings, self.short(self.settings.several), []
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
             plan = short.in_order(short.best(n).sweeps)
             sd = check.expected_sd(plan, readings=settings.readings, sigma=settings.sigma)
             points.append(Point(n, duration(self.ground.cell, plan, settings.readings, settings.limits), sd))
-            self.tell((done + 1) / len(numbers))
+            tell((done + 1) / len(numbers))
         return Frontier(tuple(points), tuple(self.excess(point.sd) for point in points))
 
     def should_stop(self, check: Ground) -> bool:

@@ -1,6 +1,6 @@
 # Every target makes its own environment in .venv when it is missing or older than what it is made from.
 .DELETE_ON_ERROR:
-.PHONY: help week test robustness lint bench docs studies audit clean
+.PHONY: help week test suite robustness lint bench docs studies audit clean
 .DEFAULT_GOAL := help
 
 VENV := .venv
@@ -26,7 +26,11 @@ help:
 week: $(VENV)/.test
 	$(BIN)/fpcal week -o week
 
-test: lint
+# Types are checked on one core while the tests begin on the other.
+test: $(VENV)/.test
+	$(MAKE) --no-print-directory --jobs 2 lint suite
+
+suite: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Programs that pytest does not collect; they say how many faults they injected.

@@ -83,6 +83,8 @@ _PLACES = {
     "TASKS": "motion.tasks",
     "track": "tracking.tracker",
     "Trust": "model.trust",
+    "validation_plan": "infer.verification.choice",
+    "verify": "infer.verification.verify",
     "write_campaign": "io.campaign",
     "write_campaign_report": "report.campaign.page",
     "write_sweeps": "io.sweeps",

@@ -1,13 +1,15 @@
 """Drift sizes that are wrong: is the stated probability at the horizon the true one, and is the robot blamed?
 
-python studies/drift_pace.py [--factors 3 1 0.333] [--campaigns 20]
+python studies/drift_pace.py [--factors 3 1 0.333] [--campaigns 60] [--from-h 24]
 
-Cells drift so many times as fast as stated, with six sweeps every eight hours. After 2, 4 and 8 sessions the horizon is
-worked out for 50 nm on the circle at 10 %, and the truth drifts on to it: the share of campaigns beyond 50 nm there is
-to be 10 %. Printed beside it: the scale that was learnt, and sessions at which the robot is said to have moved.
+Cells drift so many times as fast as stated, from an hour on, with six sweeps every eight hours, taken in session by
+session. After some of them the horizon is worked out for 50 nm on the circle at 10 %, and the truth drifts on to it: of
+the campaigns that have a horizon 10 % are to be beyond 50 nm there (standard error in brackets). Printed beside it: the
+pace of mirror and fibre that was learnt, and in how many campaigns drift is named and the robot blamed.
 """
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from fpcal_bayes.infer import peak_to_peak, task_errors
 from fpcal_bayes.measure import Sweeps, Truth, join
 from fpcal_bayes.model import CavityModel
 from fpcal_bayes.motion import task_path
-from fpcal_bayes.tracking import DriftModel, track, with_learnt_scale
+from fpcal_bayes.tracking import DriftModel, track, with_learnt_pace
 
 HOURS, COUNT = 8.0, 6
 
@@ -34,43 +36,55 @@ def plan(cell, random, name, time_h):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--factors", type=float, nargs="*", default=[3.0, 1.0, 1 / 3])
-    parser.add_argument("--campaigns", type=int, default=20)
-    parser.add_argument("--sessions", type=int, nargs="*", default=[2, 4, 8])
+    parser.add_argument("--campaigns", type=int, default=60)
+    parser.add_argument("--sessions", type=int, nargs="*", default=[2, 4, 8, 21])
+    parser.add_argument("--from-h", type=float, default=0.0)
     options = parser.parse_args()
     cell = load_cell(mechanics="none")
     drift, model, goal = DriftModel.of(cell), CavityModel.of(cell), Goal(50)
+    last = max(options.sessions)
+    times = HOURS * np.arange(last + 1)
     for factor in options.factors:
-        beyond = {k: [] for k in options.sessions}
-        scales, blamed = {k: [] for k in options.sessions}, {k: [] for k in options.sessions}
+        told = {k: [] for k in options.sessions}
+        pace = np.where(times > options.from_h, factor, 1.0)[:, None]
         for seed in range(options.campaigns):
             random = np.random.default_rng([seed, 12])
-            last = max(options.sessions)
-            day = factor * drift.walk * drift.scale
-            steps = random.standard_normal((last + 1, len(day))) * day * np.sqrt(HOURS / 24.0)
+            day = drift.walk * drift.scale
+            steps = pace * random.standard_normal((last + 1, len(day))) * day * np.sqrt(HOURS / 24.0)
             steps[0] = 0.0
             values = paper_truth(cell).at(0.0) + np.cumsum(steps, axis=0)
-            times = HOURS * np.arange(last + 1)
             plans = [plan(cell, random, f"s{i}", times[i]) for i in range(1, last + 1)]
             sweeps = join([paper_protocol(cell), *plans])
             measured = simulate(cell, Truth(cell.free, times, values), sweeps, sigma_nm=5, seed=seed)
-            for k in options.sessions:
-                part = measured.take(measured.time_h <= times[k])
-                found = with_learnt_scale(
-                    track(cell, part), lambda sized, first, part=part: track(cell, part, drift=sized, known=first)
-                )
+            parts = [measured.of_session(name) for name in measured.sessions]
+            found = track(cell, parts[0])
+            for k in range(1, last + 1):
+                known = join(parts[: k + 1])
+
+                def taken(before, known=known):
+                    return track(cell, known, drift=replace(drift, pace=before.drift.pace), known=before)
+
+                found = with_learnt_pace(taken(found), parts[: k + 1], taken)
+                if k not in told:
+                    continue
                 until = valid_until(found, goal)
-                blamed[k].append(any(o.verdict == "intrinsics-moved" for o in found.outcomes))
-                scales[k].append(found.drift.sizes[-1].walk / drift.sizes[-1].walk)
-                later = values[k] + random.standard_normal((20, len(day))) * day * np.sqrt((until - times[k]) / 24.0)
+                away = random.standard_normal((200, len(day))) * factor * day * np.sqrt((until - times[k]) / 24.0)
                 estimate = found.estimate()
                 task = task_path(cell, estimate.vector(), "circle", n_points=37)
-                beyond[k].append((peak_to_peak(task_errors(model, later, estimate.values, task)) > 0.05).mean())
-        told = "; ".join(
-            f"{k} sessions: {np.mean(beyond[k]):.3f} beyond, scale {np.median(scales[k]):.2f}, robot blamed in "
-            f"{100 * np.mean(blamed[k]):.0f} %"
-            for k in options.sessions
-        )
-        print(f"drift {factor:.2g} times as stated: {told}", flush=True)
+                beyond = peak_to_peak(task_errors(model, values[k] + away, estimate.values, task)) > 0.05
+                blamed = any(o.verdict == "intrinsics-moved" for o in found.outcomes)
+                # Where the tolerance is passed already, no horizon is stated.
+                p = beyond.mean() if until > times[k] else np.nan
+                told[k].append([p, found.drift.pace[1], found.drift.pace_note is not None, blamed])
+        for k, rows in told.items():
+            p, learnt, named, blamed = np.transpose(rows)
+            held = p[np.isfinite(p)]
+            print(
+                f"drift {factor:.2g} times as stated, {k} sessions: {held.mean():.3f} "
+                f"({held.std() / np.sqrt(len(held)):.3f}) beyond in {len(held)}, pace {np.median(learnt):.2f}, "
+                f"drift named in {100 * named.mean():.0f} %, robot blamed in {100 * blamed.mean():.0f} %",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -41,6 +41,9 @@ def one_machine(name: str, readings: int, seed: int) -> dict[str, tuple[float, .
     plan = read_often(protocol_by_name("paper", cell), readings)
     drive = drive_of_sweeps(plan, sheet_of(name).minutes_per_sweep)
     estimate = identify(cell, plan.with_measurement(machine.sweep(drive, SIGMA), SIGMA)).estimate
+    if not estimate.trust.usable:
+        # No controller drives with it.
+        return {}
     model = CavityModel.of(cell, estimate.parameters)
     found = {}
     for task_name in TASKS:
@@ -76,6 +79,8 @@ def main() -> None:
         machines = [
             one_machine(name, options.readings, seed) for seed in range(options.first, options.first + options.truths)
         ]
+        doubtful = sum(not found for found in machines)
+        print(f"{name}: {len(machines)} machines, {doubtful} of them with a doubtful fit, which are left out")
         for task in TASKS:
             of_task = np.array([found[task] for found in machines if task in found])
             if not len(of_task):

@@ -1,5 +1,7 @@
 """An emulated cell and everything that drives it, for tests; every port is a free one."""
 
+import multiprocessing
+import threading
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +14,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.bench import Bench
-from fpcal_bayes.rig.clock import Halt
+from fpcal_bayes.rig.clock import Clock, Halt
 from fpcal_bayes.rig.drivers.interface import CommandLog
 from fpcal_bayes.rig.emulate.bench import EmulatedBench
 from fpcal_bayes.rig.reader import read_rig
@@ -58,6 +60,37 @@ q4 = {{ speed_deg_s = 20.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 q5 = {{ speed_deg_s = 20.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 q6 = {{ speed_deg_s = 100.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 """
+
+
+#: A device is looked at so often while it moves, in s of a stepped clock.
+POLL_S = 0.1
+
+
+class SteppedClock(Clock):
+    """A cell's clock that goes on when someone waits, and stands still else; processes may share it."""
+
+    def __init__(self, moment: float) -> None:
+        super().__init__()
+        object.__setattr__(self, "shared", multiprocessing.Value("d", moment))
+
+    def now(self) -> float:
+        """Unix time of the cell."""
+        return float(self.shared.value)
+
+    def ticks(self) -> float:
+        """As `now`."""
+        return self.now()
+
+    def wall(self, seconds: float) -> float:
+        """Let time pass; the wall's stands still. The emulated devices wait for what is asked of them."""
+        if threading.current_thread().name == "emulated cell":
+            return 0.05
+        self.shared.value += max(seconds, POLL_S)
+        return 0.0
+
+    def pass_until(self, moment: float) -> None:
+        """Let time pass."""
+        self.shared.value = max(moment, self.shared.value)
 
 
 def write_rig(path: Path, *, speedup: float = 100.0, timeout: float = 0.5, namespace: str = "auto", extra="") -> Path:

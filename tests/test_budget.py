@@ -58,6 +58,7 @@ def test_inputs_add_up_to_the_tasks_sd(stepless: Cell, name: str, midpoints: boo
         assert_allclose(budget.correlation, budget.correlation.T, atol=1e-12)
 
 
+@pytest.mark.usefixtures("minima_only")
 def test_fringe_noise_is_what_noise_does(femto: Cell) -> None:
     """The noise line against the spread of estimates from repeated measurements of one truth."""
     estimate, sweeps = calibrated(femto, midpoints=True)

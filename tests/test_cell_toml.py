@@ -285,7 +285,7 @@ _VALUES = st.sampled_from(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(st.data())
 def test_mutated_cell(fuzzed: Path, data: st.DataObject) -> None:
     """Values are swapped, lines dropped, doubled or moved, and pieces of text put in anywhere."""

@@ -83,9 +83,19 @@ def test_clock_times(capsys):
     assert decided("clock.csv", "--quiet")["decision"]["now_h"] > 10_000
 
 
+def test_a_tolerance_out_of_reach_is_answered_with_the_least_that_is_not(week, capsys):
+    decision = decided(week, "--tolerance-nm", "0.5", "-o", "none.csv")["decision"]
+    shown = capsys.readouterr()
+    assert (decision["action"], decision["hold_hours"], decision["sweeps"]) == ("hold", 0.0, [])
+    assert "measure nothing: tolerance 0.5 nm cannot be met for circle: the best that can be met" in shown.out
+    assert f"is {decision['attainable_nm']:.1f} nm" in shown.err
+    assert len(Path("none.csv").read_text().splitlines()) == 1
+    met = decided(week, "--tolerance-nm", f"{decision['attainable_nm']:.1f}")["decision"]
+    assert met["attainable_nm"] is None
+    assert met["probability_out"]["after"] <= 0.1
+
+
 def test_what_is_refused(week, capsys):
-    line = refused(capsys, week, "--tolerance-nm", "0.5")
-    assert "0.5 nm cannot be met for circle: the best that can be met" in line
     assert "lies in the future: 8 h, now is 7 h" in refused(capsys, week, "--now", "7")
     assert "unknown task 'cirle'" in refused(capsys, week, "--task", "cirle")
     assert "expected a number above zero" in refused(capsys, week, "--tolerance-nm", "-1")

@@ -30,6 +30,17 @@ def draws_of(name: str) -> dict[str, bytes]:
         return {f"{group}/{key}": value.values.tobytes() for group, every in groups for key, value in every.items()}
 
 
+@pytest.fixture
+def limited(monkeypatch) -> None:
+    """A sampler that may take few steps only, and does not converge."""
+    unlimited = sample_module.sample
+
+    def limited(*arguments, **options):
+        return unlimited(*arguments, **options, max_steps=20)
+
+    monkeypatch.setattr(sample_module, "sample", limited)
+
+
 class TestOutput:
     def test_files_and_table(self, capsys, here):
         run("-o", "p.nc", "--draws", 300, "--json", "p.json")
@@ -48,25 +59,16 @@ class TestOutput:
             assert tree["posterior"]["z_et"].values.mean() == pytest.approx(written["parameters"]["z_et"]["mean"])
             assert tree.attrs["data_sha256"] == written["data"]["sha256"]
 
+    @pytest.mark.usefixtures("limited")
     def test_seed_and_quiet(self, capsys):
         for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-            run("-o", f"{name}.nc", "--draws", 50, "--seed", seed, "--quiet")
+            run("-o", f"{name}.nc", "--draws", 50, "--seed", seed, "--quiet", code=1)
         assert capsys.readouterr().out == ""
         assert draws_of("a.nc") == draws_of("b.nc")
         assert draws_of("a.nc") != draws_of("c.nc")
 
 
 class TestNotConverged:
-    @pytest.fixture
-    def limited(self, monkeypatch) -> None:
-        """A sampler that may take few steps only."""
-        unlimited = sample_module.sample
-
-        def limited(*arguments, **options):
-            return unlimited(*arguments, **options, max_steps=60)
-
-        monkeypatch.setattr(sample_module, "sample", limited)
-
     @pytest.mark.usefixtures("limited")
     def test_says_so(self, capsys):
         run("-o", "p.nc", "--draws", 100_000, "--json", "p.json", code=1)
@@ -109,6 +111,7 @@ class TestRefused:
         Path("p.nc").write_text("")
         assert "expected two names" in refused(capsys, "sample", CASE_A, "-o", "p.nc", "--json", "p.nc")
 
+    @pytest.mark.usefixtures("limited")
     def test_blocks_of_another_run(self, capsys, monkeypatch):
         """Resuming with another seed is refused; the blocks of the first run stay for it."""
         monkeypatch.setattr("fpcal_bayes.cli.sample.write_netcdf", _interrupt)

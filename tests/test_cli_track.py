@@ -236,7 +236,9 @@ def test_posterior_draws_to_start_from(capsys):
     from fpcal_bayes.infer.posterior.sample import sample
 
     file = written("week.csv", "s1")
-    posterior = sample(identify(CELL, SWEEPS.of_session("day0")), draws=100, seed=0)
+    posterior = sample(identify(CELL, SWEEPS.of_session("day0")), draws=100, seed=0, max_steps=30)
+    assert not posterior.converged
+    posterior = replace(posterior, failures=())
     write_netcdf(data_tree(posterior, seed=0, command=""), Path("posterior.nc"))
     assert main(["track", file, "--json", "own.json", "--quiet"]) == 0
     assert main(["track", file, "--posterior", "posterior.nc", "--json", "given.json", "--quiet"]) == 0
@@ -247,3 +249,5 @@ def test_posterior_draws_to_start_from(capsys):
         assert given[name]["sd"] == pytest.approx(entry["sd"], rel=0.25)
     capsys.readouterr()
     assert "week.csv: not a netCDF file" in refused(capsys, file, "--posterior", file)
+    line = refused(capsys, file, "--posterior", "posterior.nc", "--mechanics", "stated")
+    assert "posterior.nc: holds draws of the geometry" in line

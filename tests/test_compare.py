@@ -264,7 +264,8 @@ class TestData:
 
 
 class TestCommand:
-    def test_axis_data(self, capsys, tmp_path):
+    def test_axis_data(self, capsys, tmp_path, monkeypatch):
+        monkeypatch.setattr(compare_module, "_POOR_STEPS", 20)
         out = tmp_path / "out.json"
         assert main(["compare", str(CASE_A), "--models", BOTH, "--draws", "100", "--json", str(out)]) == 0
         text, err = capsys.readouterr()

@@ -338,7 +338,7 @@ def attempt(path: Path, content: bytes) -> Estimate | None:
     return None
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(changes=mutations(), exact=st.booleans())
 def test_whatever_stands_in_the_file_only_input_errors_leave(folder, content, held, changes, exact):
     changed = copy.deepcopy(held if exact else content)

@@ -19,7 +19,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
-EXAMPLES = settings(max_examples=400, deadline=None)
+EXAMPLES = settings(max_examples=150, deadline=None)
 ESTIMATE = {"parameters": {"z_et": {"value": 1.0, "sd": 0.1, "unit": "um"}}, "covariance": {"names": [], "matrix": []}}
 
 

@@ -191,7 +191,7 @@ def drawn(n: int, cell: Cell = CELL, midpoints: bool = False, sigma: float = 0.0
 class TestTruthsFromThePrior:
     @pytest.fixture(scope="class")
     @classmethod
-    def trials(cls) -> Trials:
+    def trials(cls, minima_only) -> Trials:
         return drawn(430)
 
     def test_global_minimum(self, trials):
@@ -226,6 +226,7 @@ class TestTruthsFromThePrior:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("minima_only")
 @pytest.mark.parametrize(
     ("cell", "midpoints", "sigma", "n"),
     [
@@ -443,6 +444,7 @@ class TestOtherRows:
         assert 0 <= result.fit.p_value <= 1
         assert [("stand twice" in text) for text in result.warnings] == [True] * (len(set(rows)) < len(rows))
 
+    @pytest.mark.usefixtures("minima_only")
     def test_repeatability_is_part_of_the_weights(self):
         joints = [replace(j, repeatability=5e-5 if j.kind == "revolute" else 0.005) for j in CELL.joints]
         shaky = replace(CELL, joints=tuple(joints))

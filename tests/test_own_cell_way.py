@@ -36,7 +36,7 @@ def test_the_whole_way(tmp_path, monkeypatch, words, radius):
     )
     assert 0 < low < high < 1000
     made = load_cell("lab.toml", mechanics="none")
-    for number in range(1, 4 if len(words.split()) == 6 else 2):
+    for number in range(1, 3 if len(words.split()) == 6 else 2):
         hours = 30.0 * number
         ran(f"decide day0.h5 --radius-um {radius} --now {hours} --tolerance-nm 20 -o ticket.csv", cell)
         ticket = read_ticket("ticket.csv", made)

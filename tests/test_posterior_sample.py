@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -26,8 +27,16 @@ def found(femto) -> Identification:
 
 
 @pytest.fixture(scope="module")
-def posterior(found) -> Posterior:
-    return sample(found, draws=DRAWS, seed=4)
+def run(found, tmp_path_factory) -> tuple[Posterior, BlockStore, list[tuple[float, float]]]:
+    """A run, the store it filled, and what it told of its progress: effective draws, and the share that is done."""
+    store, told = BlockStore(tmp_path_factory.mktemp("run") / "blocks", identity(found.problem, 4)), []
+    result = sample(found, draws=DRAWS, seed=4, store=store, progress=lambda *look: told.append(look))
+    return result, store, told
+
+
+@pytest.fixture(scope="module")
+def posterior(run) -> Posterior:
+    return run[0]
 
 
 @pytest.fixture(scope="module")
@@ -102,17 +111,10 @@ class TestRun:
     def test_ensembles_differ(self, posterior):
         assert len(np.unique(posterior.points[:, 0, :, 0])) == 128
 
-    def test_progress(self, found):
-        shares, sizes = [], []
-
-        def watch(effective: float, share: float) -> None:
-            sizes.append(effective)
-            shares.append(share)
-
-        result = sample(found, draws=DRAWS, seed=4, progress=watch)
-        assert all(0.0 <= share <= 1.0 for share in shares)
-        assert shares[-1] == 1.0
-        assert sizes[-1] == result.diagnostics.effective
+    def test_progress(self, run):
+        result, _, told = run
+        assert all(0.0 <= share <= 1.0 for _, share in told)
+        assert told[-1] == (result.diagnostics.effective, 1.0)
 
     def test_a_limit_ends_it_with_what_failed(self, found):
         result = sample(found, draws=10**6, seed=4, max_steps=70)
@@ -122,10 +124,8 @@ class TestRun:
 
 
 class TestStore:
-    def test_going_on_from_any_block_gives_the_same(self, found, posterior, tmp_path):
-        whole = BlockStore(tmp_path / "whole", identity(found.problem, 4))
-        first = sample(found, draws=DRAWS, seed=4, store=whole)
-        assert (first.points == posterior.points).all()
+    def test_going_on_from_any_block_gives_the_same(self, found, run, tmp_path):
+        first, whole, _ = run
         blocks = whole.read()
         for n_kept in (1, len(blocks) - 2, len(blocks)):
             part = BlockStore(tmp_path / f"part{n_kept}", identity(found.problem, 4))
@@ -137,9 +137,9 @@ class TestStore:
             assert result.outside == first.outside
             assert len(part.read()) == len(blocks)
 
-    def test_more_draws_later_go_on(self, found, tmp_path):
-        store = BlockStore(tmp_path / "run", identity(found.problem, 4))
-        few = sample(found, draws=DRAWS, seed=4, store=store)
+    def test_more_draws_later_go_on(self, found, run, tmp_path):
+        few, whole, _ = run
+        store = BlockStore(shutil.copytree(whole.folder, tmp_path / "run"), identity(found.problem, 4))
         began = len(store.read())
         more = sample(found, draws=8000, seed=4, store=store)
         assert more.points.shape[1] > few.points.shape[1]

@@ -9,7 +9,14 @@ import pytest
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv
-from fpcal_bayes.measure.protocol import add_midpoints, mark_signs, paper_protocol, protocol_by_name, single_sweep
+from fpcal_bayes.measure.protocol import (
+    add_midpoints,
+    mark_signs,
+    paper_protocol,
+    protocol_by_name,
+    read_often,
+    single_sweep,
+)
 from fpcal_bayes.model.parameters import Parameter, ParameterSet
 
 CELL = load_cell(mechanics="none")
@@ -49,7 +56,7 @@ def test_groups_and_absolute_lengths_get_no_midpoint():
     assert halved.label.tolist() == ["first", "second", "length", "-mid", ""]
     assert halved.group.tolist() == ["pair", "pair", "", "row 4", "row 4"]
     assert halved.kind.tolist() == ["sweep", "sweep", "absolute", "sweep", "sweep"]
-    assert halved.rows.tolist() == [2, 3, 4, 5, 6]
+    assert halved.rows.tolist() == [2, 2, 3, 4, 4]
     np.testing.assert_array_equal(halved.q_end[[0, 1, 2, 4]], plan.q_end)
     np.testing.assert_allclose(halved.q_end[3], (plan.q_start[3] + plan.q_end[3]) / 2)
     # Once more: there is nothing left to halve.
@@ -118,3 +125,16 @@ def test_single_sweep():
 
 def _renominal(parameter: Parameter, name: str, nominal: float) -> Parameter:
     return replace(parameter, nominal=nominal) if parameter.name == name else parameter
+
+
+@pytest.mark.parametrize("readings", [3, 5, 6, 7])
+def test_joints_that_stand_still_do_so_at_every_reading(readings):
+    """Rounding is no motion: a joint that moves beside others may be refused."""
+    random = np.random.default_rng(readings)
+    plan = paper_protocol(CELL)
+    still = random.uniform(-100.0, 100.0, (len(plan), 6)) * CELL.joint_scales
+    moved = plan.q_start != plan.q_end
+    plan = replace(plan, q_start=np.where(moved, plan.q_start, still), q_end=np.where(moved, plan.q_end, still))
+    rows = read_often(plan, readings)
+    np.testing.assert_array_equal(rows.q_start != rows.q_end, np.repeat(moved, readings, axis=0))
+    np.testing.assert_array_equal(rows.q_end[readings - 1 :: readings], plan.q_end)

@@ -142,7 +142,7 @@ def test_a_ticket_may_have_no_rows(femto, tmp_path):
             "row 2, column expires_utc: expected ISO 8601 as in 2024-05-01T08:30:00Z, found 'soon'",
         ),
         ({"dl_um": 1.0, "sigma_um": 1.0}, "row 1: dl_um holds what was measured, expected a ticket or a plan"),
-        ({"kind": "absolute"}, "row 2, column kind: only sweeps are driven, found absolute"),
+        ({"kind": "absolute"}, "row 2, column kind: only sweeps are driven, found absolute: leave that row out"),
         ({"nonsense": 1}, "row 1: unknown column 'nonsense', expected ..."),
     ],
 )

@@ -66,12 +66,13 @@ def test_stages_move_and_read_back_in_model_units(bench, cell_live):
     for stage in bench.stages:
         stage.move(target[list(stage.joints)])
     wait(bench.stages)
-    assert np.allclose(bench.position(), target, rtol=0.0, atol=2e-6)
+    # The encoders show half a nanometre of noise.
+    assert np.allclose(bench.position(), target, rtol=0.0, atol=3e-3)
     # The E-712 counts from 0 to 300 um, its zero at 150.
     (line,) = talk(cell_live.emulated.server.endpoints["E-712"].address, b"POS? 3\n", 1, b"\n")
-    assert line == b"3=192.500000"
+    assert float(line.removeprefix(b"3=")) == pytest.approx(192.5, abs=0.003)
     (line,) = talk(cell_live.emulated.server.endpoints["MCS-3D"].address, b":CHAN3:POS?\r\n", 1, b"\r\n")
-    assert int(line) == 75_000_000_000
+    assert int(line) == pytest.approx(75_000_000_000, abs=10_000)
 
 
 def test_the_length_is_that_of_the_cell(bench, cell_live):
@@ -134,7 +135,8 @@ def test_pipython_with_its_own_socket_speaks_to_the_emulator(cell_live):
         device.MOV({"1": 160.0, "2": 140.0})
         while not all(device.qONT(["1", "2"]).values()):
             pass
-        assert device.qPOS(["1", "2"]) == {"1": 160.0, "2": 140.0}
+        # The encoder shows half a nanometre of noise.
+        assert device.qPOS(["1", "2"]) == pytest.approx({"1": 160.0, "2": 140.0}, abs=0.003)
         assert device.IsMoving("1") == {"1": False}
         assert device.IsControllerReady()
         with pytest.raises(GCSError, match=r"Position out of limits|\(7\)"):
@@ -153,7 +155,7 @@ ADDRESS = r"127\.0\.0\.1:\d+"
         ("E-712", "half-line", rf"E-712 at {ADDRESS}: .*: half an answer, '.*', within 0.2 s"),
         ("E-712", "reset", rf"E-712 at {ADDRESS}: POS\? 1 2 3: the device closed the connection"),
         ("MCS-3D", "no-answer", rf"MCS-3D at {ADDRESS}: :CHAN1:POS\?: no answer within 0.2 s"),
-        ("MCS-3D", "half-line", rf"MCS-3D at {ADDRESS}: :CHAN1:POS\?: half an answer, '0', within 0.2 s"),
+        ("MCS-3D", "half-line", rf"MCS-3D at {ADDRESS}: :CHAN1:POS\?: half an answer, '.*', within 0.2 s"),
         ("MCS-3D", "reset", rf"MCS-3D at {ADDRESS}: :CHAN1:POS\?: the device closed the connection"),
     ],
 )

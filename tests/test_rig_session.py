@@ -73,6 +73,8 @@ def test_readings_share_their_start(cell_live, femto, tmp_path):
 
 def test_drift_and_mechanics_reach_the_reading(femto, tmp_path):
     class Bent:
+        return_sd = np.zeros(6)
+
         def length_change(self, q, approach, time_h):
             return 0.001 * q[2]
 

@@ -46,6 +46,7 @@ def is_same_fit(result: Identification, signed: Identification) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("minima_only")
 @pytest.mark.parametrize("cell", [CELL, CELL.with_opd("perpendicular")], ids=["axis", "perpendicular"])
 def test_paper_signs_of_random_truths(cell):
     for number in range(20):
@@ -65,6 +66,7 @@ def test_paper_signs_of_random_truths(cell):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("minima_only")
 def test_no_sign_at_all():
     same = 0
     for number in range(6):

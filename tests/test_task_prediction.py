@@ -69,6 +69,7 @@ def test_small_draws_give_the_linear_prediction(femto: Cell) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("minima_only")
 def test_true_peak_to_peak_lies_in_its_band(femto: Cell) -> None:
     """40 calibrations of cells drawn from the prior: 200 bands of 95 %, of which 8 in 10 must hold at the very least.
 

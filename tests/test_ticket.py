@@ -126,6 +126,22 @@ def test_joints_as_they_were_read_back_are_near_enough():
     assert check_measured(ticket, replace(session, q_end=session.q_end + off), CELL) == 0
 
 
+def test_a_sweep_may_be_asked_for_twice_or_nearly_so():
+    rows = planned(readings=1).rows()
+    inward = np.where(CELL.joint_scales == 1.0, -np.sign(rows.q_end), 0.0)
+    near = replace(rows, q_end=rows.q_end + 0.6 * inward)
+    asked = join([rows, rows, near])
+    ticket = replace(planned(), plan=asked, readings=np.ones(len(asked), dtype=np.int64))
+    order = np.random.default_rng(1).permutation(len(asked))
+    # Read where the nearest row of the ticket may be another one's.
+    session = measured(asked.take(order))
+    session = replace(session, q_end=session.q_end + 0.35 * np.tile(inward, (3, 1))[order])
+    assert check_measured(ticket, session, CELL) == 0
+    assert check_measured(ticket, session.take(np.arange(len(session) - 2)), CELL) == 2
+    with pytest.raises(InputError, match="is the same sweep of the ticket, expected each once"):
+        check_measured(ticket, join([session, session.take(np.array([0]))]), CELL)
+
+
 @pytest.mark.parametrize("rename", ["Full-T0 ", "again"])
 def test_a_session_that_is_there_is_refused_under_any_name(tmp_path, campaign, calibration, rename):
     again = replace(calibration, session=np.full(len(calibration), rename), time_h=calibration.time_h + 24.0)

@@ -11,7 +11,11 @@ from fpcal_bayes.io.tickets import read_ticket, write_ticket
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import check_measured, empty_ticket
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.tracking.sessions import check_sessions, hours_at
+
+#: A row is far from what a cell allows beyond so many standard deviations of its prior, so much of it and so many um.
+_FAR_SD, _FAR_SHARE, _FAR_UM = 10.0, 0.1, 1.0
 
 
 @dataclass(frozen=True)
@@ -36,22 +40,12 @@ def append(
 
     A session that is there already, under a ticket that was not emptied, is taken as done.
 
-    Parameters
-    ----------
-    campaign
-        CSV or HDF5; replaced in one step, under the lock of its writers.
-    measured
-        Sessions that the campaign does not hold yet, all later than its first.
-    ticket
-        What was to be measured.
-    now
-        Unix time, by default this machine's: sessions after it are refused.
-
-    Raises
-    ------
-    InputError
-        If a row is not what the ticket asks for, is there already, or the sessions do not go together; the campaign
-        stays as it was.
+    campaign: CSV or HDF5; replaced in one step, under the lock of its writers.
+    measured: sessions that the campaign does not hold yet, all later than its first.
+    ticket: what was to be measured.
+    now: Unix time, by default this machine's: sessions after it are refused.
+    Raises InputError if a row is not what the ticket asks for, is there already, or the sessions do not go together;
+    the campaign stays as it was.
     """
     asked = None if ticket is None else read_ticket(ticket, cell)
     if asked is not None and asked.plan is None:
@@ -64,7 +58,10 @@ def append(
         return Appended((), 0, 0, 0)
 
     def check(joined: Sweeps) -> None:
-        _refuse_again(sweeps, joined.take(np.arange(len(joined) - len(sweeps))))
+        before = joined.take(np.arange(len(joined) - len(sweeps)))
+        _refuse_again(sweeps, before)
+        _refuse_early(sweeps, before)
+        _refuse_impossible(sweeps, cell)
         check_sessions(joined, None if now is None else hours_at(now, joined))
 
     joined = append_sweeps(campaign, sweeps, cell, check)
@@ -99,6 +96,31 @@ def _refuse_again(sweeps: Sweeps, before: Sweeps) -> None:
             raise located(
                 sweeps.file, f"session {held[0]!r} of the campaign holds {len(held)} of these {len(part)} rows", row=row
             )
+
+
+def _refuse_early(sweeps: Sweeps, before: Sweeps) -> None:
+    """Refuse sessions that would take the place of the calibration: the first session is it."""
+    first, row = before.sessions[0], int(np.argmin(sweeps.time_h))
+    end = float(before.time_h[before.session == first].max())
+    if sweeps.time_h[row] <= end:
+        found = f"found {sweeps.time_h[row]:g} h, expected after the calibration {first!r}, which ends at {end:g} h"
+        raise located(sweeps.file, found, row=int(sweeps.rows[row]), column="time_h")
+
+
+def _refuse_impossible(sweeps: Sweeps, cell: Cell) -> None:
+    """Refuse a session most of whose telling rows are far from what the cell's prior allows, as in another unit."""
+    model, draws = prior_draws(cell)
+    lengths = model.predict(draws, model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute))
+    measured = np.where(sweeps.signed, sweeps.dl, np.abs(sweeps.dl))
+    lengths = np.where(sweeps.signed, lengths, np.abs(lengths))
+    middle, spread = lengths.mean(axis=0), _FAR_SD * lengths.std(axis=0) + _FAR_UM
+    far = np.abs(measured - middle) > spread + _FAR_SHARE * np.abs(middle)
+    if 2 * far.sum() > (far | (np.abs(middle) > spread)).sum():
+        worst = int(np.argmax(np.abs(measured - middle) / spread))
+        what = (
+            f"found {sweeps.dl[worst]:.6g} um, expected {middle[worst]:.4g} um within {spread[worst]:.2g}: check units"
+        )
+        raise located(sweeps.file, what, row=int(sweeps.rows[worst]), column="dl_um")
 
 
 def _contents(sweeps: Sweeps) -> list[tuple[float, ...]]:

@@ -22,7 +22,7 @@ from fpcal_bayes.infer.tasks.source import path_points
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps
 from fpcal_bayes.measure.campaign import Campaign
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
@@ -31,7 +31,7 @@ from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, likely_drift
-from fpcal_bayes.tracking.fit_sizes import with_learnt_scale
+from fpcal_bayes.tracking.fit_sizes import with_learnt_pace
 from fpcal_bayes.tracking.record import resume
 from fpcal_bayes.tracking.sessions import check_sessions, hours_at, hours_now, hours_of
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
@@ -40,6 +40,8 @@ from fpcal_bayes.tracking.tracker import Track, estimate_of, track
 _MOST_DRAWS = 2000
 #: Errors that are drawn of each task.
 _DRAWS = 4000
+#: Sessions of a campaign after which the pace of its drift is looked at first.
+_LEARNT_FIRST = 16
 #: Longest time between two sessions that can show a change of the robot itself, as `fpcal decide` has it.
 _DIAGNOSIS_H = 24.0
 
@@ -72,11 +74,20 @@ class _Measured:
         known, note = None, ""
         if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
             known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
-        found = track(cell, sweeps, drift=drift, limits=limits, known=known, draws=draws, now_h=self.now_h)
-        found = with_learnt_scale(
-            found, lambda sized, first: track(cell, sweeps, drift=sized, limits=limits, known=first, now_h=self.now_h)
-        )
-        notes = [text for text in (note, found.pace) if text]
+
+        # Where drift is not as stated, the first sessions say so, and the others cost less under what they say.
+        begun, resumed, found = min(_LEARNT_FIRST, len(self.parts)), 0 if known is None else len(known.outcomes), known
+        for count in dict.fromkeys((max(begun, resumed), len(self.parts))):
+            rows = sweeps if count == len(self.parts) else join(self.parts[:count], file=sweeps.file)
+
+            def taken(known: Track | None, rows: Sweeps = rows) -> Track:
+                paced = drift if known is None else replace(drift, pace=known.drift.pace)
+                return track(cell, rows, drift=paced, limits=limits, known=known, draws=draws, now_h=self.now_h)
+
+            found = with_learnt_pace(taken(found), self.parts, taken)
+        assert found is not None
+        found = replace(found, resumed=resumed)
+        notes = [text for text in (note, found.drift.pace_note) if text]
         return replace(found, data=self.data | {"session": found.last.session}), notes
 
 
@@ -122,6 +133,11 @@ def follow(
 def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
     """The draws of the parameters that are followed, shape (n_draws, n_parameters)."""
     read = read_posterior(posterior, cell)
+    if cell.mechanics is not None:
+        raise InputError(
+            f"{posterior}: holds draws of the geometry, and a track of this cell starts from error motions too: "
+            "leave --posterior out, the first session tells both; or take a perfect mechanism by --mechanics none"
+        )
     missing = [name for name in drift.parameters.names if name not in read.parameters]
     if missing:
         raise InputError(f"{posterior}: expected draws of all free parameters, {missing[0]} is missing")

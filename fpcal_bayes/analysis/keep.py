@@ -83,7 +83,7 @@ class Round:
     followed: Followed
     now_h: float
     valid_until_h: float | None
-    decision: Decision | None  # None where the tolerance cannot be met
+    decision: Decision | None  # None where nothing can be decided
     ticket: Ticket  # as it stands in the file now
     notes: tuple[str, ...]
 
@@ -91,16 +91,10 @@ class Round:
 class Keeper:
     """Follows a campaign, decides and publishes, as often as it is asked to.
 
-    Parameters
-    ----------
-    campaign
-        CSV or HDF5; it may not be there yet.
-    goal, costs
-        What is to be held, and what measuring costs, given the campaign's sweeps.
-    outputs
-        What is published.
-    now
-        Unix time.
+    campaign: CSV or HDF5; it may not be there yet.
+    goal, costs: what is to be held, and what measuring costs, given the campaign's sweeps.
+    outputs: what is published.
+    now: Unix time.
     """
 
     def __init__(
@@ -118,10 +112,7 @@ class Keeper:
     def round(self) -> Round:
         """Follow, decide, publish.
 
-        Raises
-        ------
-        InputError
-            If the campaign cannot be read or followed.
+        Raises InputError if the campaign cannot be read or followed.
         """
         cell, goal, outputs = self._cell, self._goal, self._outputs
         moment = self._now()
@@ -136,6 +127,7 @@ class Keeper:
         decision: Decision | None = None
         try:
             decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+            notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
         remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}

@@ -27,16 +27,10 @@ def watch(
     Nothing that the file holds ends this: a file that is not there yet, that another program holds or that cannot be
     taken in is waited for, and tried again later even if it has not changed.
 
-    Parameters
-    ----------
-    seconds
-        Between two looks at the file.
-    take_in
-        Does the work; its argument is whether it came to its end the last time.
-    say
-        Told what is waited for, once.
-    at_least
-        Seconds after which the file is taken in although it has not changed.
+    seconds: between two looks at the file.
+    take_in: does the work; its argument is whether it came to its end the last time.
+    say: told what is waited for, once.
+    at_least: seconds after which the file is taken in although it has not changed.
     """
     seen: object = ()
     waiting, again = "", False

@@ -8,6 +8,7 @@ from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
 from fpcal_bayes.io.tickets import write_ticket
+from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,
@@ -32,9 +33,13 @@ def run(options: argparse.Namespace) -> int:
         now_h = hours_now(sweeps, found.last.time_h)
     decision = decide_track(found, sweeps, goal, costs, now_h)
 
-    warnings = verdict_lines(found) + followed.notes
+    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
     estimate = found.estimate()
     warnings += [reason.text for reason in estimate.trust.reasons if reason.text not in warnings]
+    for name in goal.tasks:
+        task = find_task(cell, estimate.vector(), name, radius=goal.radius_um, n_points=8)
+        if not task.ok.any():
+            warnings.append(f"task {name!r} is judged as far as the joints turn: {task.status[0]}")
     until_h = valid_until(found, goal)
     if estimate.trust.usable and now_h > until_h:
         until = time_text(until_h, found.outcomes)

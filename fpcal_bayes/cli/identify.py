@@ -11,6 +11,7 @@ from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.fit.prior import bends
 from fpcal_bayes.infer.posterior.draws import draws_content
+from fpcal_bayes.infer.verification.verify import kept_rows, verify
 from fpcal_bayes.io.estimate import read_estimate, read_estimate_rows
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, pool
@@ -18,6 +19,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import KINDS
 from fpcal_bayes.report.fit import fit_lines, parameter_table
+from fpcal_bayes.report.verification import verification_lines
 
 
 def run(options: argparse.Namespace) -> int:
@@ -28,17 +30,26 @@ def run(options: argparse.Namespace) -> int:
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     cell.select(options.free)
     warm_up(cell)
-    found = identify(cell, sweeps, free=options.free, start=start, hold=options.hold, prior=prior)
+    kept = None if options.hold_out is None else kept_rows(sweeps, options.hold_out)
+    used = sweeps if kept is None else sweeps.take(kept)
+    found = identify(cell, used, free=options.free, start=start, hold=options.hold, prior=prior)
     result = with_source(found, options.file, sweeps, before)
+    verified = {}
+    if kept is not None and found.estimate.trust.usable:
+        made = verify(found, sweeps, kept)
+        verified = {"verification": made.content()}
+        trust = result.estimate.trust.because(*made.reasons)
+        texts = [reason.text for reason in made.reasons]
+        result = replace(result, estimate=replace(result.estimate, trust=trust), warnings=(*result.warnings, *texts))
 
     if options.json is not None:
         draws = draws_content(result)
-        write_result(options.json, "identify", {**result.content(), **draws})
+        write_result(options.json, "identify", {**result.content(), **draws, **verified})
         warn(draws.get("warnings", [])[-1:])
     out = console(options)
     title = f"{options.file}, session {','.join(sweeps.sessions)}: {len(result.problem.sweeps)} rows"
     out.print(parameter_table(result.estimate, title))
-    for line in fit_lines(result):
+    for line in [*fit_lines(result), *(verification_lines(made) if verified else [])]:
         out.say(line)
     warn(result.warnings)
     return 0 if result.converged else 1

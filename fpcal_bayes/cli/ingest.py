@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     check_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
-    index = read_recordings(options.index, cell)
+    index = read_recordings(options.index, cell, options.columns)
     if needs_compilation(fit_signal):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     settings = IngestSettings(
@@ -66,6 +66,9 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
             "--absolute" if options.absolute else "",
             f"--wavelength-sd-pm {options.wavelength_sd_pm:g}" if options.wavelength_sd_pm else "",
             f"--index-sd {options.index_sd:g}" if options.index_sd else "",
+            "--columns " + ",".join(f"{k.split('_')[0]}={v}" for k, v in options.columns.items())
+            if options.columns
+            else "",
             f"--estimate {Path(options.estimate).name}" if options.estimate else "",
         ]
         command = " ".join(["fpcal ingest", Path(options.index).name, *filter(None, extras)])

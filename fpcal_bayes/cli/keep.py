@@ -64,9 +64,9 @@ def run(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace, cell: Cell, found: Round, clock: Clock) -> None:
     """Drive the ticket and hand over what was measured."""
     assert found.ticket.plan is not None
-    name = "".join(
-        letter if letter.isalnum() or letter in "-_" else "_" for letter in str(found.ticket.plan.session[0])
-    )
+    # A ticket that expired half measured has a session of the same name after it.
+    stated = f"{found.ticket.plan.session[0]}_{found.ticket.name}"
+    name = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in stated)
     campaign = Path(options.campaign)
     session = campaign.with_name(f"{campaign.stem}_{name}.h5")
     words = {"output": session, "campaign": options.campaign, "estimate": str(options.estimate), "dry_run": False}

@@ -31,6 +31,7 @@ _COMMANDS = (
     identify.identify,
     identify.sample,
     identify.compare,
+    identify.verify,
     identify.task_error,
     identify.control,
     identify.check,
@@ -182,16 +183,9 @@ def _guarded() -> Iterator[_Terminal]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
-    Parameters
-    ----------
-    arguments
-        Without the program's name; by default those of the process.
-
-    Returns
-    -------
-    int
-        Exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, or the output cannot be printed,
-        128 + the signal that interrupted.
+    arguments: without the program's name; by default those of the process.
+    Returns exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, or the output cannot be printed, 128
+    + the signal that interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     with _guarded() as out:

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import exclusive, make_folder
+from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -17,7 +17,7 @@ from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
-from fpcal_bayes.rig.bench import Bench, is_recording
+from fpcal_bayes.rig.bench import Bench, is_recording, only_one
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers.interface import CommandLog
 from fpcal_bayes.rig.reader import read_rig
@@ -75,8 +75,7 @@ def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, ag
         warn([f"{options.output}: goes on after {len(agenda.outcomes)} of {len(agenda.orders)} sweeps"])
     halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
     try:
-        # Two sessions on one cell would stop each other's axes.
-        with exclusive(options.output.with_suffix(".log"), in_place=True), halt.on_signals():
+        with only_one(rig), halt.on_signals():
             bench = Bench(cell, rig, guard, halt, log, agenda.folder)
             try:
                 summary = measure(agenda, bench, guard, _Teller(options))

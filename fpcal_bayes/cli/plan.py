@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
@@ -59,9 +60,11 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    asked = [options.n is not None, options.reach is not None, options.minutes is not None]
-    if options.commission == any(asked):
-        raise InputError("expected --n N or --reach TASK=NM,.. or --minutes M, or --commission alone")
+    asked = any(size is not None for size in (options.n, options.reach, options.minutes))
+    if asked + options.commission + (options.validation is not None) != 1:
+        raise InputError(
+            "expected --n N or --reach TASK=NM,.. or --minutes M, or --commission alone, or --validation N alone"
+        )
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
@@ -70,6 +73,8 @@ def run(options: argparse.Namespace) -> int:
     settings = _settings(options, cell)
     if options.commission:
         return _commission(options, cell, settings)
+    if options.validation is not None:
+        return plan_validation.run(options, cell, settings.limits)
     tasks = _tasks(options, targets, cell)
     options.draws = options.draws or (_DRAWS if cell.mechanics is None else _MACHINE_DRAWS)
     bar = _Bar(options.quiet)

@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     check_suffix(options.figure, ".svg", ".png")
-    index = read_recordings(options.file, cell)
+    index = read_recordings(options.file, cell, options.columns)
     sweeps = index.sweeps
     wanted = sweeps.kind == "sweep" if options.label is None else sweeps.label == options.label
     if not wanted.any():

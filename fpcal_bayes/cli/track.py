@@ -10,12 +10,14 @@ from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
+from fpcal_bayes.io.cell import write_resized_cell
 from fpcal_bayes.io.flat import check_flat, write_flat
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
 from fpcal_bayes.report.track import session_table, time_text, verdict_lines
 from fpcal_bayes.tracking.fit_sizes import fit_sizes
+from fpcal_bayes.tracking.sessions import check_sessions
 from fpcal_bayes.tracking.tracker import Track
 
 
@@ -41,6 +43,11 @@ def run(options: argparse.Namespace) -> int:
 def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
     check_flat(options.flat)
+    if options.output is not None:
+        if not options.fit_drift or options.output.suffix.lower() != ".toml":
+            raise InputError("-o CELL.toml: expected --fit-drift beside it, and a name that ends in .toml")
+        if options.output.exists() and not options.force:
+            raise InputError(f"{options.output}: is there already, expected another name for the cell, or --force")
     followed = follow_saved(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
     found, sweeps, notes = followed.track, followed.sweeps, followed.notes
     if again and found.resumed == len(found.outcomes):
@@ -56,7 +63,9 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
         holds = f"valid until {time_text(valid_until_h, found.outcomes)}: {exceeds} < {options.level:g}"
         passed = f"not valid: {exceeds} is above {options.level:g} already"
         until = holds if valid_until_h > found.last.time_h else passed
-    fitted = fit_sizes(cell, sweeps) if options.fit_drift else None
+    fitted = fit_sizes(found, check_sessions(sweeps)) if options.fit_drift else None
+    if fitted is not None and options.output is not None:
+        write_resized_cell(options.cell, *fitted.pace, options.output)
     drift_fit = {} if fitted is None else {"drift_fit": fitted.content()}
     warnings = [f"{o.session}: {text}" for o in found.outcomes for text in o.warnings] + lines + notes
     content = published(found, valid_until_h) | {"warnings": warnings}
@@ -74,6 +83,9 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
         out.say(until)
     if fitted is not None:
         out.say("\n".join(fitted.lines()))
+        if options.output is not None:
+            use = f"fpcal track {options.campaign} --cell {options.output}"
+            out.say(f"{options.output}: the cell with these sizes; from now on give it to each command: {use}")
     warn(warnings)
     return 0 if found.converged else 1
 

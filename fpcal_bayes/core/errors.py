@@ -40,16 +40,10 @@ def reason(error: BaseException) -> str:
 def located(file: object, expected: str, *, row: int | None = None, column: str | None = None) -> InputError:
     """Build the message ``file: row R, column C: what was expected``.
 
-    Parameters
-    ----------
-    file
-        Name of the file as the user gave it.
-    expected
-        What stands there and what was expected.
-    row
-        Line in the file, 1 being its first line.
-    column
-        Name of the column or key.
+    file: name of the file as the user gave it.
+    expected: what stands there and what was expected.
+    row: line in the file, 1 being its first line.
+    column: name of the column or key.
     """
     place = [text for text in (f"row {row}" if row is not None else "", f"column {column}" if column else "") if text]
     return InputError(": ".join([str(file), *([", ".join(place)] if place else []), expected]))

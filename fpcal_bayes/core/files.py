@@ -65,10 +65,7 @@ def require_readable(path: Path) -> None:
 def require_writable(path: Path) -> Path:
     """Where content for `path` goes: links are followed, and nothing is left behind.
 
-    Raises
-    ------
-    InputError
-        Unless there can be a file; devices and streams such as ``/dev/stdout`` can be written too.
+    Raises InputError unless there can be a file; devices and streams such as ``/dev/stdout`` can be written too.
     """
     try:
         target = _destination(path)
@@ -124,10 +121,8 @@ def replacing(path: Path) -> Iterator[Path]:
     The content reaches the disk before the rename, so a reader sees the old file or the new one. Links are followed;
     a device or a stream is written, never replaced.
 
-    Raises
-    ------
-    InputError
-        If the folder is missing or not writable, the disk refuses the content, or another program writes the file.
+    Raises InputError if the folder is missing or not writable, the disk refuses the content, or another program writes
+    the file.
     """
     target = require_writable(path)
     try:
@@ -207,10 +202,7 @@ def exclusive(path: Path, *, in_place: bool = False) -> Iterator[Callable[[], No
     Gives a function that raises `InputError` if another program has changed the file or put another one in its place
     meanwhile; `replacing` calls it at the last moment. With `in_place` this process itself changes the file.
 
-    Raises
-    ------
-    InputError
-        If another process holds the file, or it cannot be opened.
+    Raises InputError if another process holds the file, or it cannot be opened.
     """
     name = os.path.realpath(path)
     if name in _HELD:

@@ -9,12 +9,8 @@ from typing import Any
 def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """``__all__``, ``__getattr__`` and ``__dir__`` of a package whose names stand in its modules.
 
-    Parameters
-    ----------
-    package
-        Name of the package.
-    places
-        Module in the package of each name.
+    package: name of the package.
+    places: module in the package of each name.
     """
 
     def load(name: str) -> Any:

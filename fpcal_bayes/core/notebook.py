@@ -7,14 +7,9 @@ from html import escape
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """A table as HTML; every text is escaped.
 
-    Parameters
-    ----------
-    caption
-        Above the table.
-    columns
-        Heads.
-    rows
-        As many entries each.
+    caption: above the table.
+    columns: heads.
+    rows: as many entries each.
     """
     head = "".join(f"<th>{escape(str(column))}</th>" for column in columns)
     body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)

@@ -8,7 +8,6 @@ _PLACES = {
     "Forecaster": "forecast",
     "Goal": "forecast",
     "Policy": "policy",
-    "UnattainableError": "decision",
     "is_diagnosis": "diagnosis",
     "run_policy": "closed_loop",
     "valid_until": "policy",

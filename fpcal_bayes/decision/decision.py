@@ -19,16 +19,10 @@ Purpose = Literal["extrinsics", "robot", "both"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
 Chooser = Callable[[Forecaster, State, int], Sweeps]
 
+#: By which the least tolerance that can be met is rounded up.
+_ROUNDING = 1.002
 #: Times at which the running cost of a session is compared.
 _COST_STEPS = 40
-
-
-class UnattainableError(InputError):
-    """Not even a full calibration reaches the tolerance; `attainable_nm` is the least that can be met."""
-
-    def __init__(self, text: str, attainable_nm: float) -> None:
-        super().__init__(text)
-        self.attainable_nm = attainable_nm
 
 
 @dataclass(frozen=True)
@@ -109,6 +103,9 @@ class Decision:
     reason: str
     #: What the sweeps are for: ``extrinsics`` (mirror and fibre), ``robot`` (to look whether it changed), or ``both``.
     purpose: Purpose = "extrinsics"
+    #: The least tolerance that can be met, in nm, where the goal's is below it: then nothing is asked for but a full
+    #: calibration of a robot that moved; else None.
+    attainable_nm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -147,7 +144,7 @@ def decide(
     *,
     measure: bool = False,
 ) -> Decision:
-    """What to do now; `UnattainableError` if not even a full calibration brings the tasks within the tolerance.
+    """What to do now; where not even a full calibration brings the tasks within the tolerance, hold and say what would.
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below the level, the one is recommended that costs the fewest minutes an hour held, the
@@ -155,7 +152,8 @@ def decide(
 
     The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
     of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
-    measured in any case, so that the question is only what; on a machine then what helps most, out of reach or not.
+    measured in any case, so that the question is only what; on a machine then what helps most, out of reach or not,
+    elsewhere `InputError` if the tolerance is out of reach.
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))
@@ -190,14 +188,19 @@ def decide(
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
-        least_nm = 1e3 * best.outlook.attainable(goal.level)
+        # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
+        least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
             f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
             f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
         )
-        if not measure or best is full or forecast.drift.motions is None:
-            raise UnattainableError(text, least_nm)
+        if not measure:
+            due = calibration_due is not None
+            found = made("full", 0.0, full, full.outlook, f"{calibration_due}; {text}") if due else None
+            return replace(found or made("hold", 0.0, None, now, text), attainable_nm=least_nm)
+        if best is full or forecast.drift.motions is None:
+            raise InputError(text)
         # A machine that was within reach before does what it can; no calibration that cannot help.
         return made("extrinsic", 0.0, best, best.outlook, text)
     reason = calibration_due or f"no session of up to {costs.most_sweeps} sweeps brings {passes} below {goal.level:.0%}"

@@ -106,7 +106,7 @@ class TaskForecast:
 
     def attainable(self, level: float) -> float:
         """The tolerance that is passed with probability `level`, in um."""
-        return float(np.quantile(self.worst, 1.0 - level))
+        return float(np.quantile(self.worst, 1.0 - level, method="higher"))
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Forecaster:
         machine = drift.motions is not None
         counts = [PATH_POINTS if machine else _CIRCLE_POINTS if name == "circle" else _POINTS for name in goal.tasks]
         tasks = [
-            find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).driven()
+            find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).within_turns()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
         ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()

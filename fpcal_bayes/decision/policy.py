@@ -14,7 +14,14 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision, decide, measure_instead
 from fpcal_bayes.decision.diagnosis import LEAST_POWER, last_diagnosis, most_power, session_power, watched
 from fpcal_bayes.decision.forecast import Forecaster, Goal
-from fpcal_bayes.infer.design.candidates import SweepLimits, can_be_followed, candidate_sweeps, reverses, visible_ranges
+from fpcal_bayes.infer.design.candidates import (
+    SweepLimits,
+    can_be_followed,
+    candidate_sweeps,
+    reverses,
+    tilts,
+    visible_ranges,
+)
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.measure.sweeps import Sweeps, as_plan, join
@@ -175,8 +182,7 @@ class Policy:
         """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
 
         `calibration_due` says why a full calibration is due whatever the error, or is None; `diagnosed_h` when a
-        session could last show a change of the robot, in hours since the campaign began. `InputError` if the tolerance
-        cannot be met.
+        session could last show a change of the robot, in hours since the campaign began.
         """
         decision = self._decide(forecast, state, calibration_due)
         left = self._look_in(forecast, state, diagnosed_h)
@@ -272,8 +278,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     Raises
     ------
     InputError
-        If `now_h` lies before the last session, a task cannot be driven, the tolerance cannot be met, or the sweeps may
-        leave the cell's envelope.
+        If `now_h` lies before the last session, a task cannot be driven, or the sweeps may leave the cell's envelope.
     """
     last = track.last
     if not now_h >= last.time_h:
@@ -286,8 +291,12 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     # A robot that moved by itself is known as before its first calibration only.
     values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
     known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
-    motion = SweepLimits().within_envelope(model, known)
-    policy = Policy.of(track.drift, model, goal, costs, sweeps.of_session(track.outcomes[0].session), motion)
+    calibration, visible = sweeps.of_session(track.outcomes[0].session), SweepLimits()
+    if tilts(model, values, np.zeros((1, len(track.cell.joints))))[0] > visible.tilt:
+        # Fringes were seen wherever the calibration stood.
+        stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))
+        visible = replace(visible, tilt=float(stood.max()))
+    policy = Policy.of(track.drift, model, goal, costs, calibration, visible.within_envelope(model, known))
     due = track.calibration_due
     reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)

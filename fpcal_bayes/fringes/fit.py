@@ -114,6 +114,8 @@ def fit_course(
     mirror_light: float = 0.0,
     max_steps: int = 40,
     warm: Fit | None = None,
+    known: Fit | None = None,
+    slope: Floats | None = None,
 ) -> Fit:
     """Fit a signal from a starting profile.
 
@@ -125,6 +127,8 @@ def fit_course(
     mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with
     visibility.
     warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
+    known: what other samples of the trace say by the same prior, nuisance and noise, which is then the prior.
+    slope: rad of phase for a unit of a further unknown, the last, whose prior is standard normal, shape (n,).
     """
     mean, modes_um = _modes(profile)
     degree = len(mean)
@@ -134,13 +138,18 @@ def fit_course(
     first, off = start if warm is None else warm.profile, -mean
     off[: len(first)] += first
     z = np.linalg.lstsq(modes_um, off, rcond=None)[0]
+    if slope is not None:
+        modes, z = np.column_stack([modes, slope]), np.append(z, 0.0)
     phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
     if warm is not None:
-        unknowns = warm.unknowns.copy()
+        own = len(unknowns) - (slope is not None)
+        unknowns[:own] = warm.unknowns[:own]
     matrix = np.empty((len(unknowns), len(unknowns)))
-    prior_weight = prior_sd**-2
+    prior_weight = np.diag(prior_sd**-2)
+    if known is not None:
+        prior_mean, prior_weight = known.unknowns, np.linalg.inv(known.unknowns_covariance)
     cost = fit_signal(
         over_time,
         over_place,
@@ -156,15 +165,14 @@ def fit_course(
         matrix,
     )
     off = prior_mean - unknowns
-    residual_squares = noise**2 * max(cost - float(prior_weight @ off**2), 0.0)
+    residual_squares = noise**2 * max(cost - float(off @ prior_weight @ off), 0.0)
     inverse = np.linalg.inv(matrix)
-    freedom = len(samples) - len(unknowns) + float(np.sum(np.diag(inverse) * prior_weight))
-    _, log_determinant = np.linalg.slogdet(matrix)
-    evidence = -0.5 * (cost + log_determinant - np.log(prior_weight).sum())
-    at = len(unknowns) - len(z)
+    freedom = len(samples) - len(unknowns) + float(np.sum(inverse * prior_weight))
+    evidence = -0.5 * (cost + np.linalg.slogdet(matrix)[1] - np.linalg.slogdet(prior_weight)[1])
+    own = slice(len(unknowns) - len(z), len(unknowns) - len(z) + modes_um.shape[1])
     return Fit(
-        profile=mean + modes_um @ unknowns[at:],
-        covariance=modes_um @ inverse[at:, at:] @ modes_um.T,
+        profile=mean + modes_um @ unknowns[own],
+        covariance=modes_um @ inverse[own, own] @ modes_um.T,
         unknowns=unknowns,
         unknowns_covariance=inverse,
         nuisance=nuisance,

@@ -7,8 +7,10 @@ one number each, an uneven course is a profile of more polynomials. The evidence
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.polynomial import Legendre
 from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
 
@@ -24,16 +26,18 @@ from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fring
 #: lags tried, in half traces.
 _MOST_LATE, _LATE_STEP, _PEAKS, _ROUNDS, _CLOSE = 3.2, 1.0 / 40.0, 2, 6, 200.0
 _LAGS = np.geomspace(2e-3, 0.2, 8)
-#: Polynomials of an uneven course, with the size in um of the first; sizes of the others fall as one over their number.
-_COURSES = ((10, 0.15), (20, 0.3), (30, 0.6), (40, 1.0))
+#: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
+_SIZINGS = 2
+_COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
+#: Share of a trace below which its first samples are fitted beside what the others say.
+_FEW = 0.3
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
 _AVERAGED, _BINS = 0.4, 16
 #: Below this probability noise alone does not explain what a fit leaves.
 UNLIKELY = 1e-4
 
-#: Moves samples to where the mirror is, for one number.
-_Warp = Callable[[Samples, float], Samples]
-_Fitter = Callable[[Samples, Fit | None, DisplacementProfile, Floats], Fit]
+#: Fits samples from another fit, on the joint's course unless told otherwise.
+_Fitter = Callable[..., Fit]
 
 
 @dataclass(frozen=True)
@@ -45,12 +49,17 @@ class Followed:
     #: set_out, lag: Place at which the mirror set out, and how long it lags, as a share of half the trace.
     set_out: float = -1.0
     lag: float = 0.0
-    uneven: bool = False  # whether the course has polynomials that no joint makes
+    size: float = 0.0  # of a course that has polynomials that no joint makes, in um
 
     @cached_property
     def errors(self) -> PhaseErrors:
         """What the best fit leaves."""
         return PhaseErrors.of(self.solution.best, self.solution.samples, self.phase_per_um)
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the course has polynomials that no joint makes."""
+        return self.size > 0.0
 
     @property
     def astray(self) -> bool:
@@ -83,9 +92,12 @@ def follow(
     start = smooth.best.profile if smooth else _searched(samples, profile, phase_per_um)
     if start is None:
         return None
-    used = _chunked(samples, bins(start[None], phase_per_um, _BINS))
+    size = max(1, len(samples) // bins(start[None], phase_per_um, _BINS))
+    used = _chunked(samples, size)
 
-    def fit(moved: Samples, warm: Fit | None, prior: DisplacementProfile, begin: Floats) -> Fit:
+    def fit(
+        moved: Samples, warm: Fit | None, prior: DisplacementProfile = profile, begin: Floats = start, **more: Any
+    ) -> Fit:
         return fit_course(
             moved,
             prior,
@@ -96,16 +108,15 @@ def follow(
             mirror_light=mirror_light,
             max_steps=20,
             warm=warm,
+            **more,
         )
 
-    tries = [Followed(FringeSolution((fit(used, None, profile, start),), used), phase_per_um)]
+    tries = [Followed(FringeSolution((fit(used, None),), used), phase_per_um)]
     fringes = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(lengths_at(start, _PLACES))))]) * phase_per_um / 2 / np.pi
     places = np.interp(np.arange(0.0, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP), fringes, _PLACES)
     if len(places) > 2:
-        found, at = _scanned(samples, _late, places, tries[0], profile, fit)
-        tries.append(Followed(found, phase_per_um, set_out=at))
-    found, at = _scanned(samples, _lagging, _LAGS, tries[0], profile, fit)
-    tries.append(Followed(found, phase_per_um, lag=at))
+        tries.append(_set_out(samples, size, places, tries[0], fit))
+    tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.solution.best.evidence)
     if best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
@@ -116,7 +127,7 @@ def follow(
     ranked = sorted(tries, key=lambda each: -each.solution.best.evidence)[:3]
     for each in {id(each): each for each in (tries[0], *ranked)}.values():
         old, moved = each.solution.best, each.solution.samples
-        prior = profile if len(old.profile) == DEGREE else _loose(profile, len(old.profile))
+        prior = loosened(profile, len(old.profile), each.size) if each.uneven else profile
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends)
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
@@ -137,9 +148,8 @@ def _searched(samples: Samples, profile: DisplacementProfile, phase_per_um: floa
     return found[0] if len(found) else None
 
 
-def _chunked(samples: Samples, n: int) -> Samples:
-    """Averages over equal times, so that all courses are held against the same numbers."""
-    size = max(1, len(samples) // n)
+def _chunked(samples: Samples, size: int) -> Samples:
+    """Averages of `size` samples, so that all courses are held against the same numbers."""
     first = np.arange(0, len(samples), size)
     count = np.add.reduceat(samples.count, first)
     parts = (samples.s, samples.time, samples.signal)
@@ -160,38 +170,26 @@ def _lagging(samples: Samples, lag: float) -> Samples:
     return replace(samples, s=first + lagged)
 
 
-def _scanned(
-    whole: Samples,
-    warp: _Warp,
-    grid: Floats,
-    smooth: Followed,
-    profile: DisplacementProfile,
-    fit: _Fitter,
-) -> tuple[FringeSolution, float]:
-    """The best fit of a warped trace and its number; how little a trace tells of it goes to the change's variance."""
-    used, first = smooth.solution.samples, smooth.solution.best
+def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter) -> Followed:
+    """A mirror that sets out late; how little a trace tells of the place goes to the change's variance."""
+    used, first, per_um = smooth.solution.samples, smooth.solution.best, smooth.phase_per_um
+    # Only the first samples tell a late start, and in a fit of the others they take no part.
+    n_early = int(np.flatnonzero(used.s <= grid[-1])[-1]) + 1
+    is_early = np.arange(len(used)) < n_early
+    early, held = used.part(is_early), fit(used.part(~is_early), first)
+    known, some = None, whole
+    # What many others say of the signal is normal, and need not be worked out again.
+    if n_early < _FEW * len(used):
+        known, some = held, whole.part(np.arange(len(whole)) < n_early * size)
 
-    def at(value: float, warm: Fit) -> FringeSolution:
-        moved = warp(whole, value)
-        # A late mirror reaches the end with its joint; one that lags does not.
-        ends = (max(-1.0, value), 1.0) if warp is _late else (float(moved.s[0]), float(moved.s[-1]))
-        moved = _chunked(moved, len(used))
-        return FringeSolution((replace(fit(moved, warm, profile, warm.profile), ends=ends),), moved)
+    def at(value: float, warm: Fit, known: Fit | None = known, some: Samples = some) -> FringeSolution:
+        moved = _chunked(_late(some, value), size)
+        found = replace(fit(moved, warm, known=known), ends=(max(-1.0, value), 1.0))
+        return FringeSolution((found,), moved)
 
-    least = -np.inf if warp is _late else 0.0
-    if warp is _late:
-        # Only the first samples tell a late start, and in a fit of the others they take no part.
-        early = used.part(used.s <= grid[-1])
-        held = fit(used.part(used.s > grid[-1]), first, profile, first.profile)
-        for _ in range(2):
-            costs = np.array([held.misses(warp(early, float(v)), smooth.phase_per_um) for v in grid]) / held.noise**2
-            held = at(float(grid[np.argmin(costs)]), held).best
-    else:
-        fits = [at(float(grid[0]), first).best]
-        for value in grid[1:]:
-            fits.append(at(float(value), fits[-1]).best)
-        costs = -2.0 * np.array([each.evidence for each in fits])
-        held = fits[int(np.argmin(costs))]
+    for _ in range(2):
+        costs = np.array([held.misses(_late(early, float(v)), per_um) for v in grid]) / held.noise**2
+        held = at(float(grid[np.argmin(costs)]), held).best
     # A phase and its mirror image at the nearest extreme make nearly the same signal, and each is looked at closely.
     beside = np.pad(costs, 1, constant_values=np.inf)
     lows = np.flatnonzero((costs <= beside[:-2]) & (costs <= beside[2:]))
@@ -200,27 +198,55 @@ def _scanned(
     likely = costs[lows] + np.where(np.isfinite(depth), depth, 0.0) < costs.min() + _CLOSE
     laid: list[tuple[FringeSolution, float, float]] = []
     for i in lows[likely][np.argsort(costs[lows[likely]])][:_PEAKS]:
-        value = float(grid[i])
-        laid += _laid(at, held, value, least, 0.5 * float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
+        laid += _laid(at, held, float(grid[i]), 0.5 * float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
     best, value, width = max(laid, key=lambda each: each[0].best.evidence)
-    if warp is _late:
-        phase, further = best.best.phase(np.array([value, value + 1e-6]), smooth.phase_per_um)
-        image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
-        laid += _laid(at, best.best, float(image), least, 4.0 * width)
-        best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
+    phase, further = best.best.phase(np.array([value, value + 1e-6]), per_um)
+    image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
+    laid += _laid(at, best.best, float(image), 4.0 * width)
+    best, value, _ = max(laid, key=lambda each: each[0].best.evidence)
     share = np.array([width * np.exp(each.best.evidence - best.best.evidence) for each, _, width in laid])
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
-    known = replace(best.best, ends_variance=float(share @ change**2 / share.sum()))
-    return replace(best, fits=(known,)), value
+    found = at(value, best.best, None, whole)
+    told = replace(found.best, ends_variance=float(share @ change**2 / share.sum()))
+    return Followed(replace(found, fits=(told,)), per_um, set_out=value)
+
+
+def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:
+    """A mirror that lags: the best of some lags, then one more unknown of the fit."""
+    per_um, held = smooth.phase_per_um, smooth.solution.best
+    fits = []
+    for lag in _LAGS:
+        held = fit(_chunked(_lagging(whole, float(lag)), size), held)
+        fits.append(held)
+    best = int(np.argmax([each.evidence for each in fits]))
+    held, lag = fits[best], float(_LAGS[best])
+    for _ in range(_ROUNDS):
+        moved = _lagging(whole, lag)
+        shift = _chunked(replace(moved, s=(_lagging(whole, lag * np.exp(1e-4)).s - moved.s) / 1e-4), size).s
+        moved = _chunked(moved, size)
+        held = fit(moved, held, slope=per_um * Legendre([0.0, *held.profile]).deriv()(moved.s) * shift)
+        step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))
+        lag *= float(np.exp(np.clip(step, -0.5, 0.5)))
+        if abs(step) < 0.1 * sd:
+            break
+
+    def at(value: float) -> FringeSolution:
+        moved = _lagging(whole, value)
+        # A mirror that lags does not reach the end with its joint.
+        ends, moved = (float(moved.s[0]), float(moved.s[-1])), _chunked(moved, size)
+        return FringeSolution((replace(fit(moved, held), ends=ends),), moved)
+
+    found = at(lag)
+    beside = at(lag * np.exp(min(sd, 0.5))).best.change[0] - found.best.change[0]
+    return Followed(replace(found, fits=(replace(found.best, ends_variance=beside**2),)), per_um, lag=lag)
 
 
 def _laid(
-    at: Callable[[float, Fit], FringeSolution], held: Fit, value: float, least: float, width: float
+    at: Callable[[float, Fit], FringeSolution], held: Fit, value: float, width: float
 ) -> list[tuple[FringeSolution, float, float]]:
     """Fits around a number, which need not be normal, with the numbers and the width that each stands for."""
     for _ in range(_ROUNDS):
         near = value + width * np.linspace(-1.0, 1.0, 9)
-        near = near[near > least]
         found = [at(float(each), held) for each in near]
         evidence = np.array([each.best.evidence for each in found])
         share = np.exp(evidence - evidence.max())
@@ -228,24 +254,38 @@ def _laid(
         outside = share[[0, -1]].max() >= 0.05
         if (share > 0.05).sum() >= 3 and not outside:
             break
-        width *= 1.5 if outside else 0.35
+        if outside:
+            width *= 1.5
+            continue
+        # A parabola through the best three tells where and how wide the next ones lie.
+        i = int(np.argmax(share))
+        low, mid, high = evidence[i - 1 : i + 2]
+        bend = 2.0 * mid - low - high
+        value += 0.25 * width * 0.5 * (high - low) / bend
+        width *= float(np.clip(0.75 / np.sqrt(bend), 0.1, 0.5))
     return [(each, float(v), 0.25 * width) for each, v in zip(found, near, strict=True)]
 
 
-def _loose(profile: DisplacementProfile, degree: int) -> DisplacementProfile:
-    return loosened(profile, degree, dict(_COURSES)[degree])
-
-
 def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[Followed]:
-    """Fits of courses with more and more polynomials, along the places of `base`."""
+    """Fits of courses with more and more polynomials, along the places of `base`, until one holds."""
     old, moved = base.solution.best, base.solution.samples
     begin = _demodulated(old, moved, base.phase_per_um)
-    tried = []
-    for degree, _ in _COURSES:
-        if len(moved) > 5 * degree:
-            prior = _loose(profile, degree)
-            best = replace(fit(moved, None, prior, begin[:degree]), ends=old.ends, ends_variance=old.ends_variance)
-            tried.append(replace(base, solution=FringeSolution((best,), moved), uneven=True))
+    tried: list[Followed] = []
+    for degree, size in _COURSES:
+        if len(moved) <= 2 * degree:
+            break
+        best = fit(moved, None, loosened(profile, degree, size), begin[:degree])
+        tried.append(replace(base, solution=FringeSolution((best,), moved), size=size))
+        holds = tried[-1].errors.probability > UNLIKELY
+        for _ in range(_SIZINGS if holds else 0):
+            # The polynomials that no joint makes tell how large the course is.
+            own = (best.profile**2 + np.diag(best.covariance))[DEGREE:].sum()
+            size *= float(np.sqrt(own / np.diag(loosened(profile, degree, size).covariance)[DEGREE:].sum()))
+            best = fit(moved, None, loosened(profile, degree, size), best.profile)
+        best = replace(best, ends=old.ends, ends_variance=old.ends_variance)
+        tried[-1] = replace(base, solution=FringeSolution((best,), moved), size=size)
+        if holds and best.evidence < max(each.solution.best.evidence for each in tried):
+            break
     return tried
 
 

@@ -107,6 +107,7 @@ def normal_equations(
     counts: coefficients of A, of log B over time, of log B over the place.
     base, modes: known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
     signal, weight: signal and inverse variances, shape (n,).
+    prior_mean, prior_weight: of the unknowns, and the inverse of its covariance, shapes (p,) and (p, p).
     matrix, gradient: filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
     """
     n, n_modes = modes.shape
@@ -163,11 +164,13 @@ def normal_equations(
             for j in range(i + 1):
                 matrix[i, j] += scaled * row[j]
     for i in range(p):
-        off = prior_mean[i] - unknowns[i]
-        cost += prior_weight[i] * off * off
-        gradient[i] += prior_weight[i] * off
-        matrix[i, i] += prior_weight[i]
-        for j in range(i):
+        pull = 0.0
+        for j in range(p):
+            pull += prior_weight[i, j] * (prior_mean[j] - unknowns[j])
+        cost += pull * (prior_mean[i] - unknowns[i])
+        gradient[i] += pull
+        for j in range(i + 1):
+            matrix[i, j] += prior_weight[i, j]
             matrix[j, i] = matrix[i, j]
     return cost
 

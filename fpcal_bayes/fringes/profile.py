@@ -22,6 +22,8 @@ from fpcal_bayes.model.parameters import ParameterSet
 DEGREE = 6
 #: Draws from the priors, half of them on each path model; seeded, so that a trace gives the same reading every time.
 _DRAWS, _SEED = 400, 20240501
+#: Length over which a course that is its own stays alike, times its number of polynomials.
+_SMOOTH = 6.0
 #: Nodes at which profiles are compared with their polynomials.
 _NODES = 15
 
@@ -62,10 +64,18 @@ def lengths_at(profile: Floats, s: Floats) -> Floats:
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:
-    """The same for a mirror that leaves its joint's course: polynomials up to `degree`, their sds `size` / n in um."""
+    """The same for a mirror that leaves its joint's course by a smooth random function, in polynomials up to `degree`.
+
+    size: standard deviation of that function, in um. It is as rough at the ends as in the middle (a Matern process with
+    nu = 5/2; C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning, chapter 4), which polynomials with
+    coefficients of their own are not.
+    """
+    s, _ = np.polynomial.legendre.leggauss(2 * degree)
+    apart = np.sqrt(5.0) * np.abs(s[:, None] - s) * degree / _SMOOTH
+    project = size * np.linalg.pinv(legendre(s, degree))[1:]
+    covariance = project @ ((1.0 + apart + apart**2 / 3.0) * np.exp(-apart)) @ project.T
     room = degree - len(profile.mean)
-    covariance = np.pad(profile.covariance, (0, room)) + np.diag((size / np.arange(1.0, degree + 1)) ** 2)
-    return DisplacementProfile(np.pad(profile.mean, (0, room)), covariance)
+    return DisplacementProfile(np.pad(profile.mean, (0, room)), np.pad(profile.covariance, (0, room)) + covariance)
 
 
 def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:

@@ -47,6 +47,8 @@ _PLACES = {
     "task_errors": "tasks.error",
     "task_jacobian": "tasks.error",
     "task_rows": "tasks.error",
+    "validation_plan": "verification.choice",
+    "verify": "verification.verify",
     "whitened_jacobian": "observability.observe",
 }
 

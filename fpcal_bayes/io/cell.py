@@ -1,12 +1,13 @@
 """A cell from its TOML description, with a message for everything that can be wrong in it."""
 
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from fpcal_bayes.core.errors import InputError, largest
-from fpcal_bayes.core.files import read_text, require_line_end
+from fpcal_bayes.core.files import read_text, require_line_end, write_text
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_envelope import read_envelope
 from fpcal_bayes.io.cell_tasks import read_tasks
@@ -85,7 +86,7 @@ def load_cell(
     InputError
         If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
     """
-    path = data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
+    path = _path(source)
     try:
         text = read_text(path)
     except InputError as error:
@@ -106,6 +107,35 @@ def load_cell(
     if mechanics == "none":
         cell = cell.ideal
     return cell if opd is None else cell.with_opd(opd)
+
+
+def _path(source: str | Path) -> Path:
+    return data_file(f"{source}.toml") if str(source) in built_in_cells() else Path(source)
+
+
+#: A comment, a table's head with its first key, or a walk in a drift table.
+_WALKS = re.compile(r"(#[^\n]*)|^[ \t]*\[+[ \t]*(\w+)|(\bwalk_\w+[ \t]*=[ \t]*)([-+.\w]+)", re.MULTILINE)
+
+
+def write_resized_cell(source: str | Path, robot: float, mirror: float, output: Path) -> None:
+    """Write a cell's file again, its walks `robot` and `mirror` times as large; all else stays as it stands.
+
+    `InputError` if they stand in a way that is not understood; nothing is written then.
+    """
+    path, table = _path(source), ""
+
+    def resized(found: re.Match[str]) -> str:
+        nonlocal table
+        table = found[2] or table
+        factor = mirror if table == "extrinsic" else robot
+        return f"{found[3]}{float(found[4]) * factor:.4g}" if found[3] else found[0]
+
+    text = _WALKS.sub(resized, read_text(path))
+    for now, before in zip(_Reader(source).cell(tomllib.loads(text)).drift, load_cell(source).drift, strict=True):
+        wanted = before.walk * (mirror if now.name in EXTRINSICS else robot)
+        if not math.isclose(now.walk, wanted, rel_tol=1e-3):
+            raise InputError(f"{source}: the drift of {now.name} stands in a way that is not understood")
+    write_text(output, text)
 
 
 #: Whether somebody has looked which way the axes go.

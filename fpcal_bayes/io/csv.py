@@ -44,7 +44,8 @@ class Records:
         rest = self.header[len(names) :]
         if self.header[: len(names)] != list(names) or not set(rest) <= set(others):
             then = f", then any of {','.join(others)}" if others else ""
-            raise located(self.path, f"expected the header {','.join(names)}{then}", row=self.header_row)
+            found = shown(",".join(self.header))
+            raise located(self.path, f"expected the header {','.join(names)}{then}, found {found}", row=self.header_row)
 
     def columns(self) -> dict[str, tuple[str, ...]]:
         """The texts of each column; `InputError` if a row has more or fewer fields than the header."""
@@ -110,7 +111,7 @@ def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
     text = read_text(path)
     head, _, body = text.lstrip("\r\n").partition("\n")
     if tuple(head.strip().split(",")) != names:
-        raise located(path, f"expected the header {','.join(names)}", row=1)
+        raise located(path, f"expected the header {','.join(names)}, found {shown(head.strip())}", row=1)
     if not body.strip():
         raise InputError(f"{path}: no samples under the header")
     if body.count("\n") > MAX_SAMPLES:

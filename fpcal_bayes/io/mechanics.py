@@ -19,19 +19,10 @@ _LARGEST = 1e6
 def joint_mechanics(table: Mapping[str, Any], *, prismatic: bool, place: str) -> JointMechanics:
     """The sizes that a table ``[joint.mechanics]`` states.
 
-    Parameters
-    ----------
-    table
-        Keys as in the contract: ``straightness_nm``, ``reversal_urad``, ``lever_mm`` ...
-    prismatic
-        Whether the joint moves along (nm) or turns (urad).
-    place
-        Where the table stands, for messages.
-
-    Raises
-    ------
-    InputError
-        If a key is unknown or not meant for this kind of joint, or a value is no size.
+    table: keys as in the contract: ``straightness_nm``, ``reversal_urad``, ``lever_mm`` ...
+    prismatic: whether the joint moves along (nm) or turns (urad).
+    place: where the table stands, for messages.
+    Raises InputError if a key is unknown or not meant for this kind of joint, or a value is no size.
     """
     own, shown = ("nm", "um") if prismatic else ("urad", "deg")
     names = {key: key for key in (_LINEAR_ONLY if prismatic else _TURNING_ONLY)}
@@ -59,10 +50,7 @@ def joint_mechanics(table: Mapping[str, Any], *, prismatic: bool, place: str) ->
 def cell_mechanics(table: Mapping[str, Any], joints: tuple[JointMechanics, ...], *, place: str) -> Mechanics:
     """The sizes that a cell's table ``[mechanics]`` adds to those of its joints.
 
-    Raises
-    ------
-    InputError
-        If a key is unknown or a value is no size.
+    Raises InputError if a key is unknown or a value is no size.
     """
     known = {"drift_nm_per_min": 0.0, "minutes_per_sweep": 1e-6, "correlated_nm": 0.0}
     for key in table:

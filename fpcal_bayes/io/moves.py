@@ -49,11 +49,8 @@ class _Pose:
 def write_order_moves(path: str | Path, orders: Sequence[Order], cell: Cell) -> None:
     """Write the drives of a plan as moves, CSV or MATLAB.
 
-    Raises
-    ------
-    InputError
-        If the cell names no controller for a joint or one channel twice, joints of two controllers are to move in step,
-        or the file cannot be written.
+    Raises InputError if the cell names no controller for a joint or one channel twice, joints of two controllers are to
+    move in step, or the file cannot be written.
     """
     poses = []
     for order in orders:
@@ -134,18 +131,10 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
     """Sweeps of what controllers logged; measured where the log holds lengths, else a plan.
 
-    Parameters
-    ----------
-    path
-        CSV or MATLAB.
-    session, time_h
-        Of the sweeps, where the log does not say; with clock times, `time_h` is that of the first row.
-
-    Raises
-    ------
-    InputError
-        If a row names an axis or a unit that the cell does not have, a position leaves the limits, an axis is never
-        placed, or the moves make no sweeps.
+    path: CSV or MATLAB.
+    session, time_h: of the sweeps, where the log does not say; with clock times, `time_h` is that of the first row.
+    Raises InputError if a row names an axis or a unit that the cell does not have, a position leaves the limits, an
+    axis is never placed, or the moves make no sweeps.
     """
     path = Path(path)
     table, rows = _read(path)

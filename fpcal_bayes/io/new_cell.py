@@ -49,16 +49,9 @@ together = []                     # <- groups of joints that may move at once: [
 def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
     """Kinds and links (beta, alpha, d, theta, r in deg and um, shape (n, 5)) from modified DH parameters.
 
-    Parameters
-    ----------
-    path
-        CSV with the columns ``kind,alpha_deg,a_um,theta_deg,d_um`` (Craig's alpha and a of the link before, theta and d
-        of the joint, without the joint's own value), a row a joint from base to tool; ``beta_deg`` may follow.
-
-    Raises
-    ------
-    InputError
-        If the file is anything else.
+    path: CSV with the columns ``kind,alpha_deg,a_um,theta_deg,d_um`` (Craig's alpha and a of the link before, theta and
+    d of the joint, without the joint's own value), a row a joint from base to tool; ``beta_deg`` may follow.
+    Raises InputError if the file is anything else.
     """
     records = read_records(Path(path))
     texts = [[text.strip() for text in row] for row in records.texts]
@@ -85,10 +78,8 @@ def new_cell_text(
 ) -> str:
     """The text of a cell file.
 
-    Parameters
-    ----------
-    gap_sd_um
-        Standard deviation of the layout's gap where it was measured; without it the file leaves it to be filled in.
+    gap_sd_um: standard deviation of the layout's gap where it was measured; without it the file leaves it to be filled
+    in.
     """
     directions = layout.directions()
     words = [_axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]

@@ -1,5 +1,6 @@
 """Recorded sweeps from and to files: an index as CSV that names its traces, or HDF5 or MATLAB that holds them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from fpcal_bayes.core.errors import InputError
@@ -15,10 +16,11 @@ from fpcal_bayes.model.cell.cell import Cell
 _MAT_SUFFIX = ".mat"
 
 
-def read_recordings(path: str | Path, cell: Cell) -> TraceIndex:
+def read_recordings(path: str | Path, cell: Cell, columns: Mapping[str, str] | None = None) -> TraceIndex:
     """Read recorded sweeps with their traces and scans.
 
     path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
+    columns: what the files of traces call the columns that they call otherwise.
     """
     path = Path(path)
     require_readable(path)
@@ -28,7 +30,7 @@ def read_recordings(path: str | Path, cell: Cell) -> TraceIndex:
     elif suffix == _MAT_SUFFIX:
         index = read_mat_index(path, cell)
     else:
-        index = read_csv_index(path, cell)
+        index = read_csv_index(path, cell, columns or {})
     check_index(index, cell)
     return index
 

@@ -1,5 +1,6 @@
 """Recorded sweeps as a CSV that names the files of traces and scans."""
 
+from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
@@ -26,8 +27,8 @@ from fpcal_bayes.measure.traces import Trace, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 
-def read_csv_index(path: Path, cell: Cell) -> TraceIndex:
-    """Read an index and the files that it names, which lie in the index's folder."""
+def read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> TraceIndex:
+    """Read an index and the files that it names, which lie in the index's folder; `columns` as in `read_trace`."""
     records = read_records(path, "a header and sweeps")
     for name in MEASUREMENT:
         if name in records.header:
@@ -48,7 +49,9 @@ def read_csv_index(path: Path, cell: Cell) -> TraceIndex:
 
     def trace_of(i: int) -> Trace:
         file = named("trace", i)
-        return no_trace() if file is None else read_trace(file, float(cell.joint_scales[moving_joint(sweeps, i)]))
+        if file is None:
+            return no_trace()
+        return read_trace(file, float(cell.joint_scales[moving_joint(sweeps, i)]), columns)
 
     def scan_of(name: str, i: int) -> WavelengthScan | None:
         file = named(name, i)

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
@@ -18,16 +19,14 @@ from scipy.io import loadmat
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.columns import CONDITIONS, INDEX, SCANS, check_names, from_columns, is_text, joint_columns
-from fpcal_bayes.io.hdf5 import is_hdf5
+from fpcal_bayes.io.hdf5 import MAX_BYTES
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS, Trace, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
-    """Read an index from a MATLAB file of version 7 or older, whose variables are as the module says."""
-    if is_hdf5(path) or b"MATLAB 7.3" in path.read_bytes()[:128]:
-        raise InputError(f"{path}: a MATLAB file of version 7.3: expected version 7, as save(..., '-v7') makes it")
+    """Read an index from a MATLAB file, whose variables are as the module says."""
     content = load_variables(path)
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     scan_names = [f"{scan}_{column}" for scan in SCANS for column in SCAN_COLUMNS]
@@ -67,9 +66,37 @@ def load_variables(path: Path) -> dict[str, Any]:
 
 def _load(path: str) -> dict[str, Any]:
     try:
+        if h5py.is_hdf5(path):
+            return _load_hdf5(path)
         return dict(loadmat(path, squeeze_me=False, chars_as_strings=True))
-    except Exception as error:  # scipy raises whatever a damaged file leads to
+    except Exception as error:  # scipy and h5py raise whatever a damaged file leads to
         raise InputError(f"{path}: not a MATLAB file, or a damaged one ({str(error)[:100]})") from None
+
+
+def _load_hdf5(path: str) -> dict[str, Any]:
+    """The variables of a file of version 7.3: arrays lie transposed, cells are references, texts are codes."""
+    room = MAX_BYTES
+
+    def value(item: Any) -> Any:
+        nonlocal room
+        room -= item.nbytes
+        if room < 0:
+            raise ValueError(f"more than {MAX_BYTES} bytes")
+        kind = item.attrs.get("MATLAB_class", b"double")
+        if item.attrs.get("MATLAB_empty", 0):
+            return np.zeros((0, 0), dtype=object if kind == b"cell" else float)
+        array = item[()]
+        if kind == b"char":
+            return np.array(["".join(map(chr, row)) for row in array.T.tolist()])
+        if array.dtype.kind != "O":
+            return array.T
+        cells = np.empty(array.T.shape, dtype=object)
+        for at in np.ndindex(*cells.shape):
+            cells[at] = value(file[array.T[at]])
+        return cells
+
+    with h5py.File(path) as file:
+        return {name: value(item) for name, item in file.items() if isinstance(item, h5py.Dataset)}
 
 
 def _scans(path: Path, name: str, variables: dict[str, Any], n: int) -> list[WavelengthScan | None]:

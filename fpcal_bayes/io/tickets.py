@@ -29,10 +29,7 @@ from fpcal_bayes.model.cell.cell import Cell
 def read_ticket(path: str | Path, cell: Cell) -> Ticket:
     """Read a ticket or a plan from a CSV file; it may have no rows.
 
-    Raises
-    ------
-    InputError
-        If the file holds measured values, or anything in it is not as documented.
+    Raises InputError if the file holds measured values, or anything in it is not as documented.
     """
     path = Path(path)
     records = read_records(path, "a header and sweeps")
@@ -62,10 +59,7 @@ def read_ticket(path: str | Path, cell: Cell) -> Ticket:
 def write_ticket(path: str | Path, ticket: Ticket, cell: Cell) -> None:
     """Write a ticket or a plan to a CSV file, whole or not at all; without sweeps it is a header alone.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written or not be read back.
+    Raises InputError if the file cannot be written or not be read back.
     """
     names = (*LEADING, *joint_columns(cell), *PLAN)
     if ticket.plan is None:

@@ -4,6 +4,7 @@ The file of a path has the columns ``part,t_s`` and the joints, ``q1_um`` .. ``q
 is ``reference`` or ``path``, as `fpcal_bayes.measure.traces.PathTrace` says.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.files import read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_numbers, read_records, write_numbers, write_table
+from fpcal_bayes.io.formats import is_other, read_named
 from fpcal_bayes.io.validate import shown
 from fpcal_bayes.measure.traces import (
     PARTS,
@@ -28,13 +30,15 @@ from fpcal_bayes.measure.traces import (
 from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 
-def read_trace(path: str | Path, scale: float) -> Trace:
-    """A trace from a CSV file with the columns ``t_s,joint,irradiance_v``.
+def read_trace(path: str | Path, scale: float, columns: Mapping[str, str] | None = None) -> Trace:
+    """A trace from a CSV file with the columns ``t_s,joint,irradiance_v``, or from a file of another program.
 
-    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg.
+    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg; `columns` says what the file
+    calls the columns that it calls otherwise.
     """
     path = Path(path)
-    table = read_numbers(path, TRACE_COLUMNS)
+    other = is_other(path, ",".join(TRACE_COLUMNS))
+    table = read_named(path, TRACE_COLUMNS, columns or {}) if other else read_numbers(path, TRACE_COLUMNS)
     trace = Trace(table[0], table[1] * scale, table[2], str(path))
     check_trace(trace, partial(_line, path))
     return trace

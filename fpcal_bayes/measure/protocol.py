@@ -109,7 +109,7 @@ def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
     order = np.repeat(np.arange(len(sweeps)), often)
     place = np.arange(len(order)) - np.repeat(np.cumsum(often) - often, often) + 1
     expanded, of = sweeps.take(order), often[order]
-    share = (place / of)[:, None]
+    share, still = (place / of)[:, None], expanded.q_start == expanded.q_end
     named = [
         label if i == n else f"{label}{_MIDPOINT}" if n == 2 else f"{label}-{i}/{n}"
         for label, i, n in zip(expanded.label.tolist(), place.tolist(), of.tolist(), strict=True)
@@ -117,9 +117,9 @@ def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
     return replace(
         expanded,
         label=np.array(named, dtype=np.str_),
-        q_end=expanded.q_start * (1.0 - share) + expanded.q_end * share,
+        # A joint that stands still does so exactly: rounding is no motion.
+        q_end=np.where(still, expanded.q_end, expanded.q_start * (1.0 - share) + expanded.q_end * share),
         group=np.where(of > 1, names[order], expanded.group),
-        rows=np.arange(2, len(order) + 2),
     )
 
 

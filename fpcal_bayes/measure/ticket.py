@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.times import clock, iso
@@ -15,41 +16,20 @@ from fpcal_bayes.model.cell.cell import Cell
 
 @dataclass(frozen=True)
 class Ticket:
-    """Sweeps to measure.
+    """Sweeps to measure."""
 
-    Attributes
-    ----------
-    file
-        Where it was read.
-    plan
-        Whole sweeps without measurement; None if nothing is to be measured.
-    readings
-        How many each sweep has, at equal steps; 0: the whole trace, shape (n,).
-    expires_h
-        Hours of the campaign, or NaN.
-    expires_utc
-        Unix time, or NaN.
-    name
-        The ticket's own, or empty.
-    sha256
-        Of the file.
-    """
-
-    file: str
-    plan: Sweeps | None
-    readings: Ints
-    expires_h: float = np.nan
-    expires_utc: float = np.nan
-    name: str = ""
-    sha256: str = ""
+    file: str  # where it was read
+    plan: Sweeps | None  # whole sweeps without measurement; None if nothing is to be measured
+    readings: Ints  # how many each sweep has, at equal steps; 0: the whole trace, shape (n,)
+    expires_h: float = np.nan  # hours of the campaign, or NaN
+    expires_utc: float = np.nan  # Unix time, or NaN
+    name: str = ""  # the ticket's own, or empty
+    sha256: str = ""  # of the file
 
     def rows(self) -> Sweeps:
         """The rows that measuring gives, as a plan; a whole trace is one.
 
-        Raises
-        ------
-        ValueError
-            If nothing is to be measured.
+        Raises ValueError if nothing is to be measured.
         """
         if self.plan is None:
             raise ValueError("a ticket without sweeps has no rows")
@@ -83,9 +63,14 @@ def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
     """
     planned = ticket.rows()
     names = set(planned.session.tolist())
-    near = np.where(cell.joint_scales == 1.0, _NEAR_UM, np.radians(_NEAR_DEG))
-    ends = np.hstack([planned.q_start, planned.q_end])
-    taken: dict[int, int] = {}
+    near = np.tile(np.where(cell.joint_scales == 1.0, _NEAR_UM, np.radians(_NEAR_DEG)), 2)
+    ends, read = (np.hstack([sweeps.q_start, sweeps.q_end]) for sweeps in (planned, measured))
+    off = np.array([(np.abs(ends - q) / near).max(axis=1) for q in read])
+    off += 1e6 * (planned.kind != measured.kind[:, None])
+    # A ticket may ask for a sweep twice, or for two that are near each other: as many as can be stand for one each.
+    rows, columns = linear_sum_assignment(np.minimum(off, 1.0 + len(planned)))
+    row_of = {at: i for i, at in zip(rows.tolist(), columns.tolist(), strict=True) if off[i, at] <= 1.0}
+    stands = set(row_of.values())
 
     def refuse(i: int, column: str, message: str) -> NoReturn:
         raise located(measured.file, message, row=int(measured.rows[i]), column=column)
@@ -98,15 +83,13 @@ def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
         if measured.time_h[i] > ticket.expires_h or (utc and clock(utc).timestamp() > ticket.expires_utc):
             until = f"{ticket.expires_h:g} h" if measured.time_h[i] > ticket.expires_h else iso(ticket.expires_utc)
             refuse(i, "time_h", f"measured after the ticket expired at {until}: ask for a new one")
-        q = np.concatenate([measured.q_start[i], measured.q_end[i]])
-        off = (np.abs(ends - q) / np.tile(near, 2)).max(axis=1)
-        at = int(np.argmin(off + 1e6 * (planned.kind != measured.kind[i])))
-        if off[at] > 1.0 or planned.kind[at] != measured.kind[i]:
+        at = int(np.argmin(off[i]))
+        if off[i, at] > 1.0:
             label = str(planned.label[at])
             refuse(
-                i, "label", f"no row of {ticket.file} asks for it; nearest is {label!r}, {off[at]:.3g} times too far"
+                i, "label", f"no row of {ticket.file} asks for it; nearest is {label!r}, {off[i, at]:.3g} times too far"
             )
-        if at in taken:
-            refuse(i, "label", f"row {taken[at]} is the same sweep of the ticket, expected each once")
-        taken[at] = int(measured.rows[i])
-    return len(planned) - len(taken)
+        if i not in stands:
+            again = int(measured.rows[row_of[at]])
+            refuse(i, "label", f"row {again} is the same sweep of the ticket, expected each once")
+    return len(planned) - len(stands)

@@ -99,10 +99,7 @@ _DRAWN = 7
 def default_truth(cell: Cell, seed: int) -> Truth:
     """The truth of a simulated cell: the paper's for the paper's robot, for any other one a constant draw of its prior.
 
-    Parameters
-    ----------
-    seed
-        The seed of numpy's default generator, for the draw.
+    seed: the seed of numpy's default generator, for the draw.
     """
     with contextlib.suppress(InputError):
         paper = paper_truth(cell)

@@ -16,51 +16,34 @@ ALONG = float(np.radians(0.05))
 
 @dataclass(frozen=True)
 class Sight:
-    """Mirror and fibre at one joint vector, in the world frame; lengths in um, angles in rad.
+    """Mirror and fibre at one joint vector, in the world frame; lengths in um, angles in rad."""
 
-    Attributes
-    ----------
-    normal, across, origin
-        Normal Zt and axis Xt of the mirror, and its origin, shape (3,) each.
-    light, fibre_x, fibre
-        Direction of the light that leaves the fibre, axis Xf, and the fibre's end, shape (3,) each.
-    point, point_on_mirror
-        Reflection point in the world frame and in the mirror frame, shape (3,) each; not finite where the light runs
-        along the mirror.
-    length
-        Distance along the light from the fibre's end to the mirror plane, below zero where the mirror stands behind
-        the fibre, infinite where the light runs along it.
-    tilt
-        Angle between the light and the normal turned round: 0 where the mirror faces the fibre, pi where its back does.
-    """
-
+    # normal, across, origin: normal Zt and axis Xt of the mirror, and its origin, shape (3,) each
     normal: Floats
     across: Floats
     origin: Floats
+    # light, fibre_x, fibre: direction of the light that leaves the fibre, axis Xf, and the fibre's end, shape (3,) each
     light: Floats
     fibre_x: Floats
     fibre: Floats
+    # point, point_on_mirror: reflection point in the world frame and in the mirror frame, shape (3,) each; not finite
+    # where the light runs along the mirror
     point: Floats
     point_on_mirror: Floats
+    # distance along the light from the fibre's end to the mirror plane, below zero where the mirror stands behind the
+    # fibre, infinite where the light runs along it
     length: float
+    # angle between the light and the normal turned round: 0 where the mirror faces the fibre, pi where its back does
     tilt: float
 
 
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Direction of each joint's axis and a point on it, in the world frame.
 
-    Parameters
-    ----------
-    vector
-        Model vector, shape (model size,), in um and rad.
-    q
-        Joint vector, shape (n_joints,), in um and rad.
-
-    Returns
-    -------
-    tuple of ndarray
-        Unit vectors along which positive joint values move, or about which they turn by the right hand, and points in
-        um; shape (n_joints, 3) each.
+    vector: model vector, shape (model size,), in um and rad.
+    q: joint vector, shape (n_joints,), in um and rad.
+    Returns unit vectors along which positive joint values move, or about which they turn by the right hand, and points
+    in um; shape (n_joints, 3) each.
     """
     pose, directions, points = np.eye(4), [], []
     for i, joint in enumerate(cell.joints):

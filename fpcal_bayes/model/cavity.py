@@ -136,6 +136,12 @@ class CavityModel:
             starts = np.where(absolute, -1, starts)
         return Rows(poses, np.ascontiguousarray(starts), np.ascontiguousarray(ends))
 
+    def turned(self, rows: Rows, way: Floats) -> Rows:
+        """The rows with each joint counted the other way where `way`, shape (n_joints,), is -1 in place of 1."""
+        poses, along = rows.poses, way[~self.cell.revolute]
+        turned = {name: getattr(poses, name) * way for name in ("q", "group_q", "group_sin")}
+        return replace(rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along))
+
     def pose_rows(self, q: Floats) -> Rows:
         """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted."""
         poses = group_poses(self.cell, q)

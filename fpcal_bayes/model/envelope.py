@@ -41,12 +41,8 @@ def breaches(
 ) -> list[Breach]:
     """Where a path leaves the cell's envelope, at most once a row and in the order of the rows.
 
-    Parameters
-    ----------
-    model, draws, path, exact
-        As in `margin`.
-    rows
-        How many rows the risk is shared by; by default those of the path.
+    model, draws, path, exact: as in `margin`.
+    rows: how many rows the risk is shared by; by default those of the path.
     """
     envelope = require_envelope(model.cell)
     found = margin(model, draws, path, exact=exact, rows=len(np.unique(path.row)) if rows is None else rows)
@@ -168,19 +164,10 @@ def require_within_envelope(
 ) -> None:
     """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on their whole path.
 
-    Parameters
-    ----------
-    model, draws
-        The cell and draws of what is known of it (`estimate_draws`, `prior_draws`).
-    file, rows
-        For the message: the source and the line of each row.
-    exact
-        As in `margin`.
-
-    Raises
-    ------
-    InputError
-        At the first such row, with what to do; nothing is refused where the cell has no envelope.
+    model, draws: the cell and draws of what is known of it (`estimate_draws`, `prior_draws`).
+    file, rows: for the message: the source and the line of each row.
+    exact: as in `margin`.
+    Raises InputError at the first such row, with what to do; nothing is refused where the cell has no envelope.
     """
     cell = model.cell
     if cell.envelope is None or not len(q_start):
@@ -203,10 +190,7 @@ def require_task_within_envelope(
 ) -> None:
     """Refuse a task through `q` (n_points, n_joints), from `start` or joint zero, that may leave the cell's envelope.
 
-    Raises
-    ------
-    InputError
-        At the first such point, with what to do; nothing is refused where the cell has no envelope.
+    Raises InputError at the first such point, with what to do; nothing is refused where the cell has no envelope.
     """
     if model.cell.envelope is None or not len(q):
         return
@@ -218,10 +202,7 @@ def require_task_within_envelope(
 def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, file: object, rows: Sequence[int]) -> None:
     """Refuse rows that no cell can give: the mirror stands behind the fibre, or turns its back to it, on the way.
 
-    Parameters
-    ----------
-    values
-        Free parameters, shape (n_free,): a truth or an estimate.
+    values: free parameters, shape (n_free,): a truth or an estimate.
     """
     ahead, facing, _, _ = Known.of(model, values).facing(path.q)
     bad = ((facing[0] <= 0) | (ahead[0] <= 0)) & ~path.between

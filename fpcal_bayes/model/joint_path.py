@@ -18,28 +18,15 @@ TRAVEL_SPEED, TURN_SPEED = 100.0, float(np.radians(2.0))
 
 @dataclass(frozen=True)
 class JointPath:
-    """Poses in the order of the rows they belong to.
+    """Poses in the order of the rows they belong to."""
 
-    Attributes
-    ----------
-    q
-        Shape (n_poses, n_joints), in um and rad.
-    row
-        Position of the row that each pose belongs to, shape (n_poses,).
-    between
-        Whether a pose lies on the way to its row's start, shape (n_poses,).
-    step
-        Pairs of poses between which the joints move straight, by position, shape (n_steps, 2), and the seconds that
-        each takes, shape (n_steps,).
-    seconds
-        See `step`.
-    """
-
-    q: Floats
-    row: Ints
-    between: Bools
+    q: Floats  # shape (n_poses, n_joints), in um and rad
+    row: Ints  # position of the row that each pose belongs to, shape (n_poses,)
+    between: Bools  # whether a pose lies on the way to its row's start, shape (n_poses,)
+    # pairs of poses between which the joints move straight, by position, shape (n_steps, 2), and the seconds that each
+    # takes, shape (n_steps,)
     step: Ints
-    seconds: Floats
+    seconds: Floats  # see `step`
 
 
 def speeds(cell: Cell) -> Floats:
@@ -72,11 +59,8 @@ def travel_seconds(cell: Cell, moves: Floats) -> Floats:
 def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True) -> JointPath:
     """The path of sweeps that are driven in their order, each (n_rows, n_joints).
 
-    Parameters
-    ----------
-    ways
-        Also look at the ways from joint zero to the first start and from each end to the next start. The order in which
-        the joints go there is not known: every pose between their old and new values counts.
+    ways: also look at the ways from joint zero to the first start and from each end to the next start. The order in
+    which the joints go there is not known: every pose between their old and new values counts.
     """
     parts: list[Floats] = []
     rows: list[Ints] = []

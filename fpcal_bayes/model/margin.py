@@ -34,31 +34,20 @@ _BLOCK = 400_000
 
 @dataclass(frozen=True)
 class Margin:
-    """What is left at each pose; lengths in um, angles in rad.
+    """What is left at each pose; lengths in um, angles in rad."""
 
-    Attributes
-    ----------
-    gap, gap_sd, least_gap
-        Clearance between mirror and fibre, edges included: expected, its standard deviation, and what it is at
-        `SIGMAS` standard deviations, shape (n_poses,).
-    tilt, most_tilt
-        Angle between light and mirror normal, expected and at `SIGMAS` standard deviations, shape (n_poses,).
-    most_aside
-        Distance of the reflection point from the mirror's origin, likewise.
-    rate
-        Half waves a second on each step of the path, likewise, shape (n_steps,).
-    known
-        Whether the gap is measured; if not, `gap` counts from the nominal one.
-    """
-
+    # gap, gap_sd, least_gap: clearance between mirror and fibre, edges included: expected, its standard deviation, and
+    # what it is at `SIGMAS` standard deviations, shape (n_poses,)
     gap: Floats
     gap_sd: Floats
     least_gap: Floats
+    # tilt, most_tilt: angle between light and mirror normal, expected and at `SIGMAS` standard deviations, shape
+    # (n_poses,)
     tilt: Floats
     most_tilt: Floats
-    most_aside: Floats
-    rate: Floats
-    known: bool
+    most_aside: Floats  # distance of the reflection point from the mirror's origin, likewise
+    rate: Floats  # half waves a second on each step of the path, likewise, shape (n_steps,)
+    known: bool  # whether the gap is measured; if not, `gap` counts from the nominal one
 
 
 def estimate_draws(estimate: Estimate, n: int = N_DRAWS, seed: int = 0) -> tuple[CavityModel, Floats]:
@@ -82,20 +71,11 @@ def normal_draws(mean: Floats, covariance: Floats, n: int = N_DRAWS, seed: int =
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a cell, as draws of its model's parameters.
+    """What is known of a cell, as draws of its model's parameters."""
 
-    Attributes
-    ----------
-    model
-        Cavity model of the parameters.
-    draws
-        Shape (n_draws, n_free), in um and rad.
-    fibre, light
-        End of the fibre and direction of its light at each draw, shape (n_draws, 1, 3).
-    """
-
-    model: CavityModel
-    draws: Floats
+    model: CavityModel  # cavity model of the parameters
+    draws: Floats  # shape (n_draws, n_free), in um and rad
+    # fibre, light: end of the fibre and direction of its light at each draw, shape (n_draws, 1, 3)
     fibre: Floats
     light: Floats
 
@@ -136,19 +116,11 @@ class Known:
 def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1) -> Margin:
     """What a path leaves between mirror and fibre.
 
-    Parameters
-    ----------
-    model, draws
-        A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
-    exact
-        The draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
-    rows
-        How many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
-
-    Raises
-    ------
-    InputError
-        If the cell has no envelope, or the gap that it states and the one that the draws have measured disagree.
+    model, draws: A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
+    exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
+    rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+    Raises InputError if the cell has no envelope, or the gap that it states and the one that the draws have measured
+    disagree.
     """
     envelope = require_envelope(model.cell)
     told = Known.of(model, draws)

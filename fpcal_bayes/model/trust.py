@@ -33,6 +33,7 @@ KINDS: dict[str, bool] = {
     "nothing-determined": False,
     "mechanics": False,
     "residuals": False,
+    "verification": False,
     "mechanics-left-out": False,
     "unrecorded": False,
 }
@@ -101,10 +102,7 @@ HELD_EXACT = "held values are taken as exact: no band holds what they are off by
 def trust_of(content: Any) -> Trust:
     """The trust that a file states; `ValueError` if it contradicts itself or is not as `Trust.content` writes it.
 
-    Parameters
-    ----------
-    content
-        What stands under ``trust``; None where a file of an older program has nothing there.
+    content: what stands under ``trust``; None where a file of an older program has nothing there.
     """
     if content is None:
         return Trust((UNRECORDED,))

@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.core.times import clock, iso
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics import weight_rows
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS
 from fpcal_bayes.motion.placement import Placement
 
@@ -72,7 +73,28 @@ def flat_content(estimate: Estimate) -> dict[str, Any]:
         "point_in_tool": np.linalg.inv(placement.tool_in_point),
         "aligned_pose": placement.aligned,
     }
-    return content | {name: frame.tolist() for name, frame in frames.items()}
+    return content | {name: frame.tolist() for name, frame in frames.items()} | _compensation(estimate)
+
+
+def _compensation(estimate: Estimate) -> dict[str, Any]:
+    """Of a machine: a table per joint of its error motions, one row per weight, and what their effects need.
+
+    Columns of a table: kind and order as in `weight_rows`, stated size in um or rad, posterior mean in units of it.
+    """
+    known = estimate.mechanics
+    if known is None:
+        return {"compensation": 0}
+    terms, (weights, factor) = known.terms(estimate.cell), known.known_motions
+    rows = [(joint, [*row, mean]) for (joint, *row), mean in zip(weight_rows(terms), weights.tolist(), strict=True)]
+    joints = range(len(estimate.cell.joints))
+    return {
+        "compensation": 1,
+        "return_sd_um_rad": (factor * terms.return_sd).tolist(),
+        "encoder_period_um_rad": np.nan_to_num(terms.encoder_period).tolist(),
+        "motion_lever_um": terms.told.lever.tolist(),
+        **{f"motion_axes_q{i + 1}": terms.told.in_base[i].tolist() for i in joints},
+        **{f"motions_q{i + 1}": [row for joint, row in rows if joint == i] for i in joints},
+    }
 
 
 def _scale(unit: str) -> float:

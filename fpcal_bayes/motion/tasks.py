@@ -75,6 +75,16 @@ class Task:
             raise InputError(f"task {self.name!r}: no point can be driven to; point 1: {self.status[0]}")
         return self.take(self.ok)
 
+    def within_turns(self) -> "Task":
+        """As `driven`; where joints that turn alone keep every point away, as far as these turn."""
+        low, high = (
+            np.where(self.cell.revolute, end, far) for end, far in ((self.cell.low, -np.inf), (self.cell.high, np.inf))
+        )
+        q, start = np.clip(self.q, low, high), np.clip(self.start, low, high)
+        if self.ok.any() or not self.finite.all() or (q < self.cell.low).any() or (q > self.cell.high).any():
+            return self.driven()
+        return replace(self, q=q, start=start, status=np.full(len(self), "ok"))
+
     def take(self, chosen: Bools | Ints) -> "Task":
         """The same task at some of its points, a mask (n_points,) or positions."""
         return replace(

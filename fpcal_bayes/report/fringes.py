@@ -18,14 +18,9 @@ _MOST = 20000
 def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, name: str, reason: str) -> Figure:
     """Draw one sweep.
 
-    Parameters
-    ----------
-    reading, samples
-        What the trace said, and the trace along the sweep.
-    start, end, name
-        The joint that moves, as a person reads it; the name with its unit.
-    reason
-        Why the sweep is doubtful; part of the title.
+    reading, samples: what the trace said, and the trace along the sweep.
+    start, end, name: the joint that moves, as a person reads it; the name with its unit.
+    reason: why the sweep is doubtful; part of the title.
     """
     figure = Figure(figsize=(9.0, 6.5), layout="constrained")
     figure.suptitle(f"{reading.label}: {reason}", fontsize=10, wrap=True)

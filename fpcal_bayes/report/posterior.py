@@ -45,16 +45,10 @@ def write_posterior_figures(
 ) -> list[Path]:
     """Draw a posterior: ranks, prior against posterior, pairs, residuals, Pareto k.
 
-    Parameters
-    ----------
-    tree
-        DataTree as `fpcal_bayes.infer.posterior.netcdf.data_tree` builds it.
-    loo
-        Leave-one-out of the same posterior.
-    folder
-        Made if it is not there; files of the same names are replaced.
-    pairs
-        Parameters of the pair plot; by default the most correlated ones.
+    tree: dataTree as `fpcal_bayes.infer.posterior.netcdf.data_tree` builds it.
+    loo: leave-one-out of the same posterior.
+    folder: made if it is not there; files of the same names are replaced.
+    pairs: parameters of the pair plot; by default the most correlated ones.
     """
     make_folder(folder)
     names = most_correlated(tree, _CHOSEN_PAIRS) if pairs is None else list(pairs)

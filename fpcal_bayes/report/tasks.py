@@ -16,12 +16,8 @@ from fpcal_bayes.report.table import Table, plain_table
 def prediction_content(prediction: TaskPrediction, tolerance: float | None, task: Task) -> dict[str, Any]:
     """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
 
-    Parameters
-    ----------
-    tolerance
-        In um, or None.
-    task
-        The whole task, of which the points that are ok are predicted; the others have nulls.
+    tolerance: in um, or None.
+    task: the whole task, of which the points that are ok are predicted; the others have nulls.
     """
     found = TaskNumbers.of(prediction, tolerance)
     content: dict[str, Any] = {

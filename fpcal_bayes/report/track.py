@@ -62,6 +62,8 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     """What to do, in one sentence."""
     if not track.trust.usable and track.calibration_due is None:
         return f"do not use this estimate: {track.trust.against}; fpcal doctor says what is wrong"
+    if decision.action == "hold" and decision.attainable_nm is not None:
+        return f"measure nothing: {decision.reason}"
     if decision.action == "hold":
         until = time_text(decision.now_h + decision.hold_hours, track.outcomes)
         return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
@@ -137,6 +139,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "minutes": decision.minutes,
         "level": decision.level,
         "tolerance_nm": 1e3 * goal.tolerance_um,
+        "attainable_nm": decision.attainable_nm if usable else None,
         "tasks": list(goal.tasks),
         "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},

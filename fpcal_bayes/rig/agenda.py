@@ -5,6 +5,7 @@ It satisfies the structural protocols of such frameworks (`suggest`, `ingest`, `
 each drive, on the disk before the next one begins. Whatever ends the program, the next one goes on from there.
 """
 
+import hashlib
 import json
 import math
 import os
@@ -34,27 +35,16 @@ _MOST_DISTURBED = 3
 
 @dataclass(frozen=True)
 class Origin:
-    """When the campaign began.
+    """When the campaign began."""
 
-    Attributes
-    ----------
-    moment_s
-        Unix time.
-    known
-        Whether a clock time of the campaign says so; else the ticket's own time is taken to be now.
-    """
-
-    moment_s: float
-    known: bool
+    moment_s: float  # Unix time
+    known: bool  # whether a clock time of the campaign says so; else the ticket's own time is taken to be now
 
 
 def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
     """When the campaign of a ticket began.
 
-    Raises
-    ------
-    InputError
-        If the campaign holds rows that lie in the future, or the ticket's session already.
+    Raises InputError if the campaign holds rows that lie in the future, or the ticket's session already.
     """
     planned = 0.0 if ticket.plan is None else float(ticket.plan.time_h.max())
     if campaign is None:
@@ -78,17 +68,9 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 class Agenda:
     """The orders of a ticket and what came of them.
 
-    Parameters
-    ----------
-    output
-        The session's file; the journal stands beside it.
-    command
-        How the session came about, kept in its file.
-
-    Raises
-    ------
-    InputError
-        If the ticket is out of date, was measured before, or the journal is another ticket's.
+    output: the session's file; the journal stands beside it.
+    command: how the session came about, kept in its file.
+    Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
     """
 
     def __init__(self, ticket: Ticket, cell: Cell, rig: Rig, output: Path, origin: Origin, command: str = "") -> None:
@@ -197,18 +179,15 @@ class Agenda:
         """The rows so far."""
         instrument = self.rig.instrument
         sigma = math.sqrt(2.0) * instrument.noise if isinstance(instrument, IDSDevice) else math.nan
-        return sweeps_of(self.orders, self.outcomes, self.cell, sigma=sigma, origin_s=self.origin.moment_s)
+        return sweeps_of(self.orders, self.outcomes, sigma=sigma, origin_s=self.origin.moment_s)
 
     def _require_plan(self) -> None:
-        recording = not isinstance(self.rig.instrument, IDSDevice)
         for order in self.orders:
-            if order.whole and not recording:
+            if order.whole and isinstance(self.rig.instrument, IDSDevice):
                 raise InputError(
                     f"{self.ticket.file}: row {order.row}, column readings: 0 asks for a trace, "
                     "expected a rig whose interferometer has record = COMMAND"
                 )
-            if recording and len(order.targets) > 1 and not order.group:
-                raise InputError(f"{self.ticket.file}: row {order.row}: expected one end to a trace")
 
     def _expired(self) -> str:
         now, ticket = self.rig.clock.now(), self.ticket
@@ -227,6 +206,7 @@ class Agenda:
             "ticket_sha256": self.ticket.sha256,
             "cell_sha256": self.cell.sha256,
             "rig": self.rig.name,
+            "devices": hashlib.sha256(repr(self.rig.measuring).encode()).hexdigest(),
             "origin_s": self.origin.moment_s,
             "origin_known": self.origin.known,
         }
@@ -253,7 +233,7 @@ class Agenda:
         except ValueError as error:
             raise InputError(f"{self._journal}: damaged ({error}): remove it to begin anew") from error
         own = self._head()
-        for name in ("schema", "ticket_sha256", "cell_sha256", "rig"):
+        for name in ("schema", "ticket_sha256", "cell_sha256", "rig", "devices"):
             if head.get(name) != own[name]:
                 raise InputError(
                     f"{self._journal}: key {name}: left by another ticket, cell or rig: remove it to begin anew"

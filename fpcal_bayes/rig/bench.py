@@ -1,14 +1,20 @@
 """The devices of a cell under one hand: go to a pose, read the length, drive an order, stop."""
 
+import contextlib
 import math
+import os
+import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.errors import HeldError, InputError
+from fpcal_bayes.core.files import exclusive
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.traces import write_trace
 from fpcal_bayes.measure.orders import Order
@@ -63,10 +69,7 @@ class Reading:
 class Bench:
     """All devices of a rig.
 
-    Parameters
-    ----------
-    folder
-        Where a recording program writes its traces.
+    folder: where a recording program writes its traces.
     """
 
     def __init__(self, cell: Cell, rig: Rig, guard: Guard, halt: Halt, log: CommandLog, folder: Path) -> None:
@@ -111,15 +114,12 @@ class Bench:
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
         """Move to a pose and wait until it is reached and held; the joint values read back.
 
-        Raises
-        ------
-        ForbiddenMoveError
-            If the move is forbidden; then nothing has moved.
-        DeviceError
-            If a device fails or an axis does not get there.
-        Disturbed
-            If `watch` is set and the fringes were lost on the way; the joints are at the target all the same.
+        Raises ForbiddenMoveError if the move is forbidden; then nothing has moved.
+        Raises DeviceError if a device fails or an axis does not get there.
+        Raises Disturbed if `watch` is set and the fringes were lost on the way; the joints are at the target all the
+        same.
         """
+        self._log.check()
         here = self.position()
         # Where the joints were sent they stand; the encoders' last digits are no motion.
         here = np.where(np.abs(here - self._commanded) <= self._guard.tolerance, self._commanded, here)
@@ -151,7 +151,7 @@ class Bench:
     def _wait(self, target: Floats, stages: list[Stage], seconds: float, allowed: float, what: str, watch: bool) -> str:
         """Wait until the joints stand at `target`; why the fringes were lost on the way, or nothing."""
         clock, lost = self._rig.clock, ""
-        began, wall, since = clock.now(), time.monotonic(), math.inf
+        began, wall, since = clock.ticks(), time.monotonic(), math.inf
         held = [self._rig.joints[i].settle_s for stage in stages for i in stage.joints]
         hold = max(held, default=0.0)
         while True:
@@ -161,7 +161,7 @@ class Bench:
             self._guard.check_pose(q, f"{what}, on the way")
             if watch and not lost:
                 lost = self._lost()
-            now = clock.now()
+            now = clock.ticks()
             away = np.abs(q - target) > self._guard.tolerance
             if settled and not away.any():
                 since = min(since, now)
@@ -195,12 +195,8 @@ class Bench:
     def read(self, target: Floats) -> Reading:
         """Read positions and length at rest.
 
-        Raises
-        ------
-        Disturbed
-            If the length is not steady or not seen, or the joints move meanwhile.
-        DeviceError
-            If a device fails or a joint does not stand at `target`.
+        Raises Disturbed if the length is not steady or not seen, or the joints move meanwhile.
+        Raises DeviceError if a device fails or a joint does not stand at `target`.
         """
         before = self.position()
         away = np.abs(before - target) > self._guard.tolerance
@@ -244,6 +240,8 @@ class Bench:
             # On the way to the start nothing is measured yet.
             self.go(target, what, watch=number > 0)
             readings.append(self.read(target))
+        if any(later.moment < earlier.moment for earlier, later in pairwise(readings)):
+            raise Disturbed("the computer's clock was set back")
         return readings
 
     def _record(self, number: int, order: Order) -> dict[str, Any]:
@@ -279,8 +277,8 @@ class Bench:
     def _await_fringes(self) -> None:
         """Give lost fringes as long as an axis has to settle to come back."""
         clock = self._rig.clock
-        end = clock.now() + max(joint.settle_timeout_s for joint in self._rig.joints)
-        while self._lost() and clock.now() < end:
+        end = clock.ticks() + max(joint.settle_timeout_s for joint in self._rig.joints)
+        while self._lost() and clock.ticks() < end:
             self._halt.wait(_LONGEST_PAUSE)
 
     def stop(self) -> list[str]:
@@ -336,6 +334,24 @@ class Bench:
         if settings.driver == "pi-gcs2":
             return PIStage(link, joints, axes, speeds, settings.servo_on)
         return SmarActStage(link, joints, axes, speeds, self._cell.revolute[list(joints)])
+
+
+@contextlib.contextmanager
+def only_one(rig: Rig) -> Iterator[None]:
+    """Hold the controllers of a rig: two programs that drive one cell would stop each other's axes.
+
+    Raises InputError if another `fpcal` on this computer drives one of them.
+    """
+    with contextlib.ExitStack() as held:
+        for controller in rig.controllers:
+            path = Path(tempfile.gettempdir()) / f"fpcal-{controller.address}.lock".replace(":", "-")
+            os.close(os.open(path, os.O_CREAT | os.O_RDONLY, 0o644))
+            try:
+                held.enter_context(exclusive(path, in_place=True))
+            except HeldError as error:
+                what = "another fpcal drives it: wait until it has ended"
+                raise InputError(f"{controller.name} at {controller.address}: {what}") from error
+        yield
 
 
 def is_recording(rig: Rig) -> bool:

@@ -16,23 +16,20 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 @dataclass(frozen=True)
 class Clock:
-    """Clock time of a cell.
+    """Clock time of a cell."""
 
-    Attributes
-    ----------
-    speedup
-        Seconds of the cell in a second of the wall; 1 for every cell that is real.
-    anchor
-        Unix time at which both clocks show the same; an emulated cell and who drives it have the same one.
-    """
-
-    speedup: float = 1.0
+    speedup: float = 1.0  # seconds of the cell in a second of the wall; 1 for every cell that is real
+    # Unix time at which both clocks show the same; an emulated cell and who drives it have the same one
     anchor: float = 0.0
 
     def now(self) -> float:
         """The cell's Unix time in s."""
         wall = time.time()
         return wall if self.speedup == 1.0 else self.anchor + (wall - self.anchor) * self.speedup
+
+    def ticks(self) -> float:
+        """Seconds of the cell since some moment; they go on evenly where the clock is set."""
+        return time.monotonic() * self.speedup
 
     def utc(self) -> datetime:
         """The cell's clock time."""

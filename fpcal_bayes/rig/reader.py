@@ -45,10 +45,7 @@ _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "att
 def read_rig(source: str | Path, cell: Cell) -> Rig:
     """Read the rig of `cell` from a TOML file.
 
-    Raises
-    ------
-    InputError
-        If the file is missing or anything in it is not as documented, or a joint has no controller.
+    Raises InputError if the file is missing or anything in it is not as documented, or a joint has no controller.
     """
     path = Path(source)
     text = read_text(path)

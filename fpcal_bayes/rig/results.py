@@ -1,14 +1,14 @@
 """What was measured, as a session: rows, what is in doubt, and the file that holds both."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fpcal_bayes.core.times import iso
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
@@ -18,36 +18,30 @@ from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
-#: Columns that sweeps may have or not, by the version of the column engine.
-_FIELDS = {field.name for field in fields(Sweeps)}
-
 
 def sweeps_of(
     orders: Sequence[Order],
     outcomes: Mapping[int, Mapping[str, Any]],
-    cell: Cell,
     *,
     sigma: float,
     origin_s: float,
 ) -> Sweeps | None:
     """The rows of all orders that gave reliable numbers; None if there is none.
 
-    Parameters
-    ----------
-    outcomes
-        By the order's place.
-    sigma
-        Standard deviation of a row, in um.
-    origin_s
-        Unix time of the campaign's beginning.
+    outcomes: by the order's place.
+    sigma: standard deviation of a row, in um.
+    origin_s: Unix time of the campaign's beginning.
     """
     rows: list[dict[str, Any]] = []
     for number, outcome in sorted(outcomes.items()):
         if outcome["doubt"]:
             continue
         order, (first, *others) = orders[number], outcome["readings"]
-        for label, reading in zip(order.labels, others, strict=True):
-            start, end = np.array(first["q"]), np.array(reading["q"])
+        start, before, side = np.array(first["q"]), order.start, np.zeros(order.start.shape, dtype=int)
+        for label, target, reading in zip(order.labels, order.targets, others, strict=True):
+            side = np.where(target != before, np.sign(target - before), side).astype(int)
+            before = target
+            end = _stood(target != order.start, start, np.array(reading["q"]))
             celsius = reading["temperature_c"]
             rows.append(
                 {
@@ -62,7 +56,7 @@ def sweeps_of(
                     "temperature_c": np.nan if celsius is None else celsius,
                     "t_start_h": (first["moment_s"] - origin_s) / 3600.0,
                     "t_end_h": (reading["moment_s"] - origin_s) / 3600.0,
-                    "approach": _approach(end - start, order.targets[-1] - order.start),
+                    "approach": "".join("-0+"[sign + 1] for sign in side.tolist()),
                 }
             )
     if not rows:
@@ -71,8 +65,7 @@ def sweeps_of(
     q_start, q_end = np.array(table.pop("q_start")), np.array(table.pop("q_end"))
     for name in ("time_h", "dl", "temperature_c", "t_start_h", "t_end_h"):
         table[name] = np.array(table[name], dtype=float)
-    known = {name: values for name, values in table.items() if name in _FIELDS}
-    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", **known)
+    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", **table)
 
 
 def doubtful_of(orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]]) -> DoubtfulRecord | None:
@@ -109,8 +102,7 @@ def recordings_of(
         traces.append(read_trace(folder / outcome["trace"], scale))
     sweeps = Sweeps.of_um_rad(
         ends[0],
-        # A joint that was not moved stands where it stood, to the last bit of its encoder's noise.
-        np.where(moved, ends[1], ends[0]),
+        _stood(moved, *ends),
         session=[order.session for order, _ in kept],
         label=[order.label for order, _ in kept],
         time_h=(np.array(moments) - origin_s) / 3600.0,
@@ -128,8 +120,6 @@ def write_session(path: Path, sweeps: Sweeps, doubtful: DoubtfulRecord | None, c
         write_sweeps(path, sweeps, cell)
 
 
-def _approach(moved: Floats, planned: Floats) -> str:
-    """A sign for each joint: how it came to the end of its row."""
-    return "".join(
-        "0" if plan == 0.0 else "+" if step > 0.0 else "-" for step, plan in zip(moved, planned, strict=True)
-    )
+def _stood(moved: Bools, start: Floats, end: Floats) -> Floats:
+    """Joint values at the end: one that was not sent anywhere stands where it stood, whatever its encoder shows."""
+    return np.where(moved, end, start)

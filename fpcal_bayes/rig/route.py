@@ -33,13 +33,9 @@ class Envelope(Protocol):
     def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> Sequence[str | None]:
         """Why each of some moves may leave the envelope, or None.
 
-        Parameters
-        ----------
-        moves
-            Joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
-            end. Between two of them each joint may be anywhere between its values.
-        speed
-            Speeds of the joints, in um/s and rad/s, shape (n_joints,).
+        moves: joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
+        end. Between two of them each joint may be anywhere between its values.
+        speed: speeds of the joints, in um/s and rad/s, shape (n_joints,).
         """
 
 
@@ -49,39 +45,22 @@ class ForbiddenMoveError(InputError):
 
 @dataclass(frozen=True)
 class Leg:
-    """One move and the reading after it.
+    """One move and the reading after it."""
 
-    Attributes
-    ----------
-    name
-        What it is for.
-    start, end
-        Joint vectors in um and rad.
-    seconds
-        That it takes, with settling.
-    gap
-        Least distance of fibre and mirror on the way, in um.
-    fringe_rate
-        Most fringes per second.
-    """
-
-    name: str
+    name: str  # what it is for
+    # start, end: joint vectors in um and rad
     start: Floats
     end: Floats
-    seconds: float
-    gap: float
-    fringe_rate: float
+    seconds: float  # that it takes, with settling
+    gap: float  # least distance of fibre and mirror on the way, in um
+    fringe_rate: float  # most fringes per second
 
 
 class Guard:
     """Looks at every move before it is made.
 
-    Parameters
-    ----------
-    estimate
-        Geometry by which gap and length are told; by default the cell's nominal one.
-    envelope
-        Where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
+    estimate: geometry by which gap and length are told; by default the cell's nominal one.
+    envelope: where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
     """
 
     def __init__(
@@ -209,10 +188,7 @@ class Guard:
 def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]]:
     """Every move of every order, looked at and timed, none made.
 
-    Raises
-    ------
-    ForbiddenMoveError
-        At the first move that must not be made.
+    Raises ForbiddenMoveError at the first move that must not be made.
     """
     moves = []
     for order in orders:

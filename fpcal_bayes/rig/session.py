@@ -10,46 +10,27 @@ from fpcal_bayes.rig.route import Guard, dry_run, total_seconds
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a session is.
+    """How far a session is."""
 
-    Attributes
-    ----------
-    done, total
-        Orders.
-    label, doubt
-        Doubt about the order driven last; no doubt is empty.
-    left_s
-        Seconds of the cell that the rest will take.
-    """
-
+    # done, total: orders
     done: int
     total: int
+    # label, doubt: doubt about the order driven last; no doubt is empty
     label: str
     doubt: str
-    left_s: float
+    left_s: float  # seconds of the cell that the rest will take
 
 
 @dataclass(frozen=True)
 class Summary:
-    """How a session ended.
+    """How a session ended."""
 
-    Attributes
-    ----------
-    rows
-        Rows, or traces, in the session's file.
-    done, total
-        Orders driven, and all.
-    doubtful
-        Labels of the orders without a reliable number, and why.
-    reason
-        Why it ended.
-    """
-
-    rows: int
+    rows: int  # rows, or traces, in the session's file
+    # done, total: orders driven, and all
     done: int
     total: int
-    doubtful: tuple[tuple[str, str], ...]
-    reason: str
+    doubtful: tuple[tuple[str, str], ...]  # labels of the orders without a reliable number, and why
+    reason: str  # why it ended
 
 
 class Failed(Exception):
@@ -75,10 +56,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
     Every move of the ticket is looked at before the first is made. Whatever goes wrong, the axes are stopped before
     anything else is done.
 
-    Raises
-    ------
-    Failed
-        If a device is lost, a move is forbidden, or all must stop.
+    Raises Failed if a device is lost, a move is forbidden, or all must stop.
     """
     if not agenda.left:
         return _summary(agenda, agenda.should_stop()[1])
@@ -87,7 +65,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
         here = bench.position()
         legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], here)
         agenda.begin()
-        expected, began, planned = total_seconds(legs), agenda.rig.clock.now(), 0.0
+        expected, began, planned = total_seconds(legs), agenda.rig.clock.ticks(), 0.0
         durations = dict(zip(agenda.left, (total_seconds([order]) for order in legs), strict=True))
         while not agenda.should_stop()[0]:
             for point in agenda.suggest(1):
@@ -95,7 +73,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
                 outcome = bench.drive(number, agenda.orders[number])
                 agenda.ingest([outcome])
                 planned += durations[number]
-                pace = (agenda.rig.clock.now() - began) / planned if planned > 0.0 else 1.0
+                pace = (agenda.rig.clock.ticks() - began) / planned if planned > 0.0 else 1.0
                 done = len(agenda.outcomes)
                 left = (expected - planned) * pace
                 tell(Progress(done, len(agenda.orders), str(point["label"]), str(outcome["doubt"]), left))

@@ -13,63 +13,35 @@ StageDriver = Literal["pi-gcs2", "smaract-mcs2"]
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """One motion controller.
-
-    Attributes
-    ----------
-    timeout_s
-        Seconds of the wall within which every answer comes.
-    servo_on
-        Whether servos found off are switched on.
-    """
+    """One motion controller."""
 
     name: str
     driver: StageDriver
     address: Address
-    timeout_s: float
-    servo_on: bool
+    timeout_s: float  # seconds of the wall within which every answer comes
+    servo_on: bool  # whether servos found off are switched on
 
 
 @dataclass(frozen=True)
 class JointSettings:
-    """How one joint is driven; in um or rad, and in seconds of the cell.
+    """How one joint is driven; in um or rad, and in seconds of the cell."""
 
-    Attributes
-    ----------
-    axis
-        Controller, channel, unit, sign and zero.
-    speed
-        Per second.
-    tolerance
-        How near to its target it stands.
-    settle_s
-        For how long it must stand there.
-    settle_timeout_s
-        Beyond the time of the move itself; after that the move has failed.
-    """
-
-    axis: ControllerAxis
-    speed: float
-    tolerance: float
-    settle_s: float
-    settle_timeout_s: float
+    axis: ControllerAxis  # controller, channel, unit, sign and zero
+    speed: float  # per second
+    tolerance: float  # how near to its target it stands
+    settle_s: float  # for how long it must stand there
+    settle_timeout_s: float  # beyond the time of the move itself; after that the move has failed
 
 
 @dataclass(frozen=True)
 class IDSDevice:
-    """An interferometer that counts.
-
-    Attributes
-    ----------
-    noise
-        Standard deviation of one reading, in um; a row's is sqrt(2) times that.
-    """
+    """An interferometer that counts."""
 
     name: str
     address: Address
     timeout_s: float
     settings: IDSSettings
-    noise: float
+    noise: float  # standard deviation of one reading, in um; a row's is sqrt(2) times that
 
 
 @dataclass(frozen=True)
@@ -92,50 +64,33 @@ class FaultSettings:
 
 @dataclass(frozen=True)
 class EmulationSettings:
-    """What only the emulated cell needs.
+    """What only the emulated cell needs."""
 
-    Attributes
-    ----------
-    truth
-        TOML file of the truth beside RIG.toml, or empty: the paper's.
-    time_h
-        Hours of the campaign at which the cell begins.
-    settle_s
-        How long an axis rings after a move.
-    """
-
-    truth: str = ""
+    truth: str = ""  # TOML file of the truth beside RIG.toml, or empty: the paper's
     seed: int = 0
-    time_h: float = 0.0
-    settle_s: float = 0.05
+    time_h: float = 0.0  # hours of the campaign at which the cell begins
+    settle_s: float = 0.05  # how long an axis rings after a move
     faults: tuple[FaultSettings, ...] = ()
 
 
 @dataclass(frozen=True)
 class Rig:
-    """All devices of a cell.
+    """All devices of a cell."""
 
-    Attributes
-    ----------
-    file
-        Where it was read.
-    joints
-        In the cell's order.
-    close
-        Largest difference between a sweep's start and its return, in um.
-    repeats
-        How often a sweep that is disturbed is driven again.
-    least_gap
-        Least distance of fibre and mirror that a move may come to, in um.
-    """
-
-    file: str
+    file: str  # where it was read
     name: str
     clock: Clock
     controllers: tuple[ControllerSettings, ...]
-    joints: tuple[JointSettings, ...]
+    joints: tuple[JointSettings, ...]  # in the cell's order
     instrument: IDSDevice | ProgramDevice
-    close: float
-    repeats: int
-    least_gap: float
+    close: float  # largest difference between a sweep's start and its return, in um
+    repeats: int  # how often a sweep that is disturbed is driven again
+    least_gap: float  # least distance of fibre and mirror that a move may come to, in um
     emulation: EmulationSettings
+
+    @property
+    def measuring(self) -> tuple[object, ...]:
+        """What the numbers of a session depend on, which therefore stays the same until its end."""
+        device = self.instrument
+        read = (device.settings, device.noise) if isinstance(device, IDSDevice) else device
+        return (tuple(joint.axis for joint in self.joints), read)

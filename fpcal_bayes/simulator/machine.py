@@ -195,8 +195,8 @@ class Machine:
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
 
-        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Drift and
-        return are the emulated cell's own.
+        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Return errors
+        are the emulated cell's own, of `return_sd`, and so is drift.
         """
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))

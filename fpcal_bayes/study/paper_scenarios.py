@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.closed_loop import ClosedLoop, run_policy, task_peaks
-from fpcal_bayes.decision.decision import Costs, Decision, UnattainableError
+from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.fit.identify import Identification
@@ -166,12 +166,11 @@ def _within_reach(policy: Policy, followed: Track) -> Policy:
     start = followed.outcomes[0].state
     policy = replace(policy, drift=followed.drift)
     forecast = Forecaster.of(policy.drift, policy.model, policy.goal, start.mean)
-    try:
-        policy.decide(forecast, forecast.ahead(start, policy.costs.horizon_h))
-    except UnattainableError as error:
-        tolerance_nm = 10.0 * float(np.ceil(_ROOM * error.attainable_nm / 10.0))
-        return replace(policy, goal=replace(policy.goal, tolerance_nm=tolerance_nm))
-    return policy
+    least_nm = policy.decide(forecast, forecast.ahead(start, policy.costs.horizon_h)).attainable_nm
+    if least_nm is None:
+        return policy
+    tolerance_nm = 10.0 * float(np.ceil(_ROOM * least_nm / 10.0))
+    return replace(policy, goal=replace(policy.goal, tolerance_nm=tolerance_nm))
 
 
 def _held(followed: Track, outcomes: Sequence[SessionOutcome]) -> list[tuple[float, Estimate]]:

@@ -111,8 +111,6 @@ def _driven(
     return Circle(name, time_h, held, task.along, change - change[0], trace)
 
 
-#: How the truth gets from one table to the next.
-BETWEEN = ("steady", "walk")
 _STEP_H = 0.5
 
 Free = Literal["all", "extrinsic"]

@@ -52,12 +52,8 @@ def packed(study: Study, values: dict[str, Floats]) -> bytes:
 class StudyStore:
     """The replicates of one study in an HDF5 file.
 
-    Parameters
-    ----------
-    path
-        Path of the file; made by `appending`.
-    study
-        Whose replicates the file holds.
+    path: path of the file; made by `appending`.
+    study: whose replicates the file holds.
     """
 
     def __init__(self, path: Path, study: Study) -> None:

@@ -21,7 +21,7 @@ _PLACES = {
     "take_in": "session",
     "track": "tracker",
     "update": "filter",
-    "with_learnt_scale": "fit_sizes",
+    "with_learnt_pace": "fit_sizes",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

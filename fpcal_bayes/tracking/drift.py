@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -17,6 +18,8 @@ from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.tracking.motions import MotionStates
 
 HOURS_PER_DAY = 24.0
+#: A pace that is nearer to one is not worth a word.
+_WORTH_SAYING = 1.5
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class DriftModel:
     # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
     motions: MotionStates | None = field(default=None, compare=False)  # of a machine, as its calibration found them
+    # how many times as fast as stated robot, and mirror and fibre walk (see `with_learnt_pace`)
+    pace: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
@@ -95,7 +100,26 @@ class DriftModel:
     @cached_property
     def walk(self) -> Floats:
         """Random walk after one day in scaled units, shape (n_parameters,)."""
-        return np.array([size.walk for size in self.sizes]) / self.scale
+        return np.array([size.walk for size in self.sizes]) * np.where(self.extrinsic, *self.pace[::-1]) / self.scale
+
+    @cached_property
+    def drifting(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the parameters that walk: of the robot, and of mirror and fibre."""
+        walks = [(p.name, p.kind) for p, size in zip(self.parameters, self.sizes, strict=True) if size.walk]
+        robot, mirror = (tuple(name for name, kind in walks if kind == which) for which in ("intrinsic", "extrinsic"))
+        return robot, mirror
+
+    @property
+    def pace_note(self) -> str | None:
+        """In words, how far the pace is from what the cell states; None where it is near."""
+        told = [
+            f"{', '.join(names)}: {pace:.2g} times"
+            for names, pace in zip(self.drifting, self.pace, strict=True)
+            if not 1.0 / _WORTH_SAYING < pace < _WORTH_SAYING
+        ]
+        word = "faster" if np.prod(self.pace) > 1.0 else "slower"
+        advice = "forecasts take it so; fpcal track --fit-drift gives sizes for the cell"
+        return f"drift {word} than stated ({'; '.join(told)}): {advice}" if told else None
 
     @cached_property
     def extrinsic(self) -> NDArray[np.bool_]:
@@ -201,3 +225,14 @@ def propagated(estimate: Estimate, hours: float) -> Estimate:
     drift = DriftModel.of(estimate.cell, estimate.parameters)
     _, later = drift.propagate(*drift.initial(estimate.values, estimate.covariance), hours)
     return replace(estimate, covariance=drift.covariance(later))
+
+
+def drift_root(cell: Cell, parameters: ParameterSet, hours: float) -> Floats | None:
+    """Square root (n, k), in um and rad, of the covariance by which parameters drift in some hours; None if none do."""
+    if not cell.drift or hours == 0.0:
+        return None
+    drift = DriftModel.of(cell, parameters)
+    start = np.eye(drift.n_states)
+    start[: drift.n_parameters, : drift.n_parameters] = 0.0
+    _, later = drift.propagate(np.zeros(drift.n_states), start, abs(hours))
+    return covariance_root(drift.covariance(later), parameters.prior_sd)

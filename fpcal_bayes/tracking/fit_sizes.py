@@ -1,40 +1,120 @@
-"""Sizes of the drift from a history of sessions, by maximum likelihood through the filter.
+"""How fast a cell drifts, as the innovations of its sessions say: one factor of the robot, one of mirror and fibre.
 
-A few epochs say little: intervals come from the profile of the likelihood, which shows it. Where even no drift at all
-fits, the lower end is zero; where any size fits, the upper end is infinite.
+The likelihood of both factors is that of a filter whose rows are linearised where the sessions led, worked out for a
+whole grid of factors at once. A session counts as a step, a knock or a slip with a small probability, so that one jump
+is no pace. `with_learnt_pace` learns the factors where sessions contradict the stated sizes; `fit_sizes` says which
+sizes a history supports. A few epochs say little, and the intervals from the profile of the likelihood show it: where
+even no drift at all fits, the lower end is zero; where any size fits, the upper end is infinite.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy import optimize, special
+from scipy import interpolate, special
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import chi2_tail
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
-from fpcal_bayes.tracking.drift import DriftModel, likely_drift
-from fpcal_bayes.tracking.filter import predict, update
-from fpcal_bayes.tracking.measurement import SweepMeasurement
-from fpcal_bayes.tracking.sessions import check_sessions, mean_temperature
-from fpcal_bayes.tracking.tracker import Track, calibrate
+from fpcal_bayes.tracking.alarms import Limits
+from fpcal_bayes.tracking.corrections import with_signs
+from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.tracking.filter import kelvin_between
+from fpcal_bayes.tracking.measurement import SweepMeasurement, equivalent_rows
+from fpcal_bayes.tracking.session import followed_drift
+from fpcal_bayes.tracking.sessions import mean_temperature
+from fpcal_bayes.tracking.tracker import Track
 
-#: Factors by which sizes are tried around their starting values.
-REACH = (1e-2, 1e2)
-#: Confidence level of the intervals.
+#: Factors that a history is held to, and the confidence level of their intervals.
+_FITTED = np.linspace(np.log(1e-2), np.log(1e2), 41)
 LEVEL = 0.95
+#: Factors that are tried where sessions contradict the stated sizes, and the prior of their logarithm.
+_PACE_SD = float(np.log(3.0))
+_PACES = _PACE_SD * np.linspace(-2.0, 2.0, 13)
+#: How much likelier than the stated sizes other paces must be together: looked at after every session, the right sizes
+#: are then left in one campaign of twenty at most (Ville's inequality).
+_CONTRADICTED = float(np.log(20.0))
+#: A change of the pace that is worth taking the sessions in again.
+_CHANGED = float(np.log(1.1))
+#: A session is a step with this probability.
+_STEP = 0.05
+#: The pace is that of the last sessions, of about so many rows and at most so many sessions; as many are judged anew.
+_LEARNT_ROWS, _LEARNT_SESSIONS = 96, 64
+
+
+def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats) -> Floats:
+    """Log likelihood of the sessions after `first` under each of some paces (n_paces, 2), shape (n_paces,)."""
+    drift, outcomes = found.drift, found.outcomes
+    model, step = CavityModel.of(found.cell, drift.parameters), np.zeros(drift.n_states)
+    step[: drift.n_parameters] = Limits().jump(drift) ** 2
+    # What moves a state is linear in the squares of the paces.
+    alone = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
+    total = np.zeros(len(paces))
+    mean = np.tile(outcomes[first].state.mean, (len(paces), 1))
+    spread = np.tile(outcomes[first].state.covariance, (len(paces), 1, 1))
+    for (before, now), part in zip(pairwise(outcomes[first:]), parts[first + 1 :], strict=False):
+        kelvin = kelvin_between(before.state.temperature_c, mean_temperature(part))
+        still, robot, mirror = (each.transition(now.time_h - before.time_h, kelvin) for each in alone)
+        noise = np.tensordot(paces**2, [robot.noise - still.noise, mirror.noise - still.noise], 1) + still.noise
+        mean, spread = mean @ still.matrix.T + still.shift, still.matrix @ spread @ still.matrix.T + noise
+        used, _ = with_signs(drift, model, now.predicted, part.take(part.kind != "path"))
+        if not len(used):
+            continue
+        at = now.state.mean
+        misfit, jacobian = SweepMeasurement.of(drift, model, used, at).linearise(at)
+        rows, seen = equivalent_rows(misfit + jacobian @ at, jacobian)
+        left = rows - mean @ seen.T
+
+        def taken(covariance: Floats, seen: Floats = seen, left: Floats = left) -> tuple[Floats, Floats]:
+            expected = seen @ covariance @ seen.T + np.eye(len(seen))
+            weighed = np.linalg.solve(expected, left[..., None])[..., 0]
+            return -0.5 * ((left * weighed).sum(axis=1) + np.linalg.slogdet(expected)[1]), expected
+
+        calm, stepped = taken(spread)[0] + np.log1p(-_STEP), taken(spread + np.diag(step))[0] + np.log(_STEP)
+        total += np.logaddexp(calm, stepped)
+        spread = spread + np.where(stepped > calm, 1.0, 0.0)[:, None, None] * np.diag(step)
+        cross = seen @ spread
+        gain = np.linalg.solve(taken(spread)[1], cross)
+        mean = mean + np.einsum("gij,gi->gj", gain, left)
+        spread = spread - np.swapaxes(cross, 1, 2) @ gain
+    return total
+
+
+def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track], Track]) -> Track:
+    """The track with the drift as fast as its innovations say, where these contradict the stated sizes.
+
+    `parts` are the sweeps of its sessions, and `follow` takes in the sessions after a track of the first ones under its
+    drift. The paces have a log-normal prior around one, a factor of three wide; what stands for each is the root of the
+    mean square of its posterior.
+    """
+    count, drifts = len(found.outcomes), [len(part) > 0 for part in found.drift.drifting]
+    if count == 1 or not any(drifts):
+        return found
+    rows = np.cumsum([outcome.n_sweeps for outcome in found.outcomes[:0:-1]])
+    used = min(int(np.searchsorted(rows, _LEARNT_ROWS)) + 1, _LEARNT_SESSIONS, count - 1)
+    grid = np.stack(np.meshgrid(_PACES, _PACES, indexing="ij"), axis=-1).reshape(-1, 2)
+    prior = special.log_softmax(-0.5 * ((grid / _PACE_SD) ** 2).sum(axis=1))
+    likely = _log_likelihood(found, parts, count - 1 - used, np.exp(grid))
+    together = special.logsumexp(prior + likely)
+    if found.drift.pace == (1.0, 1.0) and together - likely[len(grid) // 2] < _CONTRADICTED:
+        return found
+    weights = np.exp(prior + likely - together)
+    log = np.where(drifts, 0.5 * np.log(weights @ np.exp(2.0 * grid)), 0.0)
+    if np.abs(log - np.log(found.drift.pace)).max() < _CHANGED:
+        return found
+    kept = max(1, min(found.resumed, count - _LEARNT_SESSIONS))
+    drift = replace(found.drift, pace=tuple(np.exp(log).tolist()))
+    return replace(follow(replace(found, drift=drift, outcomes=found.outcomes[:kept])), resumed=found.resumed)
 
 
 @dataclass(frozen=True)
 class FittedFactor:
     """A factor on the random walks of some parameters, and the ends of its profile-likelihood interval.
 
-    1 leaves the starting sizes; the ends are 0 and infinity where the likelihood does not end the interval.
+    1 leaves the cell's sizes; the ends are 0 and infinity where the likelihood does not end the interval.
     """
 
     names: tuple[str, ...]
@@ -48,9 +128,15 @@ class FittedSizes:
     """Result of `fit_sizes`."""
 
     stated: DriftModel
-    drift: DriftModel  # with the fitted sizes
-    factors: tuple[FittedFactor, ...]  # one a group of parameters
+    factors: tuple[FittedFactor, ...]  # of the robot, and of mirror and fibre, where they drift
     log_likelihood: float
+
+    @property
+    def pace(self) -> tuple[float, float]:
+        """Factors of the robot, and of mirror and fibre; 1 for what does not walk."""
+        found = {factor.names: factor.value for factor in self.factors}
+        robot, mirror = (found.get(names, 1.0) for names in self.stated.drifting)
+        return robot, mirror
 
     def content(self) -> dict[str, Any]:
         """What ``track --json`` writes under ``drift_fit``; walks after one day in the units a person reads."""
@@ -68,191 +154,52 @@ class FittedSizes:
             ],
             "walks": {
                 name: {"unit": unit, "cell": stated, "fitted": factor.value * stated}
-                for factor, name, unit, stated in self._walks()
+                for factor, name, unit, stated in self.walks()
             },
         }
 
     def lines(self) -> list[str]:
         """The sizes beside those of the cell, in words."""
         lines = [f"random walks after one day that these sessions support, with {LEVEL:.0%} intervals:"]
-        for factor, name, unit, stated in self._walks():
+        for factor, name, unit, stated in self.walks():
             fitted, low, high = (f"{stated * size:.2g}" for size in (factor.value, factor.low, factor.high))
             lines.append(f"  {name} {fitted} {unit} ({low} to {high}); the cell states {stated:.2g}")
         return lines
 
-    def _walks(self) -> list[tuple[FittedFactor, str, str, float]]:
+    def walks(self) -> list[tuple[FittedFactor, str, str, float]]:
         """Factor, name, unit and stated walk in that unit of each parameter that drifts."""
         sizes = {size.name: size.walk for size in self.stated.sizes}
-        found = []
-        for factor in self.factors:
-            for name in factor.names:
-                if sizes[name] > 0:
-                    parameter = self.stated.parameters[name]
-                    found.append((factor, name, parameter.unit, float(parameter.shown(sizes[name]))))
-        return found
+        named = [(factor, self.stated.parameters[name]) for factor in self.factors for name in factor.names]
+        return [(factor, p.name, p.unit, float(p.shown(sizes[p.name]))) for factor, p in named]
 
 
-def fit_sizes(cell: Cell, sweeps: Sweeps, groups: Sequence[Sequence[str]] | None = None) -> FittedSizes:
-    """Fit factors on the random walks of groups of parameters to a campaign; `InputError` where it cannot tell them.
+def fit_sizes(found: Track, parts: list[Sweeps]) -> FittedSizes:
+    """The factors on the random walks of robot, and of mirror and fibre, that a history of sessions supports.
 
-    Parameters
-    ----------
-    cell
-        Its drift sizes are the starting values (see `likely_drift`).
-    sweeps
-        Sweeps of all sessions; the first is the calibration. Rows without sign are left out.
-    groups
-        Names of the parameters that share a factor; by default those that drift of mirror and fibre, and of the robot.
+    `parts` are the sweeps of the sessions of the track `found`; `InputError` where they cannot tell.
     """
-    drift = likely_drift(cell, sweeps)
-    groups = _parts(drift) if groups is None else groups
-    parts = check_sessions(sweeps)
-    if len(parts) < 2:
-        raise InputError(f"{sweeps.file}: expected sessions after the calibration to learn drift from")
-    for group in groups:
-        if not (drift.walk[drift.parameters.positions(group)] > 0).any():
-            raise InputError(f"none of {', '.join(group)} drifts in cell {cell.name!r}: expected a starting size")
-    begun = calibrate(cell, drift, parts[0])[0]
-    drift, first = replace(drift, motions=begun.motions), begun.state
-    model = CavityModel.of(cell, drift.parameters)
-
-    def log_likelihood(log_factors: Floats) -> float:
-        sized = _resized(drift, groups, np.exp(log_factors))
-        state, total = first, 0.0
-        for part in parts[1:]:
-            used = part.take((part.kind != "path") & (part.signed | part.absolute))
-            state = predict(sized, state, float(part.time_h.max()), mean_temperature(part))
-            if len(used):
-                taken = update(state, SweepMeasurement.of(sized, model, used, state.mean))
-                state, total = taken.state, total + taken.innovation.log_likelihood
-        return total
-
-    best, top = maximise(log_likelihood, len(groups))
-    factors = []
-    for i, group in enumerate(groups):
-        low, high = profile_interval(log_likelihood, best, top, i, LEVEL)
-        factors.append(FittedFactor(tuple(group), float(np.exp(best[i])), low, high))
-    return FittedSizes(drift, _resized(drift, groups, np.exp(best)), tuple(factors), top)
+    if len(found.outcomes) < 2:
+        raise InputError(f"{parts[0].file}: expected sessions after the calibration to learn drift from")
+    which = [i for i, names in enumerate(found.drift.drifting) if names]
+    if not which:
+        raise InputError(f"no parameter of cell {found.cell.name!r} walks: expected a starting size in its drift")
+    grid = np.stack(np.meshgrid(*[_FITTED if i in which else [0.0] for i in range(2)], indexing="ij"), axis=-1)
+    likely = _log_likelihood(found, parts, 0, np.exp(grid.reshape(-1, 2))).reshape(grid.shape[:2])
+    factors = [
+        FittedFactor(found.drift.drifting[i], *profile_interval(_FITTED, likely.max(axis=1 - i), LEVEL)) for i in which
+    ]
+    return FittedSizes(found.drift, tuple(factors), float(likely.max()))
 
 
-def _parts(drift: DriftModel) -> list[list[str]]:
-    """The parameters that drift: those of the robot, and those of mirror and fibre."""
-    names = np.array(drift.parameters.names)
-    parts = [names[(drift.walk > 0) & (drift.extrinsic == which)].tolist() for which in (False, True)]
-    return [part for part in parts if part]
+def profile_interval(log_factors: Floats, profile: Floats, level: float) -> tuple[float, float, float]:
+    """The likeliest factor and the ends of its interval, from the profile of the log likelihood on a grid.
 
-
-def maximise(log_likelihood: Callable[[Floats], float], count: int) -> tuple[Floats, float]:
-    """Maximum of a log likelihood of `count` log factors within `REACH`, from factors of one."""
-    found = _maximum(log_likelihood, np.zeros(count))
-    return found, log_likelihood(found)
-
-
-def profile_interval(
-    log_likelihood: Callable[[Floats], float], best: Floats, top: float, which: int, level: float
-) -> tuple[float, float]:
-    """Ends of the interval of one factor, the others following (likelihood ratio: chi-square, one degree of freedom).
-
-    They are 0 or infinity where the likelihood does not fall by enough within `REACH`.
+    The ends are those of the likelihood ratio (chi-square, one degree of freedom), 0 or infinity where the likelihood
+    does not fall by enough on the grid.
     """
-    drop = 0.5 * float(special.chdtri(1, 1.0 - level))
-
-    def excess(log_factor: float) -> float:
-        others = np.delete(best, which)
-        if len(others):
-            others = _maximum(lambda rest: log_likelihood(np.insert(rest, which, log_factor)), others, coarse=True)
-        return top - log_likelihood(np.insert(others, which, log_factor)) - drop
-
-    ends = []
-    for edge, beyond in zip(np.log(REACH), (0.0, np.inf), strict=True):
-        if excess(float(edge)) < 0:
-            ends.append(float(beyond))
-        else:
-            inner, outer = sorted((float(best[which]), float(edge)))
-            ends.append(float(np.exp(optimize.brentq(excess, inner, outer, xtol=1e-2))))
-    return ends[0], ends[1]
-
-
-def _maximum(log_likelihood: Callable[[Floats], float], start: Floats, *, coarse: bool = False) -> Floats:
-    """Maximum from a starting point (count,), within `REACH`."""
-    low, high = np.log(REACH)
-    # A first simplex of factors of two: the default one is too small around zero.
-    inward = np.where(start > 0.0, -np.log(2.0), np.log(2.0))
-    simplex = np.vstack([start, start + np.diag(inward)])
-    options: dict[str, Any] = {"xatol": 1e-2, "fatol": 1e-3, "initial_simplex": simplex}
-    if coarse:
-        # On a profile the others need only be near their maximum, where the likelihood is flat.
-        options |= {"xatol": 0.1, "fatol": 1e-2}
-    found = optimize.minimize(  # type: ignore[call-overload]
-        lambda x: -log_likelihood(np.clip(x, low, high)), start, method="Nelder-Mead", options=options
-    )
-    result: Floats = np.clip(found.x, low, high)
-    return result
-
-
-def _resized(drift: DriftModel, groups: Sequence[Sequence[str]], factors: Floats) -> DriftModel:
-    by_name = {name: float(factor) for group, factor in zip(groups, factors, strict=True) for name in group}
-
-    def change(size: DriftSize) -> DriftSize:
-        return replace(size, walk=size.walk * by_name.get(size.name, 1.0))
-
-    return drift.resized(change)
-
-
-#: Scales of all drifts that are tried where innovations contradict those stated, and the prior of their logarithm.
-_SCALE_SD = float(np.log(3.0))
-_SCALES = _SCALE_SD * np.linspace(-2.0, 2.0, 7)
-#: Innovations so unlikely that the scale is learnt; a scale within this of one is not worth a word.
-_CONTRADICTED, _WORTH_SAYING = 0.01, float(np.log(1.5))
-#: A session is a step, a knock or a slip with this probability; its innovation is then so many times as wide.
-_STEP, _STEP_WIDTH = 0.05, 30.0
-
-
-#: Last sessions that tell the pace: more cost time, and say how the cell drifted long ago.
-_LEARNT_FROM = 8
-
-
-def with_learnt_scale(found: Track, follow: Callable[[DriftModel, Track], Track]) -> Track:
-    """The track with the drift as fast as its innovations say, one scale of robot and one of mirror and fibre.
-
-    `follow` takes in the sessions after a track of the first one under other sizes. The scales have a log-normal prior
-    around one, a factor of three wide; what stands for them is the root of the mean square of their posterior.
-    """
-    later = [outcome for outcome in found.outcomes[1:] if outcome.dof]
-    nis, dof = (np.array([getattr(o, name) for o in later], dtype=float) for name in ("nis", "dof"))
-    # A third of the sessions may hold a step, which says nothing of the pace.
-    calm: Ints = np.argsort(nis / dof, kind="stable")[: len(later) - -(-len(later) // 3)]
-    fast = chi2_tail(float(nis[calm].sum()), float(dof[calm].sum())) if len(calm) else 1.0
-    slow = float(special.gammainc(dof.sum() / 2.0, nis.sum() / 2.0)) if len(later) > 1 else 1.0
-    groups = _parts(found.drift)
-    if min(fast, slow) > _CONTRADICTED or not groups:
-        return found
-    begun = replace(found, outcomes=found.outcomes[: max(1, len(found.outcomes) - _LEARNT_FROM)])
-    log = np.zeros(len(groups))
-    for which in (np.ones(len(groups), dtype=bool), *np.eye(len(groups), dtype=bool)[: len(groups) - 1]):
-        trials = [np.where(which, centre, log) for centre in _SCALES]
-        tracks = [follow(_resized(found.drift, groups, np.exp(trial)), begun) for trial in trials]
-        weights = special.softmax(
-            [_calmly(t) - 0.5 * (c / _SCALE_SD) ** 2 for t, c in zip(tracks, _SCALES, strict=True)]
-        )
-        log = np.where(which, 0.5 * np.log(weights @ np.exp(2.0 * _SCALES)), log)
-    learnt = follow(_resized(found.drift, groups, np.exp(log)), begun)
-    told = [(np.exp(each), group) for each, group in zip(log, groups, strict=True) if abs(each) > _WORTH_SAYING]
-    said = "; ".join(f"{', '.join(group)}: {scale:.2g} times" for scale, group in told)
-    pace = "faster" if log.sum() > 0 else "slower"
-    # Sizes that blame the robot where the stated ones do not are no better than these.
-    blames = found.trust.usable and not learnt.trust.usable
-    taken = "forecasts keep the stated sizes" if blames else "forecasts take it so"
-    note = f"drift {pace} than stated ({said}): {taken}; fpcal track --fit-drift gives sizes for the cell"
-    if blames:
-        return replace(found, pace=note if told else None)
-    return replace(learnt, resumed=found.resumed, stated=found, pace=note if told else None)
-
-
-def _calmly(track: Track) -> float:
-    """Log likelihood of the sessions after the first, each a step with a small probability."""
-    total = 0.0
-    for outcome in track.outcomes[1:]:
-        wide = outcome.log_likelihood + 0.5 * outcome.nis * (1.0 - _STEP_WIDTH**-2) - outcome.dof * np.log(_STEP_WIDTH)
-        total += float(np.logaddexp(np.log1p(-_STEP) + outcome.log_likelihood, np.log(_STEP) + wide))
-    return total
+    fine = np.linspace(log_factors[0], log_factors[-1], 50 * (len(log_factors) - 1) + 1)
+    smooth = interpolate.CubicSpline(log_factors, np.maximum(profile, profile.max() - 50.0))(fine)
+    within = np.flatnonzero(smooth > smooth.max() - 0.5 * float(special.chdtri(1, 1.0 - level)))
+    low = 0.0 if within[0] == 0 else float(np.exp(fine[within[0]]))
+    high = float("inf") if within[-1] == len(fine) - 1 else float(np.exp(fine[within[-1]]))
+    return float(np.exp(fine[smooth.argmax()])), low, high

@@ -17,6 +17,7 @@ from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.known import numbered, random_poses
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
+from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -37,21 +38,12 @@ _DRAWS = 400
 
 @dataclass(frozen=True)
 class MotionStates:
-    """What the states of the error motions stand for.
+    """What the states of the error motions stand for."""
 
-    Attributes
-    ----------
-    terms
-        The weights of the cell.
-    log_scales
-        Logarithms of the factors on the stated sizes, as the calibration found them: draws, shape (n_draws, n_scales).
-    session_min
-        How long the calibration took, in minutes.
-    """
-
-    terms: Terms
+    terms: Terms  # the weights of the cell
+    # logarithms of the factors on the stated sizes, as the calibration found them: draws, shape (n_draws, n_scales)
     log_scales: Floats
-    session_min: float
+    session_min: float  # how long the calibration took, in minutes
 
     @classmethod
     def of(cls, fit: MechanicsFit) -> "MotionStates":
@@ -60,8 +52,14 @@ class MotionStates:
 
     @cached_property
     def factors(self) -> Floats:
-        """Typical factors on the stated sizes, shape (n_scales,)."""
-        return np.exp(self.log_scales.mean(axis=0))
+        """Factors on the stated sizes, shape (n_scales,): those that the calibration found, drawn back to the sheet.
+
+        What a calibration's few points on a function tell of its size between them depends on the functions assumed.
+        """
+        found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
+        prior[-1] = LOG_SD_NOISE**2
+        told = np.maximum(1.0 / found - 1.0 / prior, 0.0) + 1.0 / LOG_SD_NOISE**2
+        return np.exp(self.log_scales.mean(axis=0) / found / told)
 
     @cached_property
     def _any_row(self) -> Design:

@@ -43,8 +43,6 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
     decided meanwhile, one JSON object each, in order of time.
     """
-    # The next run learns the pace anew.
-    track = track.stated or track
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
     remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]
@@ -54,6 +52,7 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         "sessions": [_summary(outcome, sweeps, part) for outcome, part in zip(track.outcomes, remembered, strict=True)],
         "status": track.status,
         "solutions": track.solutions,
+        "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
         "decisions": list(decisions),
         "trust": track.trust.content(),
@@ -183,7 +182,10 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
     if "sessions" in summary and "solutions" not in summary:
         return None, []
     outcomes: list[SessionOutcome] = []
-    drift, at = replace(drift, motions=_motions(summary.get("motions"), cell, drift)), 0
+    pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))
+    if len(pace) != 2 or not all(0.0 < each < np.inf for each in pace):
+        raise ValueError("its pace is no pair of factors")
+    drift, at = replace(drift, motions=_motions(summary.get("motions"), cell, drift), pace=pace), 0
     for i, stated in enumerate(summary["sessions"]):
         logged = stated["temperature_c"]
         temperature = float("nan") if logged is None else float(logged)

@@ -107,9 +107,11 @@ def _refuse_duplicates(parts: list[Sweeps]) -> None:
                     row=int(part.rows[i]),
                 )
             seen[key] = int(i)
+    repeated, end = repeated_rows(join(parts)), 0
     for number, after in enumerate(parts):
-        for before in parts[:number]:
-            # What was sent again under another name or time is no new measurement.
+        begin, end = end, end + len(after)
+        # What was sent again under another name or time is no new measurement.
+        for before in parts[:number] if 2 * repeated[begin:end].sum() > len(after) else ():
             again = repeated_rows(join([before, after]))[len(before) :]
             if 2 * again.sum() > len(after):
                 raise located(

@@ -48,9 +48,6 @@ class Track:
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
     solutions: int = 1  # how many the calibration has; see `tracking.solutions`
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
-    # under the stated drift sizes, where others were learnt, and what these say; see `with_learnt_scale`
-    stated: "Track | None" = None
-    pace: str | None = None
 
     def __repr__(self) -> str:
         return (
@@ -100,8 +97,8 @@ class Track:
         found = self.outcomes[0].trust
         if self.cell.mechanics is not None and self.outcomes[0].motions is None:
             found = found.because(MECHANICS_LEFT_OUT)
-        if self.pace is not None:
-            found = found.because(Reason("drift", self.pace))
+        if self.drift.pace_note is not None:
+            found = found.because(Reason("drift", self.drift.pace_note))
         stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
         if stalled:
             text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"

@@ -3,7 +3,8 @@
     python tests/robustness/loop.py [--hours 336] [--kills 100] [--seed 0]
 
 A round of `fpcal keep` and a person who measures whenever the ticket has rows take turns, each in a process of its own,
-which is killed at a random moment now and then. After each turn campaign, ticket and estimate are read.
+which is killed now and then: at a random moment of the time that such a turn took before; a turn that ends earlier or
+has nothing to do leaves its kill to the next. After each turn campaign, ticket and estimate are read.
 """
 
 import argparse
@@ -61,6 +62,14 @@ def measure(folder: Path, now: float) -> None:
     append(folder / "campaign.h5", session, CELL, ticket=folder / "ticket.csv")
 
 
+def due(folder: Path, now: float) -> bool:
+    """Whether the ticket asks for a measurement that is not in the campaign."""
+    ticket = read_ticket(folder / "ticket.csv", CELL)
+    if ticket.plan is None or now > ticket.expires_utc:
+        return False
+    return str(ticket.plan.session[0]) not in read_sweeps(folder / "campaign.h5", CELL).sessions
+
+
 def turn(work: Callable[[Path, float], None], folder: Path, now: float, after_s: float | None) -> int:
     """Do some work in a process of its own, which is killed after so many seconds, if any; its exit status."""
     child = multiprocessing.get_context("fork").Process(target=work, args=(folder, now))
@@ -106,7 +115,8 @@ def main() -> int:
     random, step_h = np.random.default_rng(options.seed), 0.5
     n_turns = 2 * int(options.hours / step_h)
     killed = set(random.choice(n_turns, min(options.kills, n_turns), replace=False).tolist())
-    wrong, dead, failed = [], 0, 0
+    wrong, dead, failed, pending = [], 0, 0, 0
+    took = {keep: 1.0, measure: 1.0}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         first = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL), sigma=0.005, seed=1)
@@ -116,8 +126,15 @@ def main() -> int:
             now = START + 3600.0 * step_h * (number // 2)
             work = (keep, measure)[number % 2]
             before = read_sweeps(folder / "campaign.h5", CELL)
-            status = turn(work, folder, now, float(random.uniform(0.0, 0.4)) if number in killed else None)
+            pending += number in killed
+            busy = work is keep or due(folder, now)
+            kill = pending > 0 and busy
+            began = time.monotonic()
+            status = turn(work, folder, now, float(random.uniform(0.0, took[work])) if kill else None)
+            if not kill and busy:
+                took[work] = time.monotonic() - began
             dead += status == -signal.SIGKILL
+            pending -= status == -signal.SIGKILL
             failed += status not in (0, -signal.SIGKILL)
             if number % 2 or status:
                 said = faults(folder, list(before.sessions), len(before), now)

@@ -102,6 +102,15 @@ def positive(text: str) -> float:
     return value
 
 
+def columns(text: str) -> dict[str, str]:
+    """Parse an option that says what the files of traces call their columns."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    keys = {"t": "t_s", "joint": "joint", "irradiance": "irradiance_v"}
+    if not all(key.strip() in keys and name.strip() for key, _, name in pairs):
+        raise argparse.ArgumentTypeError(f"expected t=NAME,joint=NAME,irradiance=NAME or some of these, found {text!r}")
+    return {keys[key.strip()]: name.strip() for key, _, name in pairs}
+
+
 def share(text: str) -> float:
     """Parse an option that must lie between 0 and 1."""
     value = positive(text)

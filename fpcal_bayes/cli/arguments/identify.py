@@ -33,6 +33,7 @@ def identify(commands: Commands) -> None:
     add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
     add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
     add_prior(parser)
+    add("--hold-out", type=share, metavar="SHARE", help="leave this share of the sweeps out, and verify with them")
     add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
     add(
         "--traces",
@@ -123,6 +124,29 @@ def task_error(commands: Commands) -> None:
     add("--budget", action="store_true", help="print the uncertainty budget of each task")
     add("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
     add("--session", metavar="NAME", help="session of these sweeps (default: the first)")
+    add_json(parser)
+
+
+_VERIFY = """\
+CALIBRATION is what `fpcal identify --json` wrote, or a campaign, whose first session counts. Its parameters foresee the
+sweeps of --validation, which it was not made from; the cell's drift between two sessions is allowed for.
+
+FAIL: they are off by more than one good calibration in 200. PASS: they are not, and would have shown an error that
+brings the task beyond the tolerance and three times its own band. NOT EVALUATED: they might have missed one.
+`fpcal plan --validation N` chooses sweeps that would not.
+"""
+
+
+def verify(commands: Commands) -> None:
+    """Add ``fpcal verify``."""
+    parser = add_command(commands, "verify", "hold a calibration against sweeps it was not made from", _VERIFY)
+    add = parser.add_argument
+    add("file", metavar="CALIBRATION", help="estimate JSON, or sweeps: CSV or HDF5 campaign")
+    add("--validation", required=True, metavar="SESSION|FILE", help="session of the campaign, or a file of sweeps")
+    add("--task", metavar="TASK", action="append", help="whose error counts (default: all that the cell can do)")
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
+    add("--tolerance-nm", type=positive, default=50.0, help="error of a task that is worth finding (default: 50)")
+    add("--seed", type=seed, default=0, help="of the errors that are tried (default: 0)")
     add_json(parser)
 
 

@@ -38,6 +38,7 @@ def plan(commands: Commands) -> None:
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
     add("--minutes", type=positive, metavar="M", help="most sweeps that take no longer")
     add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
+    add("--validation", type=count, metavar="N", help="sweeps that verify the calibration of --after: fpcal verify")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
     add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or as limits allow)")
     add("--for", dest="purpose", choices=("full", "extrinsic"), default="full", help="calibration or re-identification")
@@ -92,12 +93,14 @@ def track(commands: Commands) -> None:
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
     add(
         "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again"
+        "sample) in place of a few that are made here; takes in all sessions again; with --mechanics none"
     )  # fmt: skip
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
     add("--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell")
+    add("-o", "--output", metavar="CELL.toml", type=Path, help="with --fit-drift: write the cell with these sizes")
+    add("--force", action="store_true", help="write over CELL.toml")
     add_json(parser)
 
 

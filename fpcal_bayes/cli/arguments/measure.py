@@ -2,7 +2,17 @@
 
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_json, count, positive, seed, share
+from fpcal_bayes.cli.arguments.common import (
+    Commands,
+    Folder,
+    add_command,
+    add_json,
+    columns,
+    count,
+    positive,
+    seed,
+    share,
+)
 
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
@@ -82,7 +92,11 @@ with the columns t_s,joint,irradiance_v (joint: the one that moves, in um or deg
 the laser in vacuum), temperature_c, pressure_hpa, humidity_pct (without all three the index of the air is 1),
 scan_before, scan_after (CSV wavelength_nm,irradiance_v), group, kind, utc. Files are named relative to INDEX and lie in
 its folder. Or an HDF5 of the same (fpcal simulate --traces -o INDEX.h5), a campaign that fpcal ingest made, or a MATLAB
-file (-v7) with variables of these names: t_s, joint, irradiance_v as cell arrays of vectors.
+file with variables of these names: t_s, joint, irradiance_v as cell arrays of vectors.
+
+Traces of other programs are read as they are: text with header lines, tabs, semicolons, decimal commas (oscilloscopes,
+LVM, GCS arrays), LabVIEW TDMS (needs npTDMS), MATLAB. --columns t=Time,joint=X,irradiance=CH1 names their columns; a
+number for t is the time between two samples in s.
 
 A photodiode does not tell the sign of dL. It is taken from scans before and after, from --estimate, or from the cell's
 priors where these leave no doubt; other rows have signed = 0. Doubtful sweeps are no rows of FILE: they are listed,
@@ -100,6 +114,7 @@ def ingest(commands: Commands) -> None:
     add = parser.add_argument
     add("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
     add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
+    add("--columns", metavar="t=NAME,..", type=columns, help="what the files of traces call t, joint and irradiance")
     add("--estimate", metavar="ESTIMATE", help="estimate JSON that tells signs and doubtful counts")
     add("--points", type=count, metavar="N", help="rows for N interior points of each sweep too")
     add("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
@@ -125,6 +140,9 @@ def trace(commands: Commands) -> None:
     """Add ``fpcal trace``."""
     parser = add_command(commands, "trace", "look at recorded irradiance", _TRACE)
     parser.add_argument("file", metavar="FILE", help="recorded sweeps: CSV, HDF5 or MATLAB file")
+    parser.add_argument(
+        "--columns", metavar="t=NAME,..", type=columns, help="what the files of traces call t, joint and irradiance"
+    )
     parser.add_argument("--label", metavar="NAME", help="this sweep alone")
     parser.add_argument("--figure", metavar="OUT", type=Path, help="draw a sweep: .svg or .png")
     add_json(parser)

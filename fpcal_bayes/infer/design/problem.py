@@ -17,6 +17,7 @@ from fpcal_bayes.infer.design.information import Design
 from fpcal_bayes.infer.design.machine import Machine, motions_of_path, prior_machine
 from fpcal_bayes.infer.design.rows import TRACE_PLACES, TRACE_READINGS, SweepRows, plan_rows
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.measure.protocol import read_often
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -234,7 +235,7 @@ def prior_ground(
     with warnings.catch_warnings():
         # Balance asks for a power of two; any number of draws serves here.
         warnings.simplefilter("ignore", UserWarning)
-        values = free.nominal + free.prior_sd * engine.random(draws)
+        values = Prior.of(free).values(engine.random(draws))
     terms = None if cell.mechanics is None else Terms.of(cell, cell.mechanics, free.names)
     goals = goals_of(model, values, tasks, radius=radius, points=points, terms=terms)
     made = Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)

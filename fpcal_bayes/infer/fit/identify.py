@@ -309,10 +309,7 @@ def _fit(
 ) -> tuple[Problem, Solution, list[Solution], int]:
     """Minimise from `first`, from its mirror images, and from draws of the prior while the fit is worse than chance.
 
-    Returns
-    -------
-    tuple
-        The problem and its lowest minimum, every minimum that was found, and the number of starting points.
+    Returns the problem and its lowest minimum, every minimum that was found, and the number of starting points.
     """
     problem, solution = _converge(problem, first)
     found = [solution]

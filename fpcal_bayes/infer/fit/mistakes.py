@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy import optimize
 
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.minimise import Solution, minimise
+from fpcal_bayes.infer.fit.minimise import Solution, minimise, stepped
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.axes import home, joint_axes
@@ -72,12 +71,8 @@ class Mended:
 def mend(problem: Problem, solution: Solution, worst: Floats) -> list[Mended]:
     """Mistakes that explain a poor fit, the best first and all others that do as well.
 
-    Parameters
-    ----------
-    problem, solution
-        As identified; rows without sign are left out.
-    worst
-        Size of each row's residual, shape (n_rows,): mistakes of the joints that the worst rows move come first.
+    problem, solution: as identified; rows without sign are left out.
+    worst: size of each row's residual, shape (n_rows,): mistakes of the joints that the worst rows move come first.
     """
     known = problem.sweeps.signed | problem.sweeps.absolute
     if known.sum() < min(problem.n_free, len(known)):
@@ -226,7 +221,7 @@ def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
         way = np.ones(len(cell.joints))
         way[list(axes)] = -1.0
         # The whitening stays: that of another machine hardly differs where it fits as well.
-        rows = problem.model.rows(sweeps.q_start * way, sweeps.q_end * way, sweeps.absolute)
+        rows = problem.model.turned(problem.rows, way)
         other = replace(problem, rows=rows)
         near = _quick(other, solution.unknowns, _NEAR_STEPS)
         for _ in range(0 if known.all() else _SIGN_ROUNDS):
@@ -311,5 +306,4 @@ def _seen(problem: Problem, sweeps: Sweeps, start: Floats | None = None) -> Solu
 def _quick(problem: Problem, start: Floats | None = None, steps: int = _FEW_STEPS) -> Solution:
     """A few steps towards the minimum."""
     first = np.zeros(problem.n_unknowns) if start is None else start
-    found = optimize.least_squares(problem.residuals, first, problem.jacobian, method="lm", ftol=1e-6, max_nfev=steps)
-    return Solution(found.x, 2.0 * float(found.cost), converged=False)
+    return Solution(*stepped(problem, first, steps, xtol=1e-8, gtol=1e-8), converged=False)

@@ -26,56 +26,30 @@ _DRAWS_PER_SCALE, _FEW_PER_SCALE = 20, 4
 
 @dataclass(frozen=True)
 class MechanicsDraws:
-    """Equally likely draws of all that is unknown, for errors along tasks.
+    """Equally likely draws of all that is unknown, for errors along tasks."""
 
-    Attributes
-    ----------
-    scores
-        Geometry in standard normal scores of the prior, shape (n_draws, n_unknowns).
-    weights
-        Of the mechanics, in units of their stated sizes, shape (n_draws, n_weights).
-    log_scales
-        Logarithms of the factors on the stated sizes, shape (n_draws, n_scales).
-    """
-
-    scores: Floats
-    weights: Floats
-    log_scales: Floats
+    scores: Floats  # geometry in standard normal scores of the prior, shape (n_draws, n_unknowns)
+    weights: Floats  # of the mechanics, in units of their stated sizes, shape (n_draws, n_weights)
+    log_scales: Floats  # logarithms of the factors on the stated sizes, shape (n_draws, n_scales)
 
 
 @dataclass(frozen=True)
 class MechanicsFit:
-    """A geometry fitted under the covariance of its mechanics.
+    """A geometry fitted under the covariance of its mechanics."""
 
-    Attributes
-    ----------
-    problem
-        Whose whitening marginalises the mechanics at the typical scales.
-    solution
-        Its minimum.
-    terms, drive, design, noise
-        The weights, how the rows were driven, what the weights add to them, and what is new in each row.
-    rows
-        The linearised rows that the scales were drawn from.
-    density
-        Of the scales.
-    scales
-        Their posterior.
-    seconds
-        What it took.
-    """
-
-    problem: Problem
-    solution: Solution
+    problem: Problem  # whose whitening marginalises the mechanics at the typical scales
+    solution: Solution  # its minimum
+    # terms, drive, design, noise: the weights, how the rows were driven, what the weights add to them, and what is new
+    # in each row
     terms: Terms
     drive: Drive
     design: Design
     noise: RowNoise
-    rows: LinearRows
-    density: ScaleDensity
-    scales: ScalePosterior
+    rows: LinearRows  # the linearised rows that the scales were drawn from
+    density: ScaleDensity  # of the scales
+    scales: ScalePosterior  # their posterior
     seed: int
-    seconds: float
+    seconds: float  # what it took
 
     @property
     def values(self) -> Floats:

@@ -25,12 +25,8 @@ _MOST_DIRECTIONS = 60
 def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collection[str]) -> MechanicsKnowledge:
     """Draws of geometry and weights, turned to the directions that a cavity length feels.
 
-    Parameters
-    ----------
-    parameters
-        Of the estimate; those that are neither free nor considered are exact.
-    free
-        Names of those that the estimate moved; others are held at nominal or where they were.
+    parameters: of the estimate; those that are neither free nor considered are exact.
+    free: names of those that the estimate moved; others are held at nominal or where they were.
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws

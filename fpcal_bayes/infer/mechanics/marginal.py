@@ -21,19 +21,13 @@ class MarginalWhitening(Whitening):
 
     With Sigma whitened, the covariance is I + U s^2 U'; the map is its symmetric inverse root, which shrinks the few
     directions U: never a matrix of rows by rows.
-
-    Attributes
-    ----------
-    directions
-        U, shape (n_rows, rank).
-    shrink
-        1 - 1 / sqrt(1 + s^2), shape (rank,).
-    added
-        Variance of each row by the weights, in um^2, shape (n_rows,).
     """
 
+    # U, shape (n_rows, rank)
     directions: Floats = None  # type: ignore[assignment]
+    # 1 - 1 / sqrt(1 + s^2), shape (rank,)
     shrink: Floats = None  # type: ignore[assignment]
+    # variance of each row by the weights, in um^2, shape (n_rows,)
     added: Floats = None  # type: ignore[assignment]
 
     @classmethod

@@ -26,14 +26,9 @@ _FARTHEST, _SAME_POINT = 30.0, 1e-4
 class ScaleCharts:
     """Maps that straighten the posterior of the geometry, one per set of scales.
 
-    Parameters
-    ----------
-    problem
-        Whose rows are predicted; its whitening is not looked at.
-    reference
-        Point that the maps are made around, shape (n_unknowns,).
-    factors
-        Lower Cholesky factor of C(s) for each set of scales; what stands above the diagonal is not read.
+    problem: whose rows are predicted; its whitening is not looked at.
+    reference: point that the maps are made around, shape (n_unknowns,).
+    factors: lower Cholesky factor of C(s) for each set of scales; what stands above the diagonal is not read.
     """
 
     def __init__(self, problem: Problem, reference: Floats, factors: Sequence[Floats]) -> None:
@@ -81,11 +76,8 @@ class ScaleCharts:
     def solve(self, normal: Floats, asked: Bools | None = None) -> tuple[Floats, Floats, Floats]:
         """Geometries of standard normal coordinates, one per chart (n_charts, n), of the charts that are `asked`.
 
-        Returns
-        -------
-        tuple of ndarray
-            The geometries (n_charts, n), their log density and the log density with which they are proposed
-            (n_charts,), both minus infinity where there is no solution on the reference's side of every fold.
+        Returns the geometries (n_charts, n), their log density and the log density with which they are proposed
+        (n_charts,), both minus infinity where there is no solution on the reference's side of every fold.
         """
         # The triangle's inverse is the transpose of what stands before the prior rows.
         points = self.reference + np.einsum("kji,kj->ki", self.on_prior, normal - self.begin)

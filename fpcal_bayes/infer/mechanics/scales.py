@@ -30,54 +30,28 @@ _MODE_STEPS, _LONGEST, _MODE_GAIN = 20, 1.0, 1e-2
 
 @dataclass(frozen=True)
 class LinearRows:
-    """The linearised problem of the scales.
+    """The linearised problem of the scales."""
 
-    Attributes
-    ----------
-    target
-        r, measured minus predicted at v = 0 on the tangent, shape (n,), in um.
-    geometry
-        J, shape (n, n_free).
-    weights
-        B at stated sizes, shape (n, n_weights).
-    scale
-        Which scale each weight has, shape (n_weights,).
-    noise, returns
-        Covariances at stated sizes, shape (n, n).
-    rest, rest_dof
-        Of rows that were compressed: sum of squares and number of what only noise explains.
-    """
-
-    target: Floats
-    geometry: Floats
-    weights: Floats
-    scale: Ints
+    target: Floats  # r, measured minus predicted at v = 0 on the tangent, shape (n,), in um
+    geometry: Floats  # J, shape (n, n_free)
+    weights: Floats  # B at stated sizes, shape (n, n_weights)
+    scale: Ints  # which scale each weight has, shape (n_weights,)
+    # noise, returns: covariances at stated sizes, shape (n, n)
     noise: Floats
     returns: Floats
+    # rest, rest_dof: of rows that were compressed: sum of squares and number of what only noise explains
     rest: float = 0.0
     rest_dof: int = 0
 
 
 @dataclass(frozen=True)
 class ScalePosterior:
-    """Draws of the scales, as factors on the stated sizes.
+    """Draws of the scales, as factors on the stated sizes."""
 
-    Attributes
-    ----------
-    names
-        Of the scales, n of them.
-    log
-        Logarithms of equally likely draws, shape (n_draws, n).
-    mode
-        Where the posterior is highest, shape (n,).
-    effective
-        How many independent draws they are worth.
-    """
-
-    names: tuple[str, ...]
-    log: Floats
-    mode: Floats
-    effective: float
+    names: tuple[str, ...]  # of the scales, n of them
+    log: Floats  # logarithms of equally likely draws, shape (n_draws, n)
+    mode: Floats  # where the posterior is highest, shape (n,)
+    effective: float  # how many independent draws they are worth
 
     def quantiles(self, share: float = 0.95) -> Floats:
         """Lower edge, median and upper edge of each factor, shape (3, n)."""
@@ -88,12 +62,8 @@ class ScalePosterior:
 class ScaleDensity:
     """Unnormalised log posterior of the logarithms of the scales.
 
-    Parameters
-    ----------
-    rows
-        The linearised problem.
-    names
-        Of the scales; the last two are return and noise.
+    rows: the linearised problem.
+    names: of the scales; the last two are return and noise.
     """
 
     def __init__(self, rows: LinearRows, names: tuple[str, ...]) -> None:

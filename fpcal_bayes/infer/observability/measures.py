@@ -95,10 +95,7 @@ def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseP
     The order of the rows does not matter, since only the spectrum enters, nor do units, since parameters are in prior
     standard deviations; among columns of equal size the first parameter is kept.
 
-    Returns
-    -------
-    tuple of BaseParameter
-        As many as the rank, in the order of the parameters.
+    Returns as many as the rank, in the order of the parameters.
     """
     rank = spectrum.rank
     if rank == 0:

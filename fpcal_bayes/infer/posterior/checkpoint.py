@@ -35,12 +35,8 @@ class Block:
 class BlockStore:
     """The blocks of one run, in a folder.
 
-    Parameters
-    ----------
-    folder
-        Made when the first block is written.
-    identity
-        Hash of everything the draws depend on.
+    folder: made when the first block is written.
+    identity: hash of everything the draws depend on.
     """
 
     def __init__(self, folder: Path, identity: str) -> None:

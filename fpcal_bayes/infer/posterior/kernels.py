@@ -38,26 +38,15 @@ def slip_sums(
 ) -> None:
     """Log density of each group's first rows, and the probability that each of their counts is right.
 
-    Parameters
-    ----------
-    residuals
-        Whitened rows of the corrected problem, over the noise's factor, shape (n_points, n_rows).
-    log_eps, log_not
-        Logarithms of the probabilities of one particular slip and of none, shape (n_points,).
-    factor
-        On the noise, shape (n_points,).
-    corrected, can_slip
-        Half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
-    half_wave, most
-        Half a wavelength in um, and the most that a count slips by from one row of a group to the next.
-    members, own, shared, gain, scale
-        The whitening of the groups, as for `whiten_groups`.
-    prefix
-        How many rows of each group count; the others are as if not measured.
-    total
-        Result, shape (n_points, n_groups): without the constant of the normal density.
-    stayed
-        Result, shape (n_points, n_rows): written for the members.
+    residuals: whitened rows of the corrected problem, over the noise's factor, shape (n_points, n_rows).
+    log_eps, log_not: logarithms of the probabilities of one particular slip and of none, shape (n_points,).
+    factor: on the noise, shape (n_points,).
+    corrected, can_slip: half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
+    half_wave, most: half a wavelength in um, and the most that a count slips by from one row of a group to the next.
+    members, own, shared, gain, scale: the whitening of the groups, as for `whiten_groups`.
+    prefix: how many rows of each group count; the others are as if not measured.
+    total: result, shape (n_points, n_groups): without the constant of the normal density.
+    stayed: result, shape (n_points, n_rows): written for the members.
     """
     n_groups, _, n_common = shared.shape
     n_counts = 2 * most + 1

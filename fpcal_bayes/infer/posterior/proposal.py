@@ -103,10 +103,7 @@ class Proposal:
 
         A step that does not come closer is halved.
 
-        Returns
-        -------
-        tuple of ndarray
-            The points reached, and which of them are closer than before by enough to go on.
+        Returns the points reached, and which of them are closer than before by enough to go on.
         """
         before, distance, points = distance, distance.copy(), points.copy()
         step = _times(inverse, miss)

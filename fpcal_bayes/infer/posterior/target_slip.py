@@ -27,12 +27,8 @@ class SlipTarget(PosteriorTarget):
 
     Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
 
-    Parameters
-    ----------
-    slips
-        Corrections that were found; they only say where to look first.
-    noise
-        If the noise has an unknown factor: where it is likeliest.
+    slips: corrections that were found; they only say where to look first.
+    noise: if the noise has an unknown factor: where it is likeliest.
     """
 
     def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:

@@ -30,28 +30,16 @@ def trace_grams(
     T_j Chebyshev polynomials, j = 1 .. J, a and b polynomials of the time, e a known envelope; m is the light that
     comes back from the mirror alone, h and g are a second harmonic.
 
-    Parameters
-    ----------
-    first
-        Shape (n_traces + 1,).
-    place, time
-        x and t from -1 to 1, shape (n_samples,).
-    envelope, irradiance
-        Shape (n_samples,).
-    series
-        c, shape (n_traces, J).
-    levels
-        Coefficients of a, those of b, then m, h, g and the phase, shape (n_traces, 2 d + 4).
-    wave_number, noise
-        k, and standard deviation of a sample, shape (n_traces,).
-    length_noise
-        Standard deviation of independent noise on the length at each sample.
-
-    Returns
-    -------
-    tuple of ndarray
-        Weighted inner products, by the inverse variance, of the columns: derivatives by c, derivatives by the levels,
-        residual; shape (n_traces, J + 2 d + 5, same). Sum of squares of the residuals themselves, shape (n_traces,).
+    first: shape (n_traces + 1,).
+    place, time: x and t from -1 to 1, shape (n_samples,).
+    envelope, irradiance: shape (n_samples,).
+    series: c, shape (n_traces, J).
+    levels: coefficients of a, those of b, then m, h, g and the phase, shape (n_traces, 2 d + 4).
+    wave_number, noise: k, and standard deviation of a sample, shape (n_traces,).
+    length_noise: standard deviation of independent noise on the length at each sample.
+    Returns weighted inner products, by the inverse variance, of the columns: derivatives by c, derivatives by the
+    levels, residual; shape (n_traces, J + 2 d + 5, same). Sum of squares of the residuals themselves, shape
+    (n_traces,).
     """
     n_series, n_levels = series.shape[1], levels.shape[1]
     degree, width = n_levels // 2 - 2, n_series + n_levels + 1

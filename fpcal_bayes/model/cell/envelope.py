@@ -8,30 +8,14 @@ class Envelope:
     """Bounds of every motion of a cell; lengths in um, angles in rad.
 
     None of it changes a cavity length, so it is no part of the cell's hash.
-
-    Attributes
-    ----------
-    least_gap
-        Between mirror and fibre, where the edges of both come nearest.
-    fibre_radius
-        Radius of the fibre's end, with its ferrule where that reaches as far.
-    mirror_radius
-        Radius of the mirror around the origin of its frame.
-    max_tilt
-        Largest angle between the mirror's normal and the light turned round.
-    max_fringe_rate
-        Half waves a second that the cavity length may change by.
-    together
-        Groups of joints, by position, that may move at the same time.
-    gap, gap_sd
-        Measured cavity length at joint zero and its standard deviation, or None where nobody has measured it.
     """
 
-    least_gap: float
-    fibre_radius: float
-    mirror_radius: float
-    max_tilt: float
-    max_fringe_rate: float
-    together: tuple[tuple[int, ...], ...] = ()
+    least_gap: float  # between mirror and fibre, where the edges of both come nearest
+    fibre_radius: float  # radius of the fibre's end, with its ferrule where that reaches as far
+    mirror_radius: float  # radius of the mirror around the origin of its frame
+    max_tilt: float  # largest angle between the mirror's normal and the light turned round
+    max_fringe_rate: float  # half waves a second that the cavity length may change by
+    together: tuple[tuple[int, ...], ...] = ()  # groups of joints, by position, that may move at the same time
+    # gap, gap_sd: measured cavity length at joint zero and its standard deviation, or None where nobody has measured it
     gap: float | None = None
     gap_sd: float | None = None

@@ -44,36 +44,19 @@ class AxisWord:
 
 @dataclass(frozen=True)
 class Layout:
-    """Nominal geometry of a cell; angles in deg, lengths in um, as files hold them.
+    """Nominal geometry of a cell; angles in deg, lengths in um, as files hold them."""
 
-    Attributes
-    ----------
-    kinds
-        One entry per joint, from base to tool.
-    links
-        beta, alpha, d, theta, r of each link, shape (n_joints, 5).
-    free
-        Names of the parameters that are worth a prior.
-    beta_et, theta_et, beta_wf, theta_wf
-        Angles of mirror and fibre.
-    fibre
-        End of the fibre in the world frame, shape (3,).
-    side
-        Direction from the mirror to the fibre, shape (3,).
-    gap
-        Distance from the fibre's end to the mirror at joint zero.
-    """
-
-    kinds: tuple[JointKind, ...]
-    links: Floats
-    free: frozenset[str]
+    kinds: tuple[JointKind, ...]  # one entry per joint, from base to tool
+    links: Floats  # beta, alpha, d, theta, r of each link, shape (n_joints, 5)
+    free: frozenset[str]  # names of the parameters that are worth a prior
+    # beta_et, theta_et, beta_wf, theta_wf: angles of mirror and fibre
     beta_et: float
     theta_et: float
     beta_wf: float
     theta_wf: float
-    fibre: Floats
-    side: Floats
-    gap: float
+    fibre: Floats  # end of the fibre in the world frame, shape (3,)
+    side: Floats  # direction from the mirror to the fibre, shape (3,)
+    gap: float  # distance from the fibre's end to the mirror at joint zero
 
     def directions(self) -> Floats:
         """Where each axis points at joint zero, in the world frame, shape (n_joints, 3)."""
@@ -83,10 +66,7 @@ class Layout:
 def read_axes(text: str) -> tuple[AxisWord, ...]:
     """Axes from words such as ``x y z rx rz -ry``, from base to mirror.
 
-    Raises
-    ------
-    InputError
-        If a word is none, or there is none or more than twelve.
+    Raises InputError if a word is none, or there is none or more than twelve.
     """
     words = text.replace(",", " ").split()
     axes = []
@@ -121,12 +101,8 @@ def read_side(text: str) -> Floats:
 def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout:
     """The layout of axes that meet at the mirror, with the fibre on one side of it.
 
-    Parameters
-    ----------
-    side
-        Direction from the mirror to the fibre, along a world axis, shape (3,).
-    gap
-        In um.
+    side: direction from the mirror to the fibre, along a world axis, shape (3,).
+    gap: in um.
     """
     links, frame = np.zeros((len(axes), 5)), np.eye(3)
     for i, axis in enumerate(axes):

@@ -8,30 +8,16 @@ OWN_KINDS: dict[str, int] = {"line-x": 0, "line-y": 1, "line-z": 2, "tilt-x": 3,
 
 @dataclass(frozen=True)
 class OwnTask:
-    """One task; lengths in um, angles in rad, in the fibre frame and relative to the aligned pose.
+    """One task; lengths in um, angles in rad, in the fibre frame and relative to the aligned pose."""
 
-    Attributes
-    ----------
-    name
-        By which commands take it.
-    kind
-        One of `OWN_KINDS`.
-    radius
-        Radius of a circle; 0 for other kinds.
-    low, high
-        Ends of a line, a tilt or a spin; 0 for a circle.
-    centre
-        Offset of the middle: x, y, z in um.
-    tolerances
-        Largest peak to peak by degree of freedom: ``beam``, ``x``, ``z`` in um, ``rx``, ``ry``, ``rz`` in rad.
-    """
-
-    name: str
-    kind: str
-    radius: float = 0.0
+    name: str  # by which commands take it
+    kind: str  # one of `OWN_KINDS`
+    radius: float = 0.0  # radius of a circle; 0 for other kinds
+    # low, high: ends of a line, a tilt or a spin; 0 for a circle
     low: float = 0.0
     high: float = 0.0
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # offset of the middle: x, y, z in um
+    # largest peak to peak by degree of freedom: ``beam``, ``x``, ``z`` in um, ``rx``, ``ry``, ``rz`` in rad
     tolerances: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -35,26 +35,14 @@ def compensated_path(
 ) -> tuple[Floats, Floats]:
     """A path that makes up for the mean of the error motions, or the path itself where that gains nothing.
 
-    Parameters
-    ----------
-    vector
-        Model vector that the controller holds, shape (model size,).
-    weights
-        Posterior mean of the weights in units of their stated sizes, shape (n_weights,).
-    start, q
-        The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
-    before
-        Where the joints stand before the first point, shape (n_joints,); by default at `start`.
-    geometry
-        What the geometry is expected to add beyond `vector`, shape (n_points,), in um.
-    return_factor
-        On the stated return errors.
-
-    Returns
-    -------
-    tuple of ndarray
-        The joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry expects
-        of `q`, in um, shape (n_points,).
+    vector: model vector that the controller holds, shape (model size,).
+    weights: posterior mean of the weights in units of their stated sizes, shape (n_weights,).
+    start, q: the path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
+    before: where the joints stand before the first point, shape (n_joints,); by default at `start`.
+    geometry: what the geometry is expected to add beyond `vector`, shape (n_points,), in um.
+    return_factor: on the stated return errors.
+    Returns the joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry
+    expects of `q`, in um, shape (n_points,).
     """
     cell = terms.cell
     drive = responses(cell, vector, terms.told, q).drive

@@ -26,27 +26,15 @@ _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
 
 @dataclass(frozen=True)
 class Design:
-    """What weights of unit prior variance add to rows, to first order.
+    """What weights of unit prior variance add to rows, to first order."""
 
-    Attributes
-    ----------
-    matrix
-        In um, shape (n_rows, n_weights).
-    names
-        Of the weights' terms, n_weights of them.
-    scale
-        Position of each weight's scale in `Terms.scales`, shape (n_weights,).
-    returned
-        What the return errors of joints that stand still in a row do to it: change of the response between its ends
-        times the return's sd, shape (n_rows, n_joints).
-    reached_start, reached_end
-        The same of joints that are reached anew at an end, shape (n_rows, n_joints).
-    """
-
-    matrix: Floats
-    names: tuple[str, ...]
-    scale: Ints
+    matrix: Floats  # in um, shape (n_rows, n_weights)
+    names: tuple[str, ...]  # of the weights' terms, n_weights of them
+    scale: Ints  # position of each weight's scale in `Terms.scales`, shape (n_weights,)
+    # what the return errors of joints that stand still in a row do to it: change of the response between its ends times
+    # the return's sd, shape (n_rows, n_joints)
     returned: Floats
+    # reached_start, reached_end: the same of joints that are reached anew at an end, shape (n_rows, n_joints)
     reached_start: Floats
     reached_end: Floats
 
@@ -58,34 +46,20 @@ class Design:
 
 @dataclass(frozen=True)
 class PathDesign:
-    """What the same weights add to L(q) - L(q0) along a path.
+    """What the same weights add to L(q) - L(q0) along a path."""
 
-    Attributes
-    ----------
-    motions
-        Of the shared weights, shape (n_points, motion_count).
-    unknown_side
-        Of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints).
-    drift
-        Of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3).
-    returned_start, returned_point
-        Of standard normal return errors at the start and at each point, shapes (n_points, n_joints).
-    encoded
-        The same of encoders of unknown period, the start first, shape (n_points + 1, n_joints).
-    places
-        Number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints).
-    steps
-        Joints that stand still between one point and the next keep their return error, shape (n_points, n_joints):
-        number of the position that each joint has reached.
-    """
-
-    motions: Floats
+    motions: Floats  # of the shared weights, shape (n_points, motion_count)
+    # of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints)
     unknown_side: Floats
-    drift: Floats
+    drift: Floats  # of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3)
+    # returned_start, returned_point: of standard normal return errors at the start and at each point, shapes (n_points,
+    # n_joints)
     returned_start: Floats
     returned_point: Floats
-    encoded: Floats
-    places: Ints
+    encoded: Floats  # the same of encoders of unknown period, the start first, shape (n_points + 1, n_joints)
+    places: Ints  # number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints)
+    # joints that stand still between one point and the next keep their return error, shape (n_points, n_joints): number
+    # of the position that each joint has reached
     steps: Ints
 
 
@@ -140,6 +114,27 @@ def at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str],
         scales += [index["encoder"]] * 2
     matrix = np.hstack(parts) if parts else np.zeros((len(q), 0))
     return matrix, names, scales
+
+
+def weight_rows(terms: Terms) -> list[tuple[int, int, int, float]]:
+    """What each weight that a task shares stands for, in their order: joint, kind, order, size in um or rad.
+
+    Kinds are 1 to 6, directions of `Responses.motion`; 7, radial against the turn; 8, encoder of known period; 9,
+    reversal. Orders are those of Legendre polynomials, or of harmonics, a sine's negative.
+    """
+    rows: list[tuple[int, int, int, float]] = []
+    for motion in terms.motions:
+        count = len(motion.sd)
+        waves = [sign * (k + 1) for k in range(count // 2) for sign in (1, -1)]
+        orders = waves if group_of(terms.cell, motion.joint) == "rotary" else range(1, count + 1)
+        kinds = zip(orders, motion.sd.tolist(), strict=True)
+        rows += [(motion.joint, motion.direction + 1, order, sd) for order, sd in kinds if sd > 0]
+    for motion in terms.motions:
+        if motion.direction == UP and group_of(terms.cell, motion.joint) == "rotary":
+            rows += [(motion.joint, 7, sign, 2.0 * float(motion.sd[2])) for sign in (1, -1)]
+    known = (terms.encoder > 0) & np.isfinite(terms.encoder_period)
+    rows += [(i, 8, s, float(terms.encoder[i] / np.sqrt(2.0))) for i in np.flatnonzero(known).tolist() for s in (1, -1)]
+    return rows + [(i, 9, 0, float(terms.reversal[i])) for i in np.flatnonzero(terms.reversal > 0).tolist()]
 
 
 def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
@@ -295,14 +290,14 @@ def _time_polynomial(minutes: Floats, last: float, order: int) -> Floats:
 
 
 def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
-    """Cosines over the order of the rows."""
+    """Cosines over the order of the rows; of few rows one error that they share."""
     count = min(_MOST_SLOW, n // 4)
-    if count == 0:
-        return np.zeros((n, 0))
     stated = terms.sizes.correlated_nm
-    size = 0.8 * float(np.median(sigma)) if stated is None else 1e-3 * stated
+    size = 0.0 if n == 0 else 0.8 * float(np.median(sigma)) if stated is None else 1e-3 * stated
     if size == 0.0:
         return np.zeros((n, 0))
+    if count == 0:
+        return np.full((n, 1), size)
     k = np.arange(1, count + 1)
     weight = 1.0 / (1.0 + (k / (_KNEE * count)) ** 2)
     weight *= size / np.sqrt((weight**2).sum())

@@ -9,40 +9,27 @@ from fpcal_bayes.core.typing import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class Drive:
-    """Rows in the order in which they were driven; joint vectors in um and rad.
+    """Rows in the order in which they were driven; joint vectors in um and rad."""
 
-    Attributes
-    ----------
-    q_start, q_end
-        Shape (n, n_joints).
-    absolute
-        Rows that give L(end) itself, shape (n,).
-    sweep
-        Number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,).
-    start_side, end_side
-        Direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints).
-    start_reach, end_reach
-        Number of the position that each joint has reached: the same while it stands still, shape (n, n_joints).
-    start_min, end_min
-        When start and end were read, in minutes, shape (n,).
-    span_min
-        How long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,).
-    session
-        Number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint
-        reached from an unknown side.
-    """
-
+    # q_start, q_end: shape (n, n_joints)
     q_start: Floats
     q_end: Floats
-    absolute: Bools
-    sweep: Ints
+    absolute: Bools  # rows that give L(end) itself, shape (n,)
+    sweep: Ints  # number of the sweep that each row belongs to: rows that share the reading at their start, shape (n,)
+    # start_side, end_side: direction in which each joint reached the pose: -1, 0 (not known), +1, shape (n, n_joints)
     start_side: Floats
     end_side: Floats
+    # start_reach, end_reach: number of the position that each joint has reached: the same while it stands still, shape
+    # (n, n_joints)
     start_reach: Ints
     end_reach: Ints
+    # start_min, end_min: when start and end were read, in minutes, shape (n,)
     start_min: Floats
     end_min: Floats
+    # how long the sweep of each row is thought to have taken where its times are not stated, else zero, shape (n,)
     span_min: Floats
+    # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
+    # from an unknown side
     session: Ints
 
     def __len__(self) -> int:
@@ -79,16 +66,10 @@ def drive_of(
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
-    Parameters
-    ----------
-    sweep
-        Number of each row's sweep, rising by one, shape (n,).
-    time_h
-        Of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
-    t_start_h, t_end_h
-        When start and end were read, shape (n,), or None.
-    approach
-        Stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
+    sweep: number of each row's sweep, rising by one, shape (n,).
+    time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
+    t_start_h, t_end_h: when start and end were read, shape (n,), or None.
+    approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
     if approach is not None:
@@ -112,10 +93,7 @@ def drive_of(
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Directions of approach along a path that is driven point by point from `start`.
 
-    Returns
-    -------
-    tuple of ndarray
-        At the start, where nothing is known, shape (n_joints,), and at the points, shape (n_points, n_joints).
+    Returns the sides at the start, not known, shape (n_joints,), and at the points, shape (n_points, n_joints).
     """
     poses = np.vstack([start, q])
     return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))

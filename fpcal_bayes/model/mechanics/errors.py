@@ -17,18 +17,11 @@ _MOST_DRAWS = 4000
 
 @dataclass(frozen=True)
 class MechanicsTaskErrors:
-    """Draws of a task's error along its path, in um.
+    """Draws of a task's error along its path, in um."""
 
-    Attributes
-    ----------
-    repeatable
-        By geometry, error motions, reversal and encoders: the same each time, shape (n_draws, n_points).
-    returned
-        By return errors: another one each time, same shape.
-    """
-
+    # by geometry, error motions, reversal and encoders: the same each time, shape (n_draws, n_points)
     repeatable: Floats
-    returned: Floats
+    returned: Floats  # by return errors: another one each time, same shape
 
     @property
     def total(self) -> Floats:
@@ -49,19 +42,11 @@ def known_task_errors(
 ) -> tuple[MechanicsTaskErrors, Floats, dict[str, Floats]]:
     """Draw the error along a path with what an estimate knows of geometry and error motions.
 
-    Parameters
-    ----------
-    start, q
-        The path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints).
-    added
-        What `q` adds on purpose to the change of cavity length that is wanted (see `compensated_path`), shape
-        (n_points,).
-
-    Returns
-    -------
-    tuple
-        The errors; the deviations of the estimate's parameters, shape (n_draws, n_parameters); and by its name what
-        each cause adds along the path, shape (n_draws, n_points) each.
+    start, q: the path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints).
+    added: what `q` adds on purpose to the change of cavity length that is wanted (see `compensated_path`), shape
+    (n_points,).
+    Returns the errors; the deviations of the estimate's parameters, shape (n_draws, n_parameters); and by its name what
+    each cause adds along the path, shape (n_draws, n_points) each.
     """
     knowledge, cell = estimate.mechanics, estimate.cell
     if knowledge is None:

@@ -27,30 +27,17 @@ _STEEP = 0.9
 
 @dataclass(frozen=True)
 class Directions:
-    """Directions in which the joints' error motions are told.
+    """Directions in which the joints' error motions are told."""
 
-    Attributes
-    ----------
-    in_base
-        Columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3).
-    along_beam
-        Which of the three is nearest to the optical axis at nominal, shape (n_joints,).
-    lever
-        From the point of the data sheet to the mirror, in the base frame, in um, shape (n_joints, 3).
-    """
-
-    in_base: Floats
-    along_beam: NDArray[np.int64]
-    lever: Floats
+    in_base: Floats  # columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3)
+    along_beam: NDArray[np.int64]  # which of the three is nearest to the optical axis at nominal, shape (n_joints,)
+    lever: Floats  # from the point of the data sheet to the mirror, in the base frame, in um, shape (n_joints, 3)
 
 
 def directions(cell: Cell, levers_mm: Floats) -> Directions:
     """Directions of each joint's error motions, at joint zero of the nominal cell.
 
-    Parameters
-    ----------
-    levers_mm
-        In world axes, shape (n_joints, 3).
+    levers_mm: in world axes, shape (n_joints, 3).
     """
     vector = cell.parameters.nominal
     beam = chain.optical_axis(cell, vector).real
@@ -70,24 +57,13 @@ def directions(cell: Cell, levers_mm: Floats) -> Directions:
 
 @dataclass(frozen=True)
 class Responses:
-    """Derivatives of the cavity length at poses.
+    """Derivatives of the cavity length at poses."""
 
-    Attributes
-    ----------
-    motion
-        By the displacements (um per um) and tilts (um per rad) of each joint, shape (n_poses, n_joints, 6).
-    drive
-        By the joint's own travel, shape (n_poses, n_joints).
-    fibre
-        By a displacement of the fibre in world axes, shape (n_poses, 3).
-    length
-        The cavity length itself, shape (n_poses,).
-    """
-
+    # by the displacements (um per um) and tilts (um per rad) of each joint, shape (n_poses, n_joints, 6)
     motion: Floats
-    drive: Floats
-    fibre: Floats
-    length: Floats
+    drive: Floats  # by the joint's own travel, shape (n_poses, n_joints)
+    fibre: Floats  # by a displacement of the fibre in world axes, shape (n_poses, 3)
+    length: Floats  # the cavity length itself, shape (n_poses,)
 
 
 def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Responses:

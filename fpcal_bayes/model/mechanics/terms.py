@@ -9,8 +9,8 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
+from fpcal_bayes.model.mechanics.basis import Shape, weight_sd
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
-from fpcal_bayes.model.mechanics.words import Shape, weight_sd
 
 #: Scales that are not those of error motions, in their order behind them.
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")
@@ -22,30 +22,14 @@ DRIFT_ORDER = 2
 
 @dataclass(frozen=True)
 class Motion:
-    """One error motion of one joint, as a function of the joint's value.
+    """One error motion of one joint, as a function of the joint's value."""
 
-    Attributes
-    ----------
-    joint
-        Position of the joint.
-    direction
-        Of `Responses.motion`.
-    name
-        As residual tests and the budget speak of it.
-    scale
-        The scale that it shares: group of joints and kind.
-    sd
-        Standard deviation of the weights in um or rad, in the order of the basis.
-    duplicates
-        What was left out because a geometric parameter says the same.
-    """
-
-    joint: int
-    direction: int
-    name: str
-    scale: str
-    sd: Floats
-    duplicates: str = ""
+    joint: int  # position of the joint
+    direction: int  # of `Responses.motion`
+    name: str  # as residual tests and the budget speak of it
+    scale: str  # the scale that it shares: group of joints and kind
+    sd: Floats  # standard deviation of the weights in um or rad, in the order of the basis
+    duplicates: str = ""  # what was left out because a geometric parameter says the same
 
 
 @dataclass(frozen=True)

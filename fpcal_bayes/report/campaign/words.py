@@ -22,6 +22,11 @@ from fpcal_bayes.tracking.session import SessionOutcome
 
 _ACTIONS = {
     "hold": ("Hold", "good", "The cell keeps its tolerance; nothing is to be measured now."),
+    "out of reach": (
+        "Out of reach",
+        "bad",
+        "No measurement brings the tasks into this tolerance.",
+    ),
     "extrinsic": ("Re-identify", "caution", "A few sweeps now bring mirror and fibre back into tolerance."),
     "full": ("Recalibrate", "bad", "The whole calibration is to be made again."),
 }
@@ -49,7 +54,8 @@ def verdict(facts: CampaignFacts) -> Headline:
     if facts.decision is None or facts.track is None:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
         return Headline("No verdict", "caution", meaning, tuple(sentences))
-    word, style, meaning = _ACTIONS[facts.decision.action]
+    out_of_reach = facts.decision.action == "hold" and facts.decision.attainable_nm is not None
+    word, style, meaning = _ACTIONS["out of reach" if out_of_reach else facts.decision.action]
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:

@@ -22,33 +22,15 @@ _RUNNING = "measurement running"
 
 @dataclass(frozen=True)
 class IDSSettings:
-    """How one head of an IDS is read.
+    """How one head of an IDS is read."""
 
-    Attributes
-    ----------
-    axis
-        The head, 0 to 2.
-    namespace
-        ``ids``, ``sen``, or ``auto``: whichever the instrument answers to.
-    sign
-        1 if the reading grows with the cavity length, else -1.
-    samples
-        Positions that a reading averages.
-    steady
-        Largest spread of these, in um.
-    least_contrast_permille
-        Below this the fringes count as lost.
-    air
-        Whether an environmental unit tells the air's temperature.
-    """
-
-    axis: int = 0
-    namespace: Namespace = "auto"
-    sign: int = 1
-    samples: int = 8
-    steady: float = 0.1
-    least_contrast_permille: float = 20.0
-    air: bool = False
+    axis: int = 0  # the head, 0 to 2
+    namespace: Namespace = "auto"  # ``ids``, ``sen``, or ``auto``: whichever the instrument answers to
+    sign: int = 1  # 1 if the reading grows with the cavity length, else -1
+    samples: int = 8  # positions that a reading averages
+    steady: float = 0.1  # largest spread of these, in um
+    least_contrast_permille: float = 20.0  # below this the fringes count as lost
+    air: bool = False  # whether an environmental unit tells the air's temperature
 
 
 class AttocubeIDS:

@@ -1,5 +1,6 @@
 """What every device can do, and how its failures read."""
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
@@ -108,6 +109,7 @@ class CommandLog:
     def __init__(self, path: Path | None, clock: Clock) -> None:
         self._clock = clock
         self._file: IO[str] | None = None
+        self._broken, self._path = "", path
         if path is not None:
             try:
                 self._file = path.open("a", encoding="utf-8", buffering=1)
@@ -116,13 +118,24 @@ class CommandLog:
 
     def write(self, device: str, mark: str, text: str) -> None:
         """Add a line; `mark` is ``>`` for what is sent, ``<`` for what comes back, ``-`` for a remark."""
-        if self._file is not None:
-            self._file.write(f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}\n")
+        try:
+            if self._file is not None:
+                self._file.write(f"{iso(self._clock.now())} {device} {mark} {shown(text, _LOGGED)}\n")
+        except OSError as error:
+            self._broken = f"{self._path}: cannot be written ({error.strerror})"
+            self.close()
+
+    def check(self) -> None:
+        """Raise `InputError` if a line could not be written; `write` itself never does, so that all can be stopped."""
+        if self._broken:
+            raise InputError(self._broken)
 
     def close(self) -> None:
         """Close the file."""
-        if self._file is not None:
-            self._file.close()
+        with contextlib.suppress(OSError):
+            if self._file is not None:
+                self._file.close()
+        self._file = None
 
 
 def shown(text: str, most: int = 80) -> str:

@@ -14,18 +14,13 @@ _MOST_BYTES = 1 << 20
 
 
 class Link:
-    """One TCP connection; after any failure it is closed, so that a late answer is never taken for another one's.
-
-    Attributes
-    ----------
-    obeys
-        Whether a wait for an answer ends when all must stop; not while the stopping itself talks to the device.
-    """
+    """One TCP connection; after any failure it is closed, so that a late answer is never taken for another one's."""
 
     def __init__(self, device: str, address: Address, timeout_s: float, halt: Halt, log: CommandLog) -> None:
         self.device = device
         self.address = address
         self.timeout_s = timeout_s
+        # Whether a wait for an answer ends when all must stop; not while the stopping itself talks to the device.
         self.obeys = True
         self._halt = halt
         self._log = log
@@ -92,10 +87,7 @@ class Link:
     def take(self, length_of: Callable[[bytes], int]) -> str:
         """Wait for the answer to the message sent last.
 
-        Parameters
-        ----------
-        length_of
-            Length of the answer that the bytes so far begin with, or 0 while it is incomplete.
+        length_of: length of the answer that the bytes so far begin with, or 0 while it is incomplete.
         """
         end = time.monotonic() + self.timeout_s
         while (length := length_of(bytes(self._buffer))) == 0:

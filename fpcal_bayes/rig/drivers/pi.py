@@ -35,14 +35,9 @@ _STOPPED_BY_COMMAND = 10
 class PIStage:
     """Axes of one PI controller.
 
-    Parameters
-    ----------
-    axes
-        In the order of `joints`.
-    speeds
-        In um/s or rad/s, shape (n_axes,).
-    servo_on
-        Whether servos that are off are switched on; else they are a failure.
+    axes: in the order of `joints`.
+    speeds: in um/s or rad/s, shape (n_axes,).
+    servo_on: whether servos that are off are switched on; else they are a failure.
     """
 
     def __init__(

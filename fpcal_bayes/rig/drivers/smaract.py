@@ -21,14 +21,9 @@ _FAILURES = {0x100: "end stop", 0x200: "range limit", 0x400: "following error", 
 class SmarActStage:
     """Channels of one MCS2.
 
-    Parameters
-    ----------
-    axes
-        In the order of `joints`.
-    speeds
-        In um/s or rad/s, shape (n_axes,).
-    revolute
-        Whether each axis turns, shape (n_axes,).
+    axes: in the order of `joints`.
+    speeds: in um/s or rad/s, shape (n_axes,).
+    revolute: whether each axis turns, shape (n_axes,).
     """
 
     def __init__(

@@ -12,14 +12,9 @@ _SPACES = ("ids", "sen")
 class IDS3010:
     """The cavity length on one head; the other two stand still.
 
-    Parameters
-    ----------
-    axis
-        The head that sees the cavity.
-    sign
-        1 if the reading grows with the cavity length, else -1.
-    spaces
-        Which namespaces it answers to.
+    axis: the head that sees the cavity.
+    sign: 1 if the reading grows with the cavity length, else -1.
+    spaces: which namespaces it answers to.
     """
 
     def __init__(self, lab: SimulatedCell, axis: int = 0, sign: int = 1, spaces: tuple[str, ...] = _SPACES) -> None:

@@ -20,21 +20,10 @@ from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 
 class EmulatedBench:
-    """All devices of a rig, emulated.
+    """All devices of a rig, emulated: `lab` is the simulated cell behind them, `server.inject` gives them faults.
 
-    Parameters
-    ----------
-    truth
-        By default that of the rig's file, else the paper's.
-    machine
-        Mechanics beyond the geometry, or None.
-
-    Attributes
-    ----------
-    lab
-        The simulated cell behind them.
-    server
-        Serves them; `server.inject` gives them faults.
+    truth: by default that of the rig's file, else the paper's.
+    machine: mechanics beyond the geometry, or None.
     """
 
     def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:

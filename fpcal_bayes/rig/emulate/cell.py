@@ -16,7 +16,15 @@ _RINGING = 1e-3
 
 
 class Machine(Protocol):
-    """Mechanics beyond the geometry: how guides, levers and backlash change the cavity length."""
+    """Mechanics beyond the geometry: how guides, levers and backlash change the cavity length.
+
+    Attributes
+    ----------
+    return_sd
+        Of the position that each joint reaches anew, in um and rad, shape (n_joints,).
+    """
+
+    return_sd: Floats
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What is added to the cavity length, in um.
@@ -75,16 +83,10 @@ class Axis:
 class SimulatedCell:
     """A cell with a truth through time, as its devices see it.
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of one position that the interferometer reads, in um.
-    settle_s
-        How long an axis rings.
-    time_h
-        Hours of the campaign at the beginning.
-    machine
-        Mechanics beyond the geometry, or None.
+    noise: standard deviation of one position that the interferometer reads, in um.
+    settle_s: how long an axis rings.
+    time_h: hours of the campaign at the beginning.
+    machine: mechanics beyond the geometry, or None.
     """
 
     def __init__(
@@ -132,7 +134,8 @@ class SimulatedCell:
         axis.start, axis.began, axis.target = axis.at(now), now, target
         if target != axis.start:
             axis.approach = float(np.sign(target - axis.start))
-            axis.offset = stated.repeatability * float(self._random.standard_normal())
+            spread = stated.repeatability if self.machine is None else float(self.machine.return_sd[joint])
+            axis.offset = spread * float(self._random.standard_normal())
         return True
 
     def stop(self, joint: int) -> None:
@@ -144,7 +147,8 @@ class SimulatedCell:
 
     def position(self, joint: int) -> float:
         """What a joint's encoder shows, in um or rad."""
-        return self.axes[joint].at(self.clock.now())
+        noise = self.cell.joints[joint].resolution * float(self._random.standard_normal())
+        return self.axes[joint].at(self.clock.now()) + noise
 
     def hold(self, joint: int) -> None:
         """A joint gets no further than it is, until it is released."""

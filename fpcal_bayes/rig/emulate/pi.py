@@ -17,10 +17,7 @@ _COMMANDS = "*IDN?, ERR?, HLP?, MOV, MOV?, ONT?, POS?, SAI?, STP, SVO, SVO?, TMN
 class PIController:
     """Axes of the cell behind GCS 2.0.
 
-    Parameters
-    ----------
-    axes
-        Channel and way of counting of each joint on this controller, by its place in the joint vector.
+    axes: channel and way of counting of each joint on this controller, by its place in the joint vector.
     """
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:

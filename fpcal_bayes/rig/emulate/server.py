@@ -26,24 +26,14 @@ class Protocoled(Protocol):
 
 @dataclass
 class Endpoint:
-    """One device on its port.
-
-    Attributes
-    ----------
-    silent
-        Requests are carried out, no answer comes.
-    half
-        The next answer stops half way, and no other comes on that connection.
-    down
-        The device is off: every connection is closed.
-    """
+    """One device on its port."""
 
     name: str
     device: Protocoled
     listener: socket.socket
-    silent: bool = False
-    half: bool = False
-    down: bool = False
+    silent: bool = False  # requests are carried out, no answer comes
+    half: bool = False  # the next answer stops half way, and no other comes on that connection
+    down: bool = False  # the device is off: every connection is closed
     faulty: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -24,10 +24,7 @@ _NOT_REFERENCED = '-221,"Settings conflict;not referenced"'
 class MCS2:
     """Joints of the cell behind an MCS2; lengths in pm, angles in ndeg.
 
-    Parameters
-    ----------
-    axes
-        Channel and way of counting of each joint on this controller, by its place in the joint vector.
+    axes: channel and way of counting of each joint on this controller, by its place in the joint vector.
     """
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:

@@ -1,0 +1,1 @@
+"""A calibration judged by sweeps that it was not made from."""

@@ -1,0 +1,213 @@
+"""What goes wrong around a session: a full disk, a clock that is set, two programs, an edited rig, a late ticket."""
+
+import errno
+import json
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_fixtures import SteppedClock, constant, live, write_ticket
+from test_rig_files import with_columns
+
+from fpcal_bayes.analysis.append import append
+from fpcal_bayes.cli.main import main
+from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.io.campaign import read_campaign
+from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
+from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.truth import paper_truth
+from fpcal_bayes.rig import reader
+from fpcal_bayes.rig.bench import only_one
+from fpcal_bayes.rig.clock import Clock, Halt
+from fpcal_bayes.rig.results import sweeps_of
+from fpcal_bayes.rig.session import Failed
+from fpcal_bayes.simulator.sweeps import noise_free, simulate_um
+
+pytest.importorskip("pipython")
+
+
+@pytest.fixture
+def cell_live(femto, tmp_path, monkeypatch):
+    """A cell whose clock goes on when someone waits."""
+    clock = SteppedClock(1.8e9)
+    monkeypatch.setattr(reader, "Clock", lambda *_: clock)
+    with live(femto, tmp_path, truth=constant(femto), timeout=20.0) as found:
+        yield found
+
+
+def good(found, output) -> int:
+    """How many rows a session has, all of them right and each once."""
+    sweeps = read_sweeps(output, found.cell)
+    assert len(set(sweeps.label.tolist())) == len(sweeps)
+    assert np.abs((sweeps.dl - noise_free(found.cell, found.lab.truth, sweeps)) / sweeps.sigma).max() < 5.0
+    return len(sweeps)
+
+
+def stand(found) -> bool:
+    now = found.rig.clock.now()
+    return not any(axis.moving(now) for axis in found.lab.axes) and all(s.stops for s in found.emulated.stages.values())
+
+
+def test_a_log_that_cannot_be_written_stops_the_axes(cell_live, tmp_path):
+    (tmp_path / "s.log").symlink_to("/dev/full")
+    halt = Halt()
+    bench = cell_live.bench(halt, tmp_path / "s.log")
+    bench.prepare()
+    with pytest.raises(InputError, match=r"s\.log: cannot be written \(No space left on device\)"):
+        bench.go(np.zeros(6), "a move")
+    assert cell_live.lab.commanded == []
+    assert bench.stop() == []
+    assert stand(cell_live)
+    bench.close()
+    halt.close()
+
+
+def test_a_full_disk_loses_no_row_that_is_kept(cell_live, femto, tmp_path, monkeypatch):
+    ticket, number, fsync = write_ticket(tmp_path / "t.csv", femto, [0, 1, 45, 46]), [0], os.fsync
+
+    def full(handle):
+        number[0] += 1
+        if number[0] == 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(handle)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(Failed, match=r"s\.h5\.journal: cannot be written \(No space left on device\)"):
+            cell_live.measure(ticket, tmp_path / "s.h5")
+    assert stand(cell_live)
+    _, summary = cell_live.measure(ticket, tmp_path / "s.h5")
+    assert (summary.rows, good(cell_live, tmp_path / "s.h5")) == (4, 4)
+
+
+def test_a_clock_that_is_set_back_spoils_no_row(cell_live, femto, tmp_path):
+    clock = cell_live.rig.clock
+
+    class SetBack(Clock):
+        """Set back by an hour between the two readings of the second sweep."""
+
+        def now(self):
+            return clock.now() - 3600.0 * (len(cell_live.lab.commanded) > 9)
+
+        def ticks(self):
+            return clock.ticks()
+
+        def wall(self, seconds):
+            return clock.wall(seconds)
+
+    ticket = write_ticket(tmp_path / "t.csv", femto, [0, 45, 46])
+    cell_live.rig = replace(cell_live.rig, clock=SetBack())
+    _, summary = cell_live.measure(ticket, tmp_path / "s.h5")
+    assert (summary.rows, summary.doubtful, good(cell_live, tmp_path / "s.h5")) == (3, (), 3)
+    sweeps = read_sweeps(tmp_path / "s.h5", femto)
+    assert (sweeps.t_end_h > sweeps.t_start_h).all()
+
+
+def test_two_at_once_do_not_drive_one_cell(cell_live, femto, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_ticket(tmp_path / "t.csv", femto, [45])
+    with only_one(cell_live.rig):
+        assert main(["measure", "t.csv", "--rig", "live.toml", "-o", "s.h5"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("fpcal: error: E-712 at 127.0.0.1:")
+    assert error.endswith(": another fpcal drives it: wait until it has ended\n")
+    assert cell_live.lab.commanded == []
+    assert main(["measure", "t.csv", "--rig", "live.toml", "-o", "s.h5"]) == 0
+
+
+def test_a_rig_that_is_edited_does_not_go_on_with_a_session(cell_live, femto, tmp_path):
+    ticket, halt = write_ticket(tmp_path / "t.csv", femto, [0, 45]), Halt()
+    with pytest.raises(Failed):
+        cell_live.measure(ticket, tmp_path / "s.h5", halt=halt, tell=lambda _: halt.request("enough"))
+    halt.close()
+    instrument = cell_live.rig.instrument
+    for other in (replace(instrument, noise=0.01), replace(instrument, settings=replace(instrument.settings, sign=-1))):
+        edited = replace(cell_live, rig=replace(cell_live.rig, instrument=other))
+        with pytest.raises(InputError, match="left by another ticket, cell or rig: remove it to begin anew"):
+            edited.measure(ticket, tmp_path / "s.h5")
+    # Where a device is found may change: another port, a longer wait.
+    cell_live.rig = replace(cell_live.rig, instrument=replace(instrument, timeout_s=30.0))
+    assert cell_live.measure(ticket, tmp_path / "s.h5")[1].rows == 2
+
+
+def test_sweeps_of_one_label_do_not_share_a_start(cell_live, femto, tmp_path):
+    plan = paper_protocol(femto, session="s1").take(np.array([0, 45, 45]))
+    write_ticket(tmp_path / "t.csv", femto, [0, 45, 45])
+    lines = (tmp_path / "t.csv").read_text().replace(str(plan.label[0]), "q").replace(str(plan.label[1]), "q")
+    (tmp_path / "t.csv").write_text(lines)
+    cell_live.measure(with_columns(tmp_path / "t.csv", readings=2), tmp_path / "s.h5")
+    sweeps = read_sweeps(tmp_path / "s.h5", femto)
+    assert sweeps.group.tolist() == [f"q row {row}" for row in (2, 3, 4) for _ in range(2)]
+    assert len(set(sweeps.t_start_h.tolist())) == 3
+
+
+def test_times_and_approach_go_into_the_campaign(cell_live, femto, tmp_path):
+    ticket = with_columns(write_ticket(tmp_path / "t.csv", femto, [0, 2, 46]), readings=2)
+    for suffix in (".h5", ".csv"):
+        output, campaign = tmp_path / f"s{suffix}", tmp_path / f"c{suffix}"
+        cell_live.measure(ticket, output)
+        first = simulate_um(femto, paper_truth(femto), paper_protocol(femto), sigma=0.005, seed=1)
+        write_sweeps(campaign, replace(first, time_h=first.time_h - 24.0), femto)
+        append(campaign, output, femto, now=cell_live.rig.clock.now())
+        session, joined = read_sweeps(output, femto), read_sweeps(campaign, femto).of_session("s1")
+        for name in ("t_start_h", "t_end_h", "approach", "utc", "group", "q_start", "q_end", "dl"):
+            assert (getattr(joined, name) == getattr(session, name)).all(), name
+        assert session.approach.tolist() == [text for text in ("000+00", "00000+", "0+0000") for _ in range(2)]
+        # A joint that the sweep leaves alone stands still, whatever its encoder's noise.
+        assert (np.count_nonzero(session.q_start != session.q_end, axis=1) == 1).all()
+        assert ((session.t_start_h < session.t_end_h) & (session.t_end_h == session.time_h)).all()
+
+
+def test_the_approach_is_the_last_way_that_was_gone():
+    @dataclass
+    class Turned:
+        """Out by 10, back to 5."""
+
+        start = np.zeros(2)
+        targets = np.array([[10.0, 0.0], [5.0, 0.0]])
+        session, group, labels = "s", "g", ("out", "back")
+
+    readings = [
+        {"q": q, "length_um": 0.0, "moment_s": 0.0, "temperature_c": None} for q in ([0, 0], [10, 1e-4], [5, 0])
+    ]
+    found = sweeps_of([Turned()], {0: {"doubt": "", "readings": readings}}, sigma=0.1, origin_s=0.0)
+    assert found.approach.tolist() == ["+0", "-0"]
+    assert (found.q_end[:, 1] == 0.0).all()
+
+
+def test_a_ticket_that_expires_half_measured_is_followed_by_another(cell_live, femto, tmp_path, monkeypatch, capsys):
+    """The cell keeps itself calibrated; a device is away for longer than the ticket holds; then it goes on."""
+    monkeypatch.chdir(tmp_path)
+    options = "--ticket ticket.csv --estimate now.json --rig live.toml --once --mechanics none"
+    line = f"keep campaign.h5 {options}".split()
+    day0 = with_columns(write_ticket(tmp_path / "day0.csv", femto, session="full-0"), readings=2)
+    cell_live.measure(day0, tmp_path / "campaign.h5")
+    clock, server, drives = cell_live.rig.clock, cell_live.emulated.server, [0]
+    move = cell_live.lab.move
+
+    def lost(joint, target):
+        drives[0] += 1
+        if drives[0] == 3:
+            server.inject("IDS3010", "reset", 1e9)
+        return move(joint, target)
+
+    assert main(line) == 0
+    clock.pass_until(clock.now() + 6 * 3600.0)
+    cell_live.lab.move = lost
+    assert main(line) == 2
+    assert capsys.readouterr().err.count("fpcal: error: IDS3010 at 127.0.0.1:") == 1
+    assert stand(cell_live)
+    pending = read_ticket("ticket.csv", femto)
+    assert len(json.loads(Path(f"campaign_extrinsic-1_{pending.name}.h5.journal").read_text().splitlines()[0])) > 3
+    clock.pass_until(clock.now() + 5 * 3600.0)
+    server.mend("IDS3010")
+    assert main(line) == 0
+    campaign = read_campaign("campaign.h5", femto)
+    assert campaign.sweeps.sessions == ("full-0", "extrinsic-1")
+    assert campaign.track is not None
+    assert read_ticket("ticket.csv", femto).plan is None
+    assert (campaign.sweeps.utc != "").all()
+    assert all(allowed for _, _, allowed in cell_live.lab.commanded)

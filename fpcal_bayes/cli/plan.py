@@ -19,7 +19,8 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, duration, shortfalls
+from fpcal_bayes.infer.design.order import duration
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate

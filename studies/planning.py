@@ -247,7 +247,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
 
 def extrinsic(options: argparse.Namespace) -> None:
     """Best few sweeps some hours after a calibration at the paper's truth."""
-    cell = load_cell(mechanics="none")
+    cell = load_cell(mechanics=options.mechanics)
     calibration = simulate_um(
         cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=SIGMA, seed=options.seed
     )

@@ -76,9 +76,16 @@ def run(options: argparse.Namespace) -> int:
         return _commission(options, cell, settings)
     if options.validation is not None:
         return plan_validation.run(options, cell, settings.limits)
-    tasks = _tasks(options, targets, cell)
     options.draws = options.draws or (_DRAWS if cell.mechanics is None else _MACHINE_DRAWS)
-    bar = _Bar(options.quiet)
+    with _Bar(options.quiet) as bar:
+        return _plan(options, cell, settings, targets, bar)
+
+
+def _plan(
+    options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
+) -> int:
+    """Search for a plan, write it, and say what it is expected to leave."""
+    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
@@ -87,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference, bar.part("plan"))
     settings = planner.settings
-    if targets and options.after is not None and planner.should_stop(check):
+    if targets and options.after is not None and trust.usable and planner.should_stop(check):
         return _stop(options, cell, check, trust)
     most = options.n or 69
     if targets:
@@ -111,8 +118,8 @@ def run(options: argparse.Namespace) -> int:
     if settings.several:
         single = planner.short(several=False)
         plain = single.in_order(single.best(len(ordered)).sweeps)
-        expected["one joint at a time"] = check.expected_sd(plain, readings=readings, sigma=sigma)
-        seconds["one joint at a time"] = duration(cell, plain, readings, settings.limits)
+        expected["single joints"] = check.expected_sd(plain, readings=readings, sigma=sigma)
+        seconds["single joints"] = duration(cell, plain, readings, settings.limits)
     if papers is not None:
         for name, often in (("paper", 1), ("paper, midpoints", 2)):
             expected[name] = check.expected_sd(papers, readings=often, sigma=sigma)
@@ -129,7 +136,6 @@ def run(options: argparse.Namespace) -> int:
     if options.frontier is not None:
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
         points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
-    bar.stop()
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
     write_plan(options.output, planned, cell)
     if options.rows is not None:
@@ -148,7 +154,8 @@ def run(options: argparse.Namespace) -> int:
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     if trust.usable:
-        out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
+        shown = {name: sd for name, sd in expected.items() if name != "plan, where it was made"}
+        out.print(accuracy_table(shown, "expected standard deviation at the worst point"))
         if reference is not None:
             made, other = (planner.excess(expected[name]) for name in ("plan, where it was made", "plan"))
             of = "target" if targets else "paper"
@@ -164,7 +171,7 @@ def run(options: argparse.Namespace) -> int:
 def _stop(options: argparse.Namespace, cell: Cell, check: Ground, trust: Trust) -> int:
     """Write a plan without sweeps: what is known keeps to the targets."""
     write_plan(options.output, empty_ticket(str(options.output)), cell)
-    expected = {task: 1e3 * sd for task, sd in check.expected_sd(None).items()} if trust.usable else None
+    expected = {task: 1e3 * sd for task, sd in check.expected_sd(None).items()}
     content = {"n_sweeps": 0, "should_stop": True, "expected_sd_nm": {"before": expected}, "warnings": []}
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     console(options).say(f"{options.output}: no sweeps, {options.after} already reaches the targets")
@@ -191,7 +198,13 @@ class _Bar:
         self._terminal, self._quiet = sys.stderr.isatty(), quiet
         self._next = time.monotonic() + _FIRST_LINE
         self._bar = Progress(console=Console(stderr=True), disable=quiet or not self._terminal, transient=True)
+
+    def __enter__(self) -> "_Bar":
         self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
 
     def part(self, name: str) -> Callable[[float], None]:
         """What shows the share done of a part of the work."""
@@ -207,10 +220,6 @@ class _Bar:
             print(f"fpcal: {name}: {100 * share:.0f} % done, about {max(left, 1.0):.0f} s left", file=sys.stderr)
 
         return tell
-
-    def stop(self) -> None:
-        """Take the bar away."""
-        self._bar.stop()
 
 
 def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:

@@ -269,9 +269,9 @@ class Planner:
         return best
 
     def short(self, several: bool) -> "Planner":
-        """A planner that searches less, for a comparison."""
-        less = replace(self.settings, starts=2, finalists=1, iterations=_SHORT, several=several)
-        return Planner(self.ground, less, self._tolerances)
+        """A planner that searches less, on fewer draws, for a comparison."""
+        less = replace(self.settings, starts=2, finalists=1, several=several)
+        return Planner(self._part(0, less.share * _WIDER), less, self._tolerances)
 
     def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
         """What plans of several numbers of sweeps, up to `most`, are expected to leave, with a short search for each.

@@ -228,13 +228,18 @@ def draw_accuracy(found: Found, levels: Levels) -> Figure:
 def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> tuple[ByTask, ByTask]:
     """Half of the sweeps are planned before the cell is known, the others on what the first half told."""
     settings = settings_of(options)
-    first = Planner(grounds.made, settings, grounds.reference).best(n // 2).sweeps
+    planner = Planner(grounds.made, settings, grounds.reference)
+    first, at_once = planner.best(n // 2).sweeps, planner.best(n).sweeps
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
         truth = Truth(cell.free, np.zeros(1), values[None])
         measured = simulate_um(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
         now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
-        second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
+        try:
+            second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
+        except InputError as error:
+            print(f"truth {number + 1}: {error}; planned at once", flush=True)
+            second = at_once.take(np.arange(n // 2, n))
         # Judged at the truth, under the cell's own prior.
         there = grounds.judged.at_draws(np.array([number]))
         for task, sd in there.expected_sd(join([first, second]), readings=options.readings).items():

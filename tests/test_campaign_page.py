@@ -81,9 +81,10 @@ def test_standing_follows_the_tolerance(file, facts):
     assert standing(facts.tasks[0], facts) == ("within tolerance", "good")
     tight = gather(file, CELL, goal=Goal(0.1))
     assert standing(tight.tasks[0], tight) == ("out of tolerance", "bad")
-    assert tight.decision is None
-    assert verdict(tight).word == "No verdict"
-    assert "0.1 nm" in verdict(tight).meaning
+    assert tight.decision.action == "hold"
+    assert tight.decision.attainable_nm > 0.1
+    assert verdict(tight).word == "Out of reach"
+    assert "tolerance 0.1 nm cannot be met" in verdict(tight).sentences[0]
 
 
 def test_the_error_grows_with_time_and_falls_at_a_session(facts):

@@ -205,11 +205,10 @@ class TestTruthsFromThePrior:
 
     def test_rivals_are_told(self, trials):
         assert {5, 35, 41, 85, 427} <= set(np.flatnonzero(trials.rival).tolist())
-        # A warning is rare, yet whoever is far off without one is rarer.
+        # A warning is rare, and the stated sd covers both solutions.
         assert 10 <= trials.rival.sum() <= 40
-        far = (np.abs(trials.errors) > 5).any(axis=1)
-        assert far.sum() >= 3
-        assert trials.rival[far].all()
+        assert np.abs(trials.errors[trials.rival]).max() < 4.0
+        assert np.abs(trials.errors).max() < 5.0
 
     @pytest.mark.parametrize(("level", "width"), [(0.6827, 1.0), (0.9545, 2.0)])
     def test_errors_have_the_stated_size(self, trials, level, width):

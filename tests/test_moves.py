@@ -55,6 +55,23 @@ def test_out_and_back(tmp_path_factory, axes, readings):
     assert not found.measured
 
 
+def test_limits_are_kept_however_an_axis_counts(tmp_path):
+    """Of 100 random settings no position beyond a limit, in the words of the controller, comes in."""
+    random, path = np.random.default_rng(0), tmp_path / "moves.csv"
+    plan = paper_protocol(CELL).take(np.array([5]))
+    for _ in range(100):
+        axes = [(int(random.choice([-1, 1])), random.uniform(-500, 500), int(random.integers(6))) for _ in range(6)]
+        cell, j = counted(CELL, axes), int(random.integers(5))
+        write_order_moves(path, orders_of(Ticket("t", plan, np.array([1]))), cell)
+        records = read_records(path)
+        joint, at = cell.joints[j], records.header.index("position")
+        beyond = random.choice([joint.low, joint.high]) * (1.0 + 1e-6) / cell.joint_scales[j]
+        records.texts[j][at] = repr(float(joint.to_controller(beyond)))
+        path.write_text("\n".join(",".join(row) for row in [records.header, *records.texts]) + "\n")
+        with pytest.raises(InputError, match=f"row 7, column q{j + 1}_.* is outside the limits"):
+            read_moves(path, cell)
+
+
 def test_positions_are_those_of_the_controller(tmp_path):
     plan = paper_protocol(CELL).take(np.array([50]))
     write_order_moves(tmp_path / "m.csv", orders_of(Ticket("t", plan, np.array([1]))), CELL)
@@ -107,6 +124,8 @@ def test_a_log_with_lengths_is_measured(tmp_path):
         ("2,", "0,", "expected moves in ascending order"),
         ("position,", "place,", "the column position is missing"),
         (",0.005", ",", "sigma_um of each change"),
+        ("2,E-712,2,", "2,E-712,1,", "row 9, column channel: q1 stands twice in this move, expected once"),
+        ("um,200.0,", "um,900.0,", "row 13, column q1_um: 750 um is outside the limits"),
     ],
 )
 def test_a_log_that_cannot_be_used(tmp_path, old, new, message):
@@ -117,6 +136,18 @@ def test_a_log_that_cannot_be_used(tmp_path, old, new, message):
     (tmp_path / "log.csv").write_text(text[: at + 1] + text[at + 1 :].replace(old, new))
     with pytest.raises(InputError, match=message):
         read_moves(tmp_path / "log.csv", CELL)
+
+
+def test_a_log_that_is_cut_short(tmp_path):
+    poses = [[0, 0, 0, 0, 0, 0], [50, 0, 0, 0, 0, 0], [0, 0, -20, 1, 0, 0], [0, 0, -20, 1, 0, 45]]
+    lines = log(CELL, poses, [920.0, 921.5, 930.0, 929.0]).splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text("".join(lines[:-4]))
+    with pytest.raises(InputError, match="row 21: this move places 2 axes and all others 6: the log may be cut short"):
+        read_moves(tmp_path / "log.csv", CELL)
+    # A log of those axes alone that move is whole.
+    moved = [lines[0], *lines[1:8], *lines[13:19], lines[24]]
+    (tmp_path / "log.csv").write_text("".join(moved))
+    np.testing.assert_allclose(read_moves(tmp_path / "log.csv", CELL).dl, [1.5, -1.0])
 
 
 def test_joints_of_two_controllers_do_not_move_in_step(tmp_path):

@@ -152,6 +152,25 @@ def test_a_session_that_is_there_is_refused_under_any_name(tmp_path, campaign, c
     assert campaign.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("column", "factor", "message"),
+    [
+        ("dl", 1e3, "column dl_um: expected .* um within .*: check units"),
+        ("time_h", -0.1, "column time_h: found -3 h, expected after the calibration 'full-T0', which ends at 0 h"),
+        ("time_h", 0.0, "column time_h: found 0 h, expected after"),
+    ],
+)
+def test_what_would_spoil_the_campaign_is_refused(tmp_path, campaign, column, factor, message):
+    write_ticket(tmp_path / "t.csv", planned(expires_h=34.0, name="t-1"), CELL)
+    session = measured(read_sweeps(tmp_path / "t.csv", CELL, plan=True))
+    write_sweeps(tmp_path / "s.csv", replace(session, **{column: getattr(session, column) * factor}), CELL)
+    before = campaign.read_bytes()
+    with pytest.raises(InputError, match=message):
+        append(campaign, tmp_path / "s.csv", CELL, ticket=tmp_path / "t.csv")
+    assert campaign.read_bytes() == before
+    assert read_ticket(tmp_path / "t.csv", CELL).plan is not None
+
+
 def test_a_decision_writes_a_ticket_or_empties_it(tmp_path, campaign, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["decide", "campaign.csv", "--now", "30", "-o", "t.csv", "--json", "d.json"]) == 0

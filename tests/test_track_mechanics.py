@@ -85,8 +85,14 @@ def test_after_the_calibration_lengths_are_known_as_dense_algebra_says(sweeps):
     motions, n = first.motions, DRIFT.n_parameters
     found = _identified(CELL, DRIFT, sweeps.of_session("full"))[0]
     fit = found.machine
-    # Independent: the rows' covariance from the design matrices at the typical sizes, without states or whitening.
-    values, factors = fit.values, np.exp(fit.scales.log.mean(axis=0))
+    # Independent: the sizes by quadrature, the posterior of each carried over to a prior of a factor of 1.5 around the
+    # sheet; the rows' covariance from the design matrices at these sizes, without states or whitening.
+    log = np.round(fit.scales.log, 3)
+    grid = np.linspace(-8.0, 8.0, 16001)[:, None]
+    wide = np.log(np.append(np.full(log.shape[1] - 1, 3.0), 1.5))
+    density = ((grid - log.mean(axis=0)) / log.std(axis=0)) ** 2 + (grid / np.log(1.5)) ** 2 - (grid / wide) ** 2
+    weight = np.exp(-0.5 * (density - density.min(axis=0)))
+    values, factors = fit.values, np.exp((grid * weight).sum(axis=0) / weight.sum(axis=0))
     readings, returns = fit.noise.dense()
     noise = factors[-1] ** 2 * readings + factors[-2] ** 2 * returns
     weights = fit.design.matrix * factors[fit.design.scale]

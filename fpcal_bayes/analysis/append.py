@@ -30,7 +30,7 @@ class Appended:
 
 def append(
     campaign: str | Path,
-    measured: str | Path,
+    measured: str | Path | Sweeps,
     cell: Cell,
     *,
     ticket: str | Path | None = None,
@@ -41,7 +41,7 @@ def append(
     A session that is there already, under a ticket that was not emptied, is taken as done.
 
     campaign: CSV or HDF5; replaced in one step, under the lock of its writers.
-    measured: sessions that the campaign does not hold yet, all later than its first.
+    measured: sessions that the campaign does not hold yet, all later than its first; a file, or what was read.
     ticket: what was to be measured.
     now: Unix time, by default this machine's: sessions after it are refused.
     Raises InputError if a row is not what the ticket asks for, is there already, or the sessions do not go together;
@@ -50,7 +50,7 @@ def append(
     asked = None if ticket is None else read_ticket(ticket, cell)
     if asked is not None and asked.plan is None:
         return Appended((), 0, 0, 0)
-    sweeps = read_sweeps(measured, cell)
+    sweeps = measured if isinstance(measured, Sweeps) else read_sweeps(measured, cell)
     missing = 0 if asked is None else check_measured(asked, sweeps, cell)
     if ticket is not None and _is_there(read_sweeps(campaign, cell), sweeps):
         # A program that was ended between the two steps below runs again.
@@ -117,9 +117,7 @@ def _refuse_impossible(sweeps: Sweeps, cell: Cell) -> None:
     far = np.abs(measured - middle) > spread + _FAR_SHARE * np.abs(middle)
     if 2 * far.sum() > (far | (np.abs(middle) > spread)).sum():
         worst = int(np.argmax(np.abs(measured - middle) / spread))
-        what = (
-            f"found {sweeps.dl[worst]:.6g} um, expected {middle[worst]:.4g} um within {spread[worst]:.2g}: check units"
-        )
+        what = f"expected {middle[worst]:.4g} um within {spread[worst]:.2g}, found {sweeps.dl[worst]:.6g}: check units"
         raise located(sweeps.file, what, row=int(sweeps.rows[worst]), column="dl_um")
 
 

@@ -13,6 +13,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.parameters import Parameter
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import predict
+from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.record import decisions_of
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track, innovation_bounds, smooth_track
@@ -140,24 +141,28 @@ def residuals(facts: CampaignFacts) -> list[SessionResiduals]:
     followed = facts.track
     if followed is None:
         found = facts.calibration
-        return [_residuals(facts, found.problem.sweeps, found.estimate.vector())]
+        sweeps, parameters = found.problem.sweeps, found.estimate.parameters
+        model = CavityModel.of(facts.cell, parameters, found.estimate.vector())
+        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        return [_residuals(sweeps, model.predict(found.estimate.values, rows), sweeps.sigma)]
     model = CavityModel.of(facts.cell, followed.drift.parameters)
     parts = []
     for outcome in followed.outcomes:
         sweeps = facts.sweeps.of_session(outcome.session)
         used = sweeps.take(sweeps.kind != "path")
         if len(used):
-            parts.append(_residuals(facts, used, model.vector(followed.drift.values(outcome.state.mean))))
+            # Of a machine: beside the error motions that are known, and what is new in each row.
+            taken = SweepMeasurement.of(followed.drift, model, used, outcome.state.mean)
+            sd = np.sqrt(taken.whitening.variance)
+            parts.append(_residuals(used, taken.predict(outcome.state.mean), sd))
     return parts
 
 
-def _residuals(facts: CampaignFacts, sweeps: Sweeps, vector: Floats) -> SessionResiduals:
-    model = CavityModel.of(facts.cell, facts.cell.free, vector)
-    expected = model.predict(vector[facts.cell.free.slots], model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute))
+def _residuals(sweeps: Sweeps, expected: Floats, sd: Floats) -> SessionResiduals:
     # Without a sign only the size is known: it is taken with the sign that is expected.
     measured = np.where(sweeps.signed | sweeps.absolute, sweeps.dl, np.sign(expected) * np.abs(sweeps.dl))
     labels = tuple(str(label) or f"row {row}" for label, row in zip(sweeps.label, sweeps.rows, strict=True))
-    return SessionResiduals(str(sweeps.session[0]), labels, (measured - expected) / sweeps.sigma)
+    return SessionResiduals(str(sweeps.session[0]), labels, (measured - expected) / sd)
 
 
 def _grid(followed: Track, end_h: float, most: int) -> tuple[Floats, Ints]:

@@ -36,7 +36,7 @@ def watch(
     waiting, again = "", False
     looks, patience, due = 0, 1, 0.0
     while True:
-        now, looks = _stamp(file), looks + 1
+        now, looks = stamp(file), looks + 1
         if now != seen or (waiting and looks >= patience) or time.monotonic() >= due:
             patience = 1 if now != seen else min(2 * patience, _MOST_LOOKS)
             seen, looks, due = now, 0, time.monotonic() + at_least
@@ -50,7 +50,7 @@ def watch(
         time.sleep(seconds)
 
 
-def _stamp(file: str | Path) -> tuple[int, ...] | None:
+def stamp(file: str | Path) -> tuple[int, ...] | None:
     """Tells one state of a file from another; None if it is not there."""
     try:
         found = os.stat(file)

@@ -1,10 +1,13 @@
 """``fpcal decide``: whether to measure now, and what."""
 
 import argparse
+from typing import Any
 
-from fpcal_bayes.analysis.campaign import follow
+from fpcal_bayes.analysis.campaign import Followed, follow
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.decision.decision import Costs, Decision
+from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
 from fpcal_bayes.io.tickets import write_ticket
@@ -27,34 +30,39 @@ def run(options: argparse.Namespace) -> int:
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)
     found, sweeps = followed.track, followed.sweeps
-    costs = costs_of(options, sweeps)
-    now_h = followed.now_h
-    if now_h is None:
-        now_h = hours_now(sweeps, found.last.time_h)
-    decision = decide_track(found, sweeps, goal, costs, now_h)
-
-    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
-    estimate = found.estimate()
-    warnings += [reason.text for reason in estimate.trust.reasons if reason.text not in warnings]
-    for name in goal.tasks:
-        task = find_task(cell, estimate.vector(), name, radius=goal.radius_um, n_points=8)
-        if not task.ok.any():
-            warnings.append(f"task {name!r} is judged as far as the joints turn: {task.status[0]}")
-    until_h = valid_until(found, goal)
-    if estimate.trust.usable and now_h > until_h:
-        until = time_text(until_h, found.outcomes)
-        warnings.append(
-            f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
-        )
+    decision, content = decided(followed, goal, costs_of(options, sweeps), followed.now_h)
     ticket = ticket_of(decision, sweeps, str(options.output))
     if options.output is not None:
         write_ticket(options.output, ticket, cell)
-    content = {"decision": decision_content(decision, goal, found), "ticket": ticket.content(), "warnings": warnings}
-    write_result(options.json, "decide", estimate.content() | content)
+    write_result(options.json, "decide", found.estimate().content() | content)
     out = console(options)
     out.print(outlook_table(decision, goal, found))
     if decision.sweeps is not None and decision.action == "extrinsic":
         out.print(sweep_table(decision.sweeps, cell))
     out.say(decision_sentence(decision, found))
-    warn(warnings)
+    warn(content["warnings"])
     return 0 if found.converged else 1
+
+
+def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -> tuple[Decision, dict[str, Any]]:
+    """The decision at a time, by default now, and its JSON: ``decision``, ``ticket``, ``warnings``."""
+    found, sweeps = followed.track, followed.sweeps
+    if now_h is None:
+        now_h = hours_now(sweeps, found.last.time_h)
+    decision = decide_track(found, sweeps, goal, costs, now_h)
+    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
+    estimate = found.estimate()
+    trust = estimate.trust
+    warnings += [reason.text for reason in trust.reasons if reason.text not in warnings]
+    for name in goal.tasks:
+        task = find_task(found.cell, estimate.vector(), name, radius=goal.radius_um, n_points=8)
+        if not task.ok.any():
+            warnings.append(f"task {name!r} is judged as far as the joints turn: {task.status[0]}")
+    until_h = valid_until(found, goal)
+    if trust.usable and now_h > until_h:
+        until = time_text(until_h, found.outcomes)
+        warnings.append(
+            f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
+        )
+    ticket = ticket_of(decision, sweeps).content()
+    return decision, {"decision": decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}

@@ -44,6 +44,7 @@ _COMMANDS = (
     keep.import_,
     live.measure,
     live.rig,
+    live.serve,
     keep.report,
     keep.week,
     keep.study,

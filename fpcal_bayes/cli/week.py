@@ -94,9 +94,10 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     if posterior is not None:
         write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
     if options.page:
-        # As `fpcal report` writes it.
-        draws = None if posterior is None else folder / "posterior.nc"
-        write_campaign_report(folder / "campaign.h5", cell, folder / "report.html", posterior=draws, command=command)
+        # As `fpcal report` writes it, for the tolerance that the policy holds.
+        draws, goal = None if posterior is None else folder / "posterior.nc", followed.goal
+        page = folder / "report.html"
+        write_campaign_report(folder / "campaign.h5", cell, page, goal=goal, posterior=draws, command=command)
     text = io.StringIO()
     report = Output(file=text, width=120, highlight=False)
     for target, timed in ((report, False), (out, True)):

@@ -263,23 +263,10 @@ class Policy:
         return measure_instead(decision, forecast, self.model, state, self.costs, sweeps, reason)
 
 
-def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
-    """What to do now with a cell that was followed so far.
-
-    Parameters
-    ----------
-    track
-        Up to its last session.
-    sweeps
-        Sweeps of all its sessions; the first is the calibration that would be made again.
-    now_h
-        In hours since the campaign began.
-
-    Raises
-    ------
-    InputError
-        If `now_h` lies before the last session, a task cannot be driven, or the sweeps may leave the cell's envelope.
-    """
+def _standing(
+    track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float
+) -> tuple[Policy, Forecaster, State, Floats]:
+    """The policy for a cell that was followed so far, and what is known of it now; arguments as in `decide_track`."""
     last = track.last
     if not now_h >= last.time_h:
         raise InputError(
@@ -297,13 +284,47 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
         stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))
         visible = replace(visible, tilt=float(stood.max()))
     policy = Policy.of(track.drift, model, goal, costs, calibration, visible.within_envelope(model, known))
+    return policy, forecast, state, known
+
+
+def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float, n: int) -> Sweeps:
+    """At most `n` sweeps that would tell most about the tasks now, the most useful first, whether due or not.
+
+    Arguments and errors as in `decide_track`; `InputError` too where the track is not to be used.
+    """
+    if not track.trust.usable:
+        raise InputError(f"the estimate is not to be used: {track.trust.against}")
+    policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
+    chosen = policy.choose(forecast, state, n)
+    require_within_envelope(policy.model, known, chosen.q_start, chosen.q_end, file="suggested sweeps")
+    return chosen
+
+
+def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
+    """What to do now with a cell that was followed so far.
+
+    Parameters
+    ----------
+    track
+        Up to its last session.
+    sweeps
+        Sweeps of all its sessions; the first is the calibration that would be made again.
+    now_h
+        In hours since the campaign began.
+
+    Raises
+    ------
+    InputError
+        If `now_h` lies before the last session, a task cannot be driven, or the sweeps may leave the cell's envelope.
+    """
+    policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     due = track.calibration_due
     reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     decision = policy.decide(forecast, state, reason, diagnosed)
     if decision.sweeps is not None:
         planned, file = decision.sweeps, f"sweeps of the {decision.action} session"
-        require_within_envelope(model, known, planned.q_start, planned.q_end, file=file)
+        require_within_envelope(policy.model, known, planned.q_start, planned.q_end, file=file)
     return decision
 
 

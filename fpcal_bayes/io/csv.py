@@ -99,6 +99,8 @@ def read_records(path: Path, expected: str = "", text: str | None = None) -> Rec
     if len(records) > 1 and records[0][-1] != "signed":
         require_line_end(path, text)
     header, header_row = (records[0], lines[0]) if records else ([], 1)
+    if len(header) == 1 and re.search("[;\t]", header[0]):
+        raise located(path, "expected fields separated by commas", row=header_row)
     return Records(path, header, header_row, records[1:], np.array(lines[1:], dtype=np.int64))
 
 

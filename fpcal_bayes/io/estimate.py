@@ -24,15 +24,15 @@ from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, UNRECORDED, Trust, trust
 _SMALLEST = 1e-100
 
 
-def read_estimate(path: str | Path, cell: Cell) -> Estimate:
-    """Read an estimate file, as ``identify --json`` writes it.
+def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Estimate:
+    """Read an estimate file, as ``identify --json`` writes it, or its `text`.
 
     Raises
     ------
     InputError
         If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
     """
-    text = read_text(Path(path))
+    text = read_text(Path(path)) if text is None else text
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -154,16 +154,27 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
         raise located(path, "expected moves in ascending order", row=rows[int(np.argmax(np.diff(moves) < 0)) + 1])
     ends = np.append(np.flatnonzero(np.diff(moves) > 0), n - 1)
     last, q, poses = set(ends.tolist()), np.full(len(cell.joints), np.nan), []
+    found: list[set[int]] = [set()]  # joints of each move
     for i, j in enumerate(joints):
+        if j in found[-1]:
+            raise located(path, f"q{j + 1} stands twice in this move, expected once", row=rows[i], column="channel")
         q[j] = values[i]
+        found[-1].add(j)
         if i in last:
             poses.append(q.copy())
-    placed = np.array(poses)
+            found.append(set())
+    placed, short = np.array(poses), [len(joints) < len(cell.joints) for joints in found[:-1]]
     if np.isnan(placed[0]).any():
         missing = int(np.argmax(np.isnan(placed[0]))) + 1
         raise located(
             path, f"q{missing} is not placed by the first move, expected all axes there", row=rows[int(ends[0])]
         )
+    if len(short) > 3 and sum(short) == 1:
+        # A log may hold those axes alone that move, but then most of its moves are short.
+        at = short.index(True)
+        what = f"this move places {len(found[at])} axes and all others {len(cell.joints)}: the log may be cut short"
+        raise located(path, what, row=rows[int(ends[at])])
+    check_joints(cell, placed, path, [rows[i] for i in ends], cell.joint_columns)
     return _sweeps(
         path, cell, placed, {name: [values[i] for i in ends] for name, values in table.items()}, session, time_h
     )

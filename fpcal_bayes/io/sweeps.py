@@ -1,6 +1,5 @@
 """Sweeps from and to a file of either format: CSV or HDF5."""
 
-import re
 import zlib
 from base64 import b64decode, b64encode
 from collections.abc import Callable
@@ -126,8 +125,6 @@ def read_csv(
     path = Path(path)
     records = read_records(path, "a header and sweeps", text)
     header, row = records.header, records.header_row
-    if len(header) == 1 and len(re.split("[;\t]", header[0])) > 1:
-        raise located(path, "expected fields separated by commas", row=row)
     check_names(header, cell, path, plan=plan, row=row)
     required = list(required_columns(cell))
     if not plan and header[: len(required)] != required:

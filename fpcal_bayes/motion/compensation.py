@@ -30,14 +30,14 @@ def compensated_joints(
     return compensated_path(terms, vector, weights, start, q, before=before, geometry=geometry, return_factor=factor)
 
 
-def compensated(estimate: Estimate, task: Task) -> Task:
+def compensated(estimate: Estimate, task: Task, before: Floats | None = None) -> Task:
     """A task whose joint path makes up for the error motions that the estimate knows, where that gains.
 
-    Points that cannot be driven to stay as they are.
+    Points that cannot be driven to stay as they are; `before` as in `compensated_joints`.
     """
     ok = task.ok
     if estimate.mechanics is None or not ok.any():
         return task
     q, added = task.q.copy(), np.zeros(len(task))
-    q[ok], added[ok] = compensated_joints(estimate, task.start, q[ok])
+    q[ok], added[ok] = compensated_joints(estimate, task.start, q[ok], before)
     return replace(task, q=q, added=added, plain=task.q) if added.any() else task

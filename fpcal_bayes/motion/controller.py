@@ -5,11 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope, safe_ranges
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.inverse import InverseModel, JointSolutions
@@ -68,7 +70,7 @@ class Controller:
         self._compensate = compensate
         self._inverse = InverseModel(estimate.cell)
         self._load(estimate)
-        self._q = self._checked(np.zeros(len(estimate.cell.joints)) if q is None else np.asarray(q, dtype=float))
+        self._q = checked_joints(estimate.cell, np.zeros(len(estimate.cell.joints)) if q is None else q)
         # Where the geometry alone would have the joints for the pose that was commanded.
         self._plain = self._q
 
@@ -212,7 +214,7 @@ class Controller:
             known = found.q[np.isfinite(found.q).all(axis=1)]
             ratio = float((np.abs(np.diff(known, axis=0)) / steps).max(initial=0.0))
             if ratio <= 1.0:
-                self._require_within(found.q[found.ok])
+                self.require_within(found.q[found.ok])
                 return found
             points = max(points + 1, int(np.ceil((points - 1) * ratio)) + 1)
         raise InputError(
@@ -252,8 +254,11 @@ class Controller:
         self._aligned_q = aligned.q if aligned.ok else np.zeros(len(estimate.cell.joints))
         self._known: tuple[CavityModel, Floats, Floats, Floats] | None = None
 
-    def _require_within(self, q: Floats) -> None:
-        """Refuse a path (n_points, n_joints) from where the joints stand that may leave the cell's envelope."""
+    def require_within(self, q: Floats, start: Floats | None = None) -> None:
+        """Refuse a path (n_points, n_joints) that may leave the cell's envelope.
+
+        `start` is where it begins, shape (n_joints,), by default where the joints stand.
+        """
         cell = self._estimate.cell
         if cell.envelope is None:
             return
@@ -262,28 +267,31 @@ class Controller:
             low, high = (np.where(np.isfinite(end), end, np.sign(end) * np.pi) for end in (cell.low, cell.high))
             self._known = model, draws, *safe_ranges(model, draws, low, high)
         model, draws, low, high = self._known
-        ends = np.vstack([self._q, q])
+        start = self._q if start is None else start
+        ends = np.vstack([start, q])
         # Inside these ranges no way is too near, so that only longer looks take their time.
         if not ((ends >= low) & (ends <= high)).all():
-            require_task_within_envelope(model, draws, q, name="move", start=self._q)
+            require_task_within_envelope(model, draws, q, name="move", start=start)
 
     def _go(self, found: JointSolutions) -> Floats:
         if not found.ok:
             raise InputError(f"the pose cannot be taken: {found.texts()}")
-        self._require_within(found.q[None])
+        self.require_within(found.q[None])
         self._q = found.q
         return self.q
 
-    def _checked(self, q: Floats) -> Floats:
-        cell = self._inverse.cell
-        if q.shape != (len(cell.joints),) or not np.isfinite(q).all():
-            raise InputError(f"joint vector of shape {q.shape}, expected {len(cell.joints)} finite numbers")
-        slack = 1e-9 * (1.0 + np.abs(q))
-        outside = (q < cell.low - slack) | (q > cell.high + slack)
-        if outside.any():
-            number = int(np.argmax(outside))
-            raise InputError(f"q{number + 1} = {q[number] / cell.joint_scales[number]:g} is outside its limits")
-        return q.copy()
+
+def checked_joints(cell: Cell, values: ArrayLike) -> Floats:
+    """A copy of a joint vector (n_joints,), in um and rad; `InputError` if it is none or outside its limits."""
+    q = np.array(values, dtype=float)
+    if q.shape != (len(cell.joints),) or not np.isfinite(q).all():
+        raise InputError(f"joint vector of shape {q.shape}, expected {len(cell.joints)} finite numbers")
+    slack = 1e-9 * (1.0 + np.abs(q))
+    outside = (q < cell.low - slack) | (q > cell.high + slack)
+    if outside.any():
+        number = int(np.argmax(outside))
+        raise InputError(f"q{number + 1} = {q[number] / cell.joint_scales[number]:g} is outside its limits")
+    return q
 
 
 def _triple(values: Sequence[float], name: str) -> Floats:

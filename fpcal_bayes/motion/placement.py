@@ -9,6 +9,7 @@ reflection point tPr in the mirror frame, a pose fX that is commanded in the fib
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model import chain
@@ -50,6 +51,11 @@ class Placement:
         poses[:, :3, 3] = self.aligned[:3, 3] + offsets[:, :3]
         poses[:, 3, 3] = 1.0
         return poses
+
+    def offsets(self, poses: Floats) -> Floats:
+        """Moves (n, 6) away from the aligned pose that give poses fX (n, 4, 4), as `moved` takes them."""
+        turned = Rotation.from_matrix(poses[:, :3, :3] @ self.aligned[:3, :3].T)
+        return np.hstack([poses[:, :3, 3] - self.aligned[:3, 3], turned.as_euler("xyz")])
 
     def tool_poses(self, poses: Floats) -> Floats:
         """Tool frames wTe of poses fX (..., 4, 4); same shape."""

@@ -229,20 +229,30 @@ def find_task(cell: Cell, vector: Floats, task: str, *, radius: float | None = N
     return user_path(cell, vector, task)
 
 
-def follow_offsets(cell: Cell, vector: Floats, name: str, offsets: Floats) -> Task:
-    """Moves `offsets` (n_points, 6) away from the aligned pose, in um and rad, as a task (see `Placement.moved`)."""
+def follow_offsets(cell: Cell, vector: Floats, name: str, offsets: Floats, near: Floats | None = None) -> Task:
+    """Moves `offsets` (n_points, 6) away from the aligned pose, in um and rad, as a task (see `Placement.moved`).
+
+    Joint values of the first are looked for near `near` (n_joints,), by default joint zero.
+    """
     along = np.arange(1.0, len(offsets) + 1.0)
-    return _follow(cell, vector, Placement.of(cell, vector), name, offsets, along, "point")
+    return _follow(cell, vector, Placement.of(cell, vector), name, offsets, along, "point", near)
 
 
 def _follow(
-    cell: Cell, vector: Floats, placement: Placement, name: str, offsets: Floats, along: Floats, unit: str
+    cell: Cell,
+    vector: Floats,
+    placement: Placement,
+    name: str,
+    offsets: Floats,
+    along: Floats,
+    unit: str,
+    near: Floats | None = None,
 ) -> Task:
     inverse, zero = InverseModel(cell), np.zeros(len(cell.joints))
     first = inverse.solve(vector, placement.tool_poses(placement.aligned), near=zero)
     poses = placement.moved(offsets)
     tools = placement.tool_poses(poses)
-    found = inverse.solve(vector, tools, near=zero, follow=True)
+    found = inverse.solve(vector, tools, near=zero if near is None else near, follow=True)
     texts = found.texts()
     if len(cell.joints) < 6 and np.isfinite(first.q).all():
         texts = np.where(_beyond_directions(inverse, vector, placement, tools, found.q, first.q), NO_AXIS, texts)

@@ -141,7 +141,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "tolerance_nm": 1e3 * goal.tolerance_um,
         "attainable_nm": decision.attainable_nm if usable else None,
         "tasks": list(goal.tasks),
-        "sweeps": [] if decision.sweeps is None else _sweeps(decision.sweeps, track.cell),
+        "sweeps": [] if decision.sweeps is None else sweeps_content(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
         "probability_out": {
@@ -155,7 +155,7 @@ def _band(outlook: TaskForecast) -> list[float]:
     return [1e3 * edge for edge in outlook.band()]
 
 
-def _sweeps(sweeps: Sweeps, cell: Cell) -> list[dict[str, Any]]:
+def sweeps_content(sweeps: Sweeps, cell: Cell) -> list[dict[str, Any]]:
     """Each sweep under the names of a CSV's columns."""
     columns = [column.split("_") for column in cell.joint_columns]
     found: list[dict[str, Any]] = []

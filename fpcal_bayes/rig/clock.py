@@ -7,7 +7,6 @@ import socket
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from types import FrameType
 
 #: Signals that end a session: its axes are stopped and what was measured is kept.
@@ -30,10 +29,6 @@ class Clock:
     def ticks(self) -> float:
         """Seconds of the cell since some moment; they go on evenly where the clock is set."""
         return time.monotonic() * self.speedup
-
-    def utc(self) -> datetime:
-        """The cell's clock time."""
-        return datetime.fromtimestamp(self.now(), UTC)
 
     def wall(self, seconds: float) -> float:
         """Seconds of the wall that `seconds` of the cell take."""

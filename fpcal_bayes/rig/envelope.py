@@ -24,7 +24,11 @@ class CellEnvelope:
         self._model, self._draws = prior_draws(cell) if estimate is None else estimate_draws(estimate)
 
     def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> list[str | None]:
-        """Why each of some moves may leave the envelope, in whatever order the joints of each turn move; or None."""
+        """Why each of some moves may leave the envelope, in whatever order the joints of each turn move; or None.
+
+        Moves are the poses (n_joints,) where each begins, stops on its way and ends, in um and rad; speeds, shape
+        (n_joints,), are in um/s and rad/s.
+        """
         share = np.linspace(0.0, 1.0, _LINE)[:, None]
         poses, rows, steps, seconds, count = [], [], [], [], 0
         for row, stops in enumerate(moves):
@@ -40,8 +44,3 @@ class CellEnvelope:
         path = JointPath(q, row_of, np.zeros(len(q), dtype=bool), np.vstack(steps), np.concatenate(seconds))
         found = {breach.row: breach.what for breach in breaches(self._model, self._draws, path)}
         return [found.get(row) for row in range(len(moves))]
-
-
-def envelope_of(cell: Cell, estimate: Estimate | None) -> CellEnvelope | None:
-    """The envelope of a cell that states one."""
-    return None if cell.envelope is None else CellEnvelope(cell, estimate)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Protocol
 
 import numpy as np
 
@@ -14,29 +13,13 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.rig.envelope import envelope_of
+from fpcal_bayes.rig.envelope import CellEnvelope
 from fpcal_bayes.rig.settings import Rig
 
 #: Points of a straight line on which gap and length are looked at.
 _POINTS = 33
 #: Points per moving joint of the box through which joints that are not in step may pass.
 _BOX = 3
-
-
-class Envelope(Protocol):
-    """Where a cell may be, beyond the limits of its joints."""
-
-    @property
-    def together(self) -> Sequence[Sequence[int]]:
-        """Groups of joints, by position, that may move at the same time; all others move one after the other."""
-
-    def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> Sequence[str | None]:
-        """Why each of some moves may leave the envelope, or None.
-
-        moves: joint vectors of each in um and rad: where it begins, where it stops on its way (see `Guard.turns`), its
-        end. Between two of them each joint may be anywhere between its values.
-        speed: speeds of the joints, in um/s and rad/s, shape (n_joints,).
-        """
 
 
 class ForbiddenMoveError(InputError):
@@ -64,11 +47,13 @@ class Guard:
     """
 
     def __init__(
-        self, cell: Cell, rig: Rig, estimate: Estimate | None = None, envelope: Envelope | None = None
+        self, cell: Cell, rig: Rig, estimate: Estimate | None = None, envelope: CellEnvelope | None = None
     ) -> None:
         self._cell = cell
         self._rig = rig
-        self._envelope: Envelope | None = envelope_of(cell, estimate) if envelope is None else envelope
+        self._envelope = envelope
+        if envelope is None and cell.envelope is not None:
+            self._envelope = CellEnvelope(cell, estimate)
         parameters = cell.free if estimate is None else estimate.parameters
         self._values = parameters.nominal if estimate is None else estimate.values
         self._model = CavityModel.of(cell, parameters)

@@ -4,7 +4,7 @@ Both are judged against the predicted state: with a tracked cell, what a sweep w
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,76 +22,16 @@ from fpcal_bayes.tracking.filter import Innovation, update
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 
 
-class RowChanges(Protocol):
-    """An innovation whose rows change by whole half wavelengths.
-
-    With `w` half wavelengths taken off row i, its square becomes ``squared - 2 w along[i] + w**2 size[i]``.
-    """
-
-    @property
-    def squared(self) -> float:
-        """Normalised innovation squared with the changes made so far."""
-        ...
-
-    @property
-    def along(self) -> Floats:
-        """See above, shape (n_rows,)."""
-        ...
-
-    @property
-    def size(self) -> Floats:
-        """See above, shape (n_rows,)."""
-        ...
-
-    def taken_off(self, row: int, waves: int) -> Self:
-        """With whole half wavelengths taken off one row."""
-        ...
-
-
 @dataclass(frozen=True)
-class FewRows:
-    """A `RowChanges` that holds the whitened rows themselves: a matrix of rows by rows."""
+class RowChanges:
+    """An innovation whose rows change by whole half wavelengths, by the Woodbury identity.
 
-    whitened: Floats  # innovation in units of its own standard deviations, shape (n_rows,)
-    # units, half_wave: one um of each row in the same units, shape (n_rows, n_rows), and half a wavelength in um
-    units: Floats
-    half_wave: float
-    # columns, size: half a wavelength of each row, and its square, shapes (n_rows, n_rows) and (n_rows,)
-    columns: Floats
-    size: Floats
-
-    @classmethod
-    def of(cls, whitening: Whitening, innovation: Innovation, half_wave: float) -> Self:
-        """Corrections of an innovation that holds every row."""
-        single = whitening.apply(np.eye(innovation.dof))
-        units = linalg.solve_triangular(innovation.factor, single, lower=True)
-        columns = units * half_wave
-        return cls(innovation.whitened, units, half_wave, columns, (columns**2).sum(axis=0))
-
-    @property
-    def squared(self) -> float:
-        """See `RowChanges`."""
-        return float(self.whitened @ self.whitened)
-
-    @property
-    def along(self) -> Floats:
-        """See `RowChanges`."""
-        return self.columns.T @ self.whitened
-
-    def taken_off(self, row: int, waves: int) -> Self:
-        """See `RowChanges`."""
-        return replace(self, whitened=self.whitened - waves * self.half_wave * self.units[:, row])
-
-
-@dataclass(frozen=True)
-class ManyRows:
-    """A `RowChanges` whose cost is linear in rows, by the Woodbury identity.
-
-    With the whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
+    With `w` half wavelengths taken off row i, its square becomes ``squared - 2 w along[i] + w**2 size[i]``. With the
+    whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
     ``M = I - (I + R P R')^-1`` has a row for each state.
     """
 
-    # squared, along, size: see `RowChanges`
+    # squared, along, size: normalised innovation squared with the changes made so far, and see above, shape (n_rows,)
     squared: float
     along: Floats
     size: Floats
@@ -120,7 +60,7 @@ class ManyRows:
         return cls(float(misfit @ left), waves.T @ left, size, own, seen, weighed)
 
     def taken_off(self, row: int, waves: int) -> Self:
-        """See `RowChanges`."""
+        """With whole half wavelengths taken off one row."""
         squared = self.squared - 2.0 * waves * self.along[row] + waves**2 * self.size[row]
         along = self.along + waves * (self.weighed @ self.seen[row])
         entries = slice(self.own.indptr[row], self.own.indptr[row + 1])
@@ -128,13 +68,11 @@ class ManyRows:
         return replace(self, squared=float(squared), along=along)
 
 
-def row_changes(measurement: SweepMeasurement, innovation: Innovation, predicted: State) -> RowChanges:
+def row_changes(measurement: SweepMeasurement, predicted: State) -> RowChanges:
     """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
     half_wave = 0.5 * measurement.model.cell.wavelength
-    if len(innovation.misfit) == innovation.dof:
-        return FewRows.of(measurement.whitening, innovation, half_wave)
     misfit, jacobian = measurement.linearise(predicted.mean)
-    return ManyRows.of(measurement.whitening, misfit, jacobian, predicted.covariance, half_wave)
+    return RowChanges.of(measurement.whitening, misfit, jacobian, predicted.covariance, half_wave)
 
 
 #: A predicted sign is taken when its odds exceed e^12 with a predictive standard deviation three times as wide.
@@ -204,7 +142,7 @@ def correct_slips(
     """
     half_wave = 0.5 * measurement.model.cell.wavelength
     count = len(sweeps)
-    rows, dl = row_changes(measurement, innovation, predicted), sweeps.dl.copy()
+    rows, dl = row_changes(measurement, predicted), sweeps.dl.copy()
     changes = np.zeros(count, dtype=np.int64)
     log_odds = float(np.log(_SLIP / (2 * MOST_HALF_WAVES * count)))
     gain = _other_gains(innovation, predicted, jumps)

@@ -41,8 +41,8 @@ _CONTRADICTED = float(np.log(20.0))
 _CHANGED = float(np.log(1.1))
 #: A session is a step with this probability.
 _STEP = 0.05
-#: The pace is that of the last sessions, of about so many rows and at most so many sessions; as many are judged anew.
-_LEARNT_ROWS, _LEARNT_SESSIONS = 96, 64
+#: The pace is that of the last sessions, of about so many rows and at most so many sessions, which are judged anew.
+_LEARNT_ROWS, _LEARNT_SESSIONS = 48, 64
 
 
 def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats) -> Floats:
@@ -105,9 +105,12 @@ def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track]
     log = np.where(drifts, 0.5 * np.log(weights @ np.exp(2.0 * grid)), 0.0)
     if np.abs(log - np.log(found.drift.pace)).max() < _CHANGED:
         return found
-    kept = max(1, min(found.resumed, count - _LEARNT_SESSIONS))
     drift = replace(found.drift, pace=tuple(np.exp(log).tolist()))
-    return replace(follow(replace(found, drift=drift, outcomes=found.outcomes[:kept])), resumed=found.resumed)
+    learnt = follow(replace(found, drift=drift, outcomes=found.outcomes[: count - used]))
+    if learnt.calibration_due is not None and count - used > 1:
+        # The sessions before may have been judged under a pace that was never theirs.
+        learnt = follow(replace(found, drift=drift, outcomes=found.outcomes[:1]))
+    return replace(learnt, resumed=found.resumed)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ is right if the first mistake that the doctor names is it, or if the reader refu
 files have no mistake: then no problem may be found.
 """
 
+import contextlib
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,12 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.mistakes import axis_sets, mend, mirror_sets
+from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate_um
+from fpcal_bayes.simulator.sweeps import simulate
 
 KINDS = ("none", "sign", "swap", "thousand", "thousandth", "rad", "degrees")
 
@@ -55,11 +57,16 @@ def drawn(cell: Cell, rng: np.random.Generator) -> tuple[str, np.ndarray, set[in
 
 
 def measured(cell: Cell, rng: np.random.Generator) -> Sweeps:
-    """The sweeps of a commissioning on a cell that is drawn from the prior, within 2 standard deviations."""
+    """The sweeps of a commissioning on a cell that is drawn from the prior, within 2 standard deviations.
+
+    Draws whose mirror would come behind the fibre are drawn again: no cell is so.
+    """
     free = cell.free
-    away = np.clip(rng.standard_normal(len(free)), -2.0, 2.0)
-    truth = Truth(free, np.zeros(1), (free.nominal + free.prior_sd * away)[None])
-    return simulate_um(cell, truth, commission_plan(cell), sigma=0.005, seed=int(rng.integers(2**31)))
+    while True:
+        away = np.clip(rng.standard_normal(len(free)), -2.0, 2.0)
+        truth = Truth(free, np.zeros(1), Prior.of(free).values(away)[None])
+        with contextlib.suppress(InputError):
+            return simulate(cell, truth, commission_plan(cell), sigma_nm=5.0, seed=int(rng.integers(2**31)))
 
 
 def verdict(cell: Cell, seed: int) -> tuple[str, bool, str]:

@@ -80,6 +80,8 @@ def ratios(
     for name, sd in expected.items():
         task = find_task(cell, estimate.vector(), name, n_points=POINTS)
         task = task.take(task.ok)
+        if len(task) == 0:
+            raise InputError(f"task {name!r} is out of reach")
         linear = linear_task_sd(task_jacobian(model, estimate.values, task), estimate.covariance)
         worst = int(np.argmax(linear))
         error = task_errors(model, values[None], estimate.values, task.take(np.array([worst])))[0, 0]

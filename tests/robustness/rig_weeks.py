@@ -57,6 +57,8 @@ from fpcal_bayes.tracking import DriftModel  # noqa: E402
 EPOCH_H = 1.0
 #: Hours between two looks of `fpcal keep`, and between two circles on the average.
 LOOK_H, CIRCLE_H = 0.25, 2.0
+#: A truth is drawn for so long at least, so that a shorter run is the beginning of a longer one.
+HOURS = 168.0
 #: Looks in which nothing can have changed are left out, but never for longer than this.
 MOST_H = 4.0
 START = 1.8e9
@@ -94,8 +96,8 @@ class Week:
         self.clock: SteppedClock = reader.Clock()
         self.goal = Goal(options.tolerance_nm)
         self.words = ["--mechanics", options.mechanics, "--quiet"]
-        drift, hours = DriftModel.of(cell), 24.0 * options.days + 12.0
-        times = np.arange(0.0, hours, EPOCH_H)
+        drift = DriftModel.of(cell)
+        times = np.arange(0.0, max(24.0 * options.days, HOURS) + 12.0, EPOCH_H)
         steps = self.rng.standard_normal((len(times), len(cell.free))) * drift.walk * drift.scale
         steps[0] = 0.0
         values = self.geometry() + np.cumsum(np.sqrt(EPOCH_H / 24.0) * steps, axis=0)
@@ -118,7 +120,7 @@ class Week:
         self.actions["none" if found.decision is None else found.decision.action] += 1
 
     def geometry(self) -> np.ndarray:
-        """Drawn from the prior, as the envelope has it: the gap is as the cell states it."""
+        """Drawn from the prior such that the circle can be driven; the gap is as the cell's envelope states it."""
         cell, envelope = self.cell, self.cell.envelope
         at = cell.free.names.index("y_wf")
         model = CavityModel.of(cell)
@@ -127,8 +129,8 @@ class Week:
             gap = envelope.gap + envelope.gap_sd * self.rng.standard_normal()
             values[at] += gap - float(model.predict(values, model.pose_rows(np.zeros((1, 6))))[0])
             with contextlib.suppress(InputError):
-                task_path(cell, model.vector(values), "circle", n_points=5)
-                return values
+                if task_path(cell, model.vector(values), "circle", n_points=9).ok.all():
+                    return values
 
     def run(self, circle: Connection) -> None:
         """Day 0, then rounds and circles until the week is over."""

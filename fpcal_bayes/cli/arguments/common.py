@@ -68,6 +68,25 @@ def add_goal(parser: argparse.ArgumentParser) -> None:
     add_compensation(parser)
 
 
+def add_costs(parser: argparse.ArgumentParser) -> None:
+    """Add what measuring costs and how far ahead is looked."""
+    add = parser.add_argument
+    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
+    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
+    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
+    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
+    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
+    add(
+        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
+        "be trusted (default: 1)"
+    )  # fmt: skip
+    add(
+        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
+        "can show a change of the robot itself (default: 24)"
+    )  # fmt: skip
+    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
+
+
 def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Add the options that choose a task."""
     parser.add_argument(

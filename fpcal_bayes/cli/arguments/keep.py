@@ -3,7 +3,17 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import (
+    Commands,
+    Folder,
+    add_command,
+    add_costs,
+    add_goal,
+    add_json,
+    count,
+    positive,
+    seed,
+)
 
 _PLAN = """\
 Sweeps are chosen such that the worst task, in units of what the paper's 69 sweeps leave, is expected to be known best.
@@ -104,25 +114,6 @@ def track(commands: Commands) -> None:
     add_json(parser)
 
 
-def _add_costs(parser: argparse.ArgumentParser) -> None:
-    """Add what measuring costs and how far ahead is looked."""
-    add = parser.add_argument
-    add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
-    add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
-    add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
-    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
-    add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
-    add(
-        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
-        "be trusted (default: 1)"
-    )  # fmt: skip
-    add(
-        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
-        "can show a change of the robot itself (default: 24)"
-    )  # fmt: skip
-    add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
-
-
 _DECIDE = """\
 hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
 error of the tasks; full: calibrate in full, since the robot itself moved or no few sweeps reach the tolerance.
@@ -143,7 +134,7 @@ def decide(commands: Commands) -> None:
         "--now", metavar="TIME_H|UTC", help="time of the decision (default: this clock where rows carry utc, else the "
         "last session)"
     )  # fmt: skip
-    _add_costs(parser)
+    add_costs(parser)
     add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
     add_json(parser)
 
@@ -180,7 +171,7 @@ def keep(commands: Commands) -> None:
     add("--look-s", type=positive, default=5.0, metavar="S", help="time between two looks at the campaign (default: 5)")
     add("--once", action="store_true", help="one round, then end")
     add_goal(parser)
-    _add_costs(parser)
+    add_costs(parser)
 
 
 _APPEND = """\

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, add_command
+from fpcal_bayes.cli.arguments.common import Commands, add_command, add_costs, add_goal, count
 
 _MEASURE = """\
 Before the first move every move of the ticket is held to the joints' limits, the cell's envelope and the least gap of
@@ -43,3 +43,29 @@ def rig(commands: Commands) -> None:
     parser.add_argument(
         "-o", dest="output", metavar="LIVE", type=Path, help="rig file to write (default: RIG_live.toml)"
     )
+
+
+_SERVE = """\
+GET /estimate, /decision, /suggest?n=4, /report, /health, /openapi.json; POST /joints (poses or a task) and /sweeps
+(CSV of a measured session). Files are looked at anew for every answer: let `fpcal keep` write them. Joints are refused
+where the estimate is not to be used or out of date, unless the request repeats the reason, and where a way may leave
+the cell's envelope. GET /clients/fpcal_client.m and /clients/fpcal_client.py are programs that ask.
+
+Listens on loopback. Another address needs --token FILE, whose text every request then carries as `Authorization: Bearer
+TEXT`. Ends with Ctrl-C.
+"""
+
+
+def serve(commands: Commands) -> None:
+    """Add ``fpcal serve``."""
+    parser = add_command(commands, "serve", "answer controllers over HTTP from the current best estimate", _SERVE)
+    add = parser.add_argument
+    add("--campaign", metavar="C", type=Path, required=True, help="campaign that sweeps are added to: HDF5 or CSV")
+    add("--estimate", metavar="E", required=True, help="the current best estimate, which fpcal keep replaces")
+    add("--ticket", metavar="TICKET.csv", type=Path, help="what was to be measured: sweeps keep to it, and empty it")
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
+    add("--port", type=count, default=8765, metavar="P", help="to listen on (default: 8765)")
+    add("--token", metavar="FILE", help="text of 16 characters or more that every request must carry")
+    add("--rig", metavar="RIG", help="take the time from this rig, as fpcal keep --rig does: RIG.toml")
+    add_goal(parser)
+    add_costs(parser)

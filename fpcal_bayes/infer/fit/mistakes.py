@@ -193,7 +193,7 @@ def second_solution(names: Sequence[str], solution: Solution, others: Sequence[S
     named = ", ".join(names[i] for i in sorted(apart))
     text = (
         f"a second solution fits nearly as well (sum of squares {rival.sum_of_squares:.1f} against "
-        f"{solution.sum_of_squares:.1f}); it differs most in {named}, so their sd is too small; "
+        f"{solution.sum_of_squares:.1f}); it differs most in {named}, whose sd covers both; "
         "midpoints tell the two apart"
     )
     return [Reason("second-solution", text)]

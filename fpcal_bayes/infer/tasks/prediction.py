@@ -24,7 +24,7 @@ from fpcal_bayes.infer.tasks.error import (
 )
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.mechanics.errors import known_task_errors
+from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Reason, Trust
 from fpcal_bayes.motion.tasks import Task, find_task
@@ -119,12 +119,20 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=trust)
 
 
+def covariance_sd(estimate: Estimate, task: Task) -> Floats:
+    """Standard deviation of a task's error at each point, shape (n_points,), in um, as `predict_from_covariance`."""
+    if estimate.mechanics is not None:
+        return known_task_sd(estimate, task.start, task.q, task.added)
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    return linear_task_sd(task_jacobian(model, estimate.values, task), estimate.covariance)
+
+
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
     task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
     made, change, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
     angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
-    sd = np.sqrt((made.total**2).mean(axis=0))
+    sd = covariance_sd(estimate, task)
     without = None
     if task.plain is not None:
         plain, _, _ = known_task_errors(estimate, task.start, task.plain, draws=draws, seed=seed)

@@ -14,6 +14,7 @@ from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
+    covariance_sd,
     estimate_of_draws,
     predict_from_covariance,
     predict_from_draws,
@@ -28,9 +29,9 @@ from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task
 
 
-def read_estimate_draws(path: str | Path, cell: Cell) -> PosteriorDraws | None:
-    """Draws in an estimate file that `read_estimate` has accepted, or None if it holds none."""
-    content = json.loads(read_text(Path(path)))
+def read_estimate_draws(path: str | Path, cell: Cell, text: str | None = None) -> PosteriorDraws | None:
+    """Draws in an estimate file, or its `text`, that `read_estimate` has accepted; None if it holds none."""
+    content = json.loads(read_text(Path(path)) if text is None else text)
     stated = content.get("draws")
     if stated is None:
         return None
@@ -85,6 +86,10 @@ class Knowledge:
         trust = self.draws.trust.because(*estimate.trust.reasons)
         return predict_from_draws(model, self.draws.values, estimate.vector()[free.slots], task, trust)
 
+    def sd(self, estimate: Estimate, task: Task) -> Floats:
+        """Standard deviation of the error at each point, shape (n_points,), in um."""
+        return covariance_sd(estimate, task) if self.draws is None else self.predict(estimate, task).sd
+
     def drawn(self, estimate: Estimate) -> tuple[CavityModel, Floats]:
         """The model, and draws (n_draws, n_free) of what is known: the posterior's, or of the estimate's covariance.
 
@@ -110,8 +115,10 @@ class Knowledge:
         return estimate, compensated(estimate, found) if compensate and self.draws is None else found
 
 
-def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = None) -> Knowledge:
-    """Read an estimate JSON, with the draws that it may hold, or a posterior netCDF file (suffix ``.nc``).
+def read_knowledge(
+    path: str | Path, cell: Cell, *, held: str | Path | None = None, text: str | None = None
+) -> Knowledge:
+    """Read an estimate JSON or its `text`, with the draws that it may hold, or a posterior netCDF file (``.nc``).
 
     `held` is an estimate JSON that the controller holds while the truth is drawn from the posterior. `InputError` if a
     file cannot be used or is of another cell.
@@ -121,5 +128,5 @@ def read_knowledge(path: str | Path, cell: Cell, *, held: str | Path | None = No
         return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))
     if held is not None:
         raise InputError(f"{held}: an estimate to hold is taken beside posterior draws (.nc) only, not beside {path}")
-    estimate = read_estimate(path, cell)
-    return Knowledge(cell, estimate, read_estimate_draws(path, cell))
+    estimate = read_estimate(path, cell, text)
+    return Knowledge(cell, estimate, read_estimate_draws(path, cell, text))

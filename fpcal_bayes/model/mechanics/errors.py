@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics.design import PathDesign, drift_sd, path_design
@@ -82,6 +82,42 @@ def known_task_errors(
     returned = returned_errors(terms, path, log_scales, rng)
     made = MechanicsTaskErrors(repeatable, np.sum([np.zeros_like(repeatable), *returned.values()], axis=0))
     return made, change, parts | returned
+
+
+def known_task_sd(estimate: Estimate, start: Floats, q: Floats, added: Floats | None = None) -> Floats:
+    """Root mean square of the error along a path, shape (n_points,), in um; arguments as in `known_task_errors`.
+
+    What the draws of an estimate leave to chance is summed in closed form, so that many points cost little.
+    """
+    knowledge = estimate.mechanics
+    if knowledge is None:
+        raise InputError("the estimate knows nothing of the cell's mechanics")
+    terms, names = knowledge.terms(estimate.cell), estimate.parameters.names
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    _, jacobian = model.predict_with_jacobian(estimate.values, model.rows(np.repeat(start[None], len(q), axis=0), q))
+    path = path_design(terms, estimate.vector(), start, q)
+    factors = np.exp(2.0 * knowledge.log_scales).mean(axis=0)
+    scale = dict(zip(terms.scales, factors.tolist(), strict=True))
+
+    words, mean, factor = knowledge.weights(knowledge.n_parameters)
+    drifting = np.array([word.startswith("drift along") for word in words], dtype=bool)
+    at, slopes = knowledge.geometry(names)
+    known = at @ jacobian.T + mean[~drifting] @ path.motions.T + (0.0 if added is None else added)
+    drawn = known + knowledge.draws @ (jacobian @ slopes + path.motions @ factor[~drifting]).T
+    square = (drawn**2).mean(axis=0) + scale["approach"] * (path.unknown_side**2).sum(axis=1)
+    square += scale["encoder"] * _parted(path.places[1:] == path.places[0], path.encoded[1:], path.encoded[:1])
+    square += scale["return"] * _parted(path.steps == 0, path.returned_point, path.returned_start)
+    if drifting.any():
+        weights = (mean[drifting] + knowledge.draws @ factor[drifting].T).reshape(-1, DRIFT_ORDER, 3)
+        # Mean squares of Legendre's polynomials over the session.
+        sizes = drift_sd(terms, knowledge.session_min) / np.sqrt(2.0 * np.arange(1, DRIFT_ORDER + 1) + 1.0)
+        square += ((weights @ path.drift.T * sizes[:, None]) ** 2).mean(axis=0).sum(axis=0)
+    return np.asarray(np.sqrt(square))
+
+
+def _parted(same: Bools, point: Floats, start: Floats) -> Floats:
+    """Variance at each point of normal errors that count against the start's, the same one or one of their own."""
+    return np.asarray(np.where(same, (point - start) ** 2, point**2 + start**2).sum(axis=1))
 
 
 def approached(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.random.Generator) -> dict[str, Floats]:

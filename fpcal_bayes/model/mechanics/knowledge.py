@@ -1,7 +1,7 @@
 """What is known of a machine: its geometry and its error motions together, as draws in the directions that count."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,10 +52,13 @@ class MechanicsKnowledge:
     scales: tuple[str, ...]
     log_scales: Floats
     session_min: float
+    _terms: dict[str, Terms] = field(default_factory=dict, repr=False, compare=False)
 
     def terms(self, cell: Cell) -> Terms:
         """The weights of the cell."""
-        return Terms.of(cell, self.sizes, self.free)
+        if cell.sha256 not in self._terms:
+            self._terms[cell.sha256] = Terms.of(cell, self.sizes, self.free)
+        return self._terms[cell.sha256]
 
     def geometry(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Mean (n_names,) and factor (n_names, n_directions) of some parameters; zero of those held as exact."""

@@ -292,8 +292,8 @@ def mechanics_sentence(estimate: Estimate) -> str:
         return "The mechanism is taken as perfect: no error motion, no reversal, no return error."
     sources = {joint.source or "no source stated" for joint in estimate.mechanics.sizes.joints}
     return (
-        f"Sizes as the cell states them ({', '.join(sorted(sources))}). The calibration marginalises them; the "
-        "filter of the drift does not know them yet."
+        f"Sizes as the cell states them ({', '.join(sorted(sources))}). The calibration finds geometry "
+        "and error motions together; the filter of the drift follows both."
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fpcal_bayes.io.validate import is_number
 from fpcal_bayes.rig.drivers.interface import DeviceError, Disturbed
 from fpcal_bayes.rig.drivers.link import Link
 
@@ -65,7 +66,7 @@ class AttocubeIDS:
     def watch(self) -> None:
         """Hold the contrast to its least value."""
         contrast = self._call("displacement.getAxisSignalQuality", self._settings.axis)[1:2]
-        if not contrast or not _is_number(contrast[0]):
+        if not contrast or not is_number(contrast[0]):
             raise self._link.error(f"expected contrast and baseline, found {contrast!r:.60}")
         if contrast[0] < self._settings.least_contrast_permille:
             raise Disturbed(f"the fringes are lost: contrast {contrast[0]:g} permille")
@@ -75,7 +76,7 @@ class AttocubeIDS:
         if not self._settings.air:
             return float("nan")
         result = self._request("com.attocube.ecu.getTemperatureInDegrees", [])
-        if not _is_number(result[-1]):
+        if not is_number(result[-1]):
             raise self._link.error(f"expected a temperature, found {result!r:.60}")
         return float(result[-1])
 
@@ -85,7 +86,7 @@ class AttocubeIDS:
 
     def _position(self) -> float:
         result = self._call("displacement.getAbsolutePositions")
-        if len(result) != 4 or not all(map(_is_number, result)):
+        if len(result) != 4 or not all(map(is_number, result)):
             raise self._link.error(f"expected an error number and three positions, found {result!r:.60}")
         return float(result[1 + self._settings.axis]) * self._settings.sign * _UM
 
@@ -127,7 +128,3 @@ class AttocubeIDS:
 
 class _UnknownMethodError(DeviceError):
     """The instrument does not know a method; the connection is well."""
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

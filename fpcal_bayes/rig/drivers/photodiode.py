@@ -17,8 +17,6 @@ from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.interface import CommandLog, DeviceError
 
-_FIELDS = ("trace", "seconds", "joint", "start", "end")
-
 
 class PhotodiodeProgram:
     """A program that records the photodiode, started anew for each sweep."""
@@ -41,13 +39,15 @@ class PhotodiodeProgram:
         self._count += 1
         self._trace = self._folder / f"{self._count:04d}.csv"
         self._trace.unlink(missing_ok=True)
-        values = dict(zip(_FIELDS, (self._trace, f"{seconds:.6g}", f"q{joint + 1}", f"{start:.9g}", f"{end:.9g}"),
-                          strict=True))  # fmt: skip
-        words = []
-        for word in self._words:
-            for field, value in values.items():
-                word = word.replace(f"{{{field}}}", str(value))
-            words.append(word)
+        words = self._words
+        for field, value in (
+            ("trace", str(self._trace)),
+            ("seconds", f"{seconds:.6g}"),
+            ("joint", f"q{joint + 1}"),
+            ("start", f"{start:.9g}"),
+            ("end", f"{end:.9g}"),
+        ):
+            words = [word.replace(f"{{{field}}}", value) for word in words]
         self._log.write(self.name, ">", shlex.join(words))
         try:
             self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -12,11 +12,12 @@ from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.emulate.attocube import IDS3010
-from fpcal_bayes.rig.emulate.cell import Machine, SimulatedCell
+from fpcal_bayes.rig.emulate.cell import SimulatedCell
 from fpcal_bayes.rig.emulate.pi import PIController
 from fpcal_bayes.rig.emulate.server import Server
 from fpcal_bayes.rig.emulate.smaract import MCS2
 from fpcal_bayes.rig.settings import IDSDevice, Rig
+from fpcal_bayes.simulator.machine import Machine
 
 
 class EmulatedBench:

@@ -1,41 +1,17 @@
 """One simulated cell behind all emulated devices: axes that take time, a mirror, a cavity that drifts."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Clock
+from fpcal_bayes.simulator.machine import Machine
 
 #: How far an axis rings at its target before it has settled, as a share of its speed in um or rad a second.
 _RINGING = 1e-3
-
-
-class Machine(Protocol):
-    """Mechanics beyond the geometry: how guides, levers and backlash change the cavity length.
-
-    Attributes
-    ----------
-    return_sd
-        Of the position that each joint reaches anew, in um and rad, shape (n_joints,).
-    """
-
-    return_sd: Floats
-
-    def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
-        """What is added to the cavity length, in um.
-
-        Parameters
-        ----------
-        q
-            Joint vector in um and rad, shape (n_joints,).
-        approach
-            Sign of the motion by which each joint came to where it is, 0 if it never moved, shape (n_joints,).
-        """
 
 
 @dataclass

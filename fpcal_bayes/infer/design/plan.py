@@ -108,9 +108,9 @@ class Frontier:
     def knee(self) -> int:
         """Position of the plan after which more sweeps gain least: farthest below the line between the ends.
 
-        Both axes are logarithmic, so that the line is a constant rate of return (Satopaa et al. 2011).
+        Accuracy counts by its logarithm: along the line every sweep gains the same share (Satopaa et al. 2011).
         """
-        x, y = np.log([point.sweeps for point in self.points]), np.log(self.excess)
+        x, y = np.array([float(point.sweeps) for point in self.points]), np.log(self.excess)
         line = np.interp(x, x[[0, -1]], y[[0, -1]])
         return int(np.argmax(line - y))
 

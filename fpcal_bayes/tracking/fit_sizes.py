@@ -48,20 +48,19 @@ _LEARNT_ROWS, _LEARNT_SESSIONS = 48, 64
 def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats) -> Floats:
     """Log likelihood of the sessions after `first` under each of some paces (n_paces, 2), shape (n_paces,)."""
     drift, outcomes = found.drift, found.outcomes
-    model, n = CavityModel.of(found.cell, drift.parameters), drift.n_parameters
-    # Variances of what a session may be: calm, a jump of all parameters, of each alone.
-    jumps = np.zeros((n + 2, drift.n_states))
-    jumps[1, :n] = Limits().jump(drift) ** 2
-    jumps[2:, :n] = np.diag(jumps[1, :n])
+    model, n, step = CavityModel.of(found.cell, drift.parameters), drift.n_parameters, np.zeros(drift.n_states)
+    step[:n] = Limits().jump(drift) ** 2
+    # What a session may be: calm, a jump of all parameters, of each alone.
+    jumps = np.vstack([np.zeros_like(step), step, np.diag(step)[:n]])
     odds = np.log([1.0 - _STEP, 0.5 * _STEP, *[0.5 * _STEP / n] * n])
     # What moves a state is linear in the squares of the paces.
-    alone = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
+    drifts = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
     total = np.zeros(len(paces))
     mean = np.tile(outcomes[first].state.mean, (len(paces), 1))
     spread = np.tile(outcomes[first].state.covariance, (len(paces), 1, 1))
     for (before, now), part in zip(pairwise(outcomes[first:]), parts[first + 1 :], strict=False):
         kelvin = kelvin_between(before.state.temperature_c, mean_temperature(part))
-        still, robot, mirror = (each.transition(now.time_h - before.time_h, kelvin) for each in alone)
+        still, robot, mirror = (each.transition(now.time_h - before.time_h, kelvin) for each in drifts)
         noise = np.tensordot(paces**2, [robot.noise - still.noise, mirror.noise - still.noise], 1) + still.noise
         mean, spread = mean @ still.matrix.T + still.shift, still.matrix @ spread @ still.matrix.T + noise
         used, _ = with_signs(drift, model, now.predicted, part.take(part.kind != "path"))
@@ -71,16 +70,14 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
         misfit, jacobian = SweepMeasurement.of(drift, model, used, at).linearise(at)
         rows, seen = equivalent_rows(misfit + jacobian @ at, jacobian)
         left = rows - mean @ seen.T
-
         expected = seen @ spread @ seen.T + np.eye(len(seen))
         likely = np.empty((len(paces), n + 2))
-        for column, covariance in enumerate((expected, expected + (seen * jumps[1]) @ seen.T)):
+        for column, covariance in ((1, expected + (seen * step) @ seen.T), (0, expected)):
             weighed = np.linalg.solve(covariance, left[..., None])[..., 0]
             likely[:, column] = -0.5 * ((left * weighed).sum(axis=1) + np.linalg.slogdet(covariance)[1])
-        size = jumps[1, :n] * (seen * np.linalg.solve(expected, seen)).sum(axis=1)[:, :n]
-        along = np.linalg.solve(expected, left[..., None])[..., 0] @ seen[:, :n]
-        single = 0.5 * (jumps[1, :n] * along**2 / (1.0 + size) - np.log1p(size))
-        likely[:, 2:] = likely[:, :1] + single
+        size = step * (seen * np.linalg.solve(expected, seen)).sum(axis=1)
+        alone = 0.5 * (step * (weighed @ seen) ** 2 / (1.0 + size) - np.log1p(size))
+        likely[:, 2:] = likely[:, :1] + alone[:, :n]
         total += special.logsumexp(odds + likely, axis=1)
         spread = spread + jumps[(odds + likely).argmax(axis=1)][:, :, None] * np.eye(drift.n_states)
         cross = seen @ spread

@@ -1,12 +1,13 @@
 """The closed loop on real machines: is the cell within its tolerance as often as the forecasts promise?
 
-python studies/mechanics_loop.py [--tolerance-nm 50 100 200] [--weeks 10] [--days 1]
+python studies/mechanics_loop.py [--tolerance-nm 50 100 200] [--weeks 10] [--days 1] [--ideal]
 
 Each machine, as in `mechanics_tracking`, is calibrated and kept by the policy of `fpcal week`, two sweeps a session at
 most. At regular times the circle is driven with compensation by the estimate that the controller holds; the share of
 circles within the tolerance is compared with the mean probability that the forecast of the same moment gives. Machines
 are independent, looks at one machine are not: standard errors are over machines. Machines that cannot meet a tolerance
-are counted: the policy says so before anything is promised. Tolerances share the calibration.
+are counted: the policy says so before anything is promised. Tolerances share the calibration. With `--ideal` machines
+and cell are perfect mechanisms.
 """
 
 import argparse
@@ -22,17 +23,18 @@ from fpcal_bayes.infer import PATH_POINTS, task_rows
 from fpcal_bayes.measure import Sweeps, drive_of_sweeps
 from fpcal_bayes.model import CavityModel
 from fpcal_bayes.motion import compensated, task_path
-from fpcal_bayes.simulator import Machine
+from fpcal_bayes.simulator import Machine, MachineSettings
 from fpcal_bayes.tracking import DriftModel, SessionOutcome, calibrate, estimate_of, followed_drift
 
 STEP_H, LOOKS = 0.05, 47
 
 
-def calibrated(seed: int) -> tuple[Machine, SessionOutcome, tuple[str, ...]]:
+def calibrated(seed: int, ideal: bool) -> tuple[Machine, SessionOutcome, tuple[str, ...]]:
     """A machine, and what its calibration told."""
-    cell = machine_cell()
+    cell = machine_cell().ideal if ideal else machine_cell()
     rng = np.random.default_rng([seed, 41])
-    machine = Machine.draw(cell, REALISTIC, reachable(cell, rng), rng, SETTINGS)
+    sizes, settings = (REALISTIC.scaled(0.0), MachineSettings()) if ideal else (REALISTIC, SETTINGS)
+    machine = Machine.draw(cell, sizes, reachable(cell, rng), rng, settings)
     plan = protocol(cell, "mid")
     n = len(plan)
     timed = replace(plan, session=np.full(n, "h0000.00"), time_h=np.zeros(n))
@@ -103,11 +105,12 @@ def main() -> None:
     parser.add_argument("--tolerance-nm", type=float, nargs="*", default=[50.0, 100.0, 200.0])
     parser.add_argument("--weeks", type=int, default=4)
     parser.add_argument("--first", type=int, default=0, help="seed of the first machine")
+    parser.add_argument("--ideal", action="store_true", help="a perfect mechanism")
     parser.add_argument("--days", type=float, default=1.0, help="length of a week; half of it below 100 nm")
     options = parser.parse_args()
     results: dict[float, list[tuple[float, float, int, float] | None]] = {each: [] for each in options.tolerance_nm}
     for seed in range(options.first, options.first + options.weeks):
-        machine = calibrated(seed)
+        machine = calibrated(seed, options.ideal)
         for tolerance in options.tolerance_nm:
             days = options.days if tolerance >= 100.0 else options.days / 2.0
             results[tolerance].append(one_week(*machine, tolerance, days, seed))

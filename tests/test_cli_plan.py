@@ -13,7 +13,7 @@ from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
 CASE_A = DATA / "case_a.csv"
-QUICK = ("--draws", 4, "--candidates", 60)
+QUICK = ("--draws", 4, "--candidates", 60, "--mechanics", "none")
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def run(*arguments: object, code: int = 0) -> None:
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     capsys.readouterr()
     run("plan", *arguments, code=2)
-    lines = error_lines(capsys.readouterr().err)
+    lines = [line for line in error_lines(capsys.readouterr().err) if "% done" not in line]
     assert len(lines) == 1
     return lines[0]
 
@@ -46,7 +46,9 @@ def test_plan_is_read_by_observe_and_simulate(femto: Cell, capsys: pytest.Captur
     assert (content["schema"], content["command"], content["n_sweeps"]) == ("fpcal/1", "plan", 3)
     assert content["order"] == plan.label.tolist()
     assert sorted(content["most_useful_first"]) == sorted(content["order"])
-    assert set(content["expected_sd_nm"]) == {"before", "plan", "paper", "paper, midpoints"}
+    assert set(content["expected_sd_nm"]) == {
+        *("before", "plan", "plan, where it was made", "single joints", "paper", "paper, midpoints")
+    }
     assert content["seconds"]["plan"] < content["seconds"]["paper"]
     assert Path("p.svg").read_text().startswith("<?xml")
     run("observe", "p.csv", "--quiet")
@@ -118,7 +120,7 @@ def test_a_mirror_that_no_task_can_turn(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     plain = ("-o", "p.csv", *QUICK)
-    assert "expected --n N or --reach" in refusal(capsys, *plain)
+    assert "expected --n N or --reach TASK=NM" in refusal(capsys, *plain)
     assert "--reach 'circle': expected TASK=NM" in refusal(capsys, *plain, "--reach", "circle")
     assert "--reach 'circle=-1nm': expected a number above zero" in refusal(capsys, *plain, "--reach", "circle=-1nm")
     assert "unknown task 'square'" in refusal(capsys, *plain, "--n", 2, "--tasks", "square")
@@ -139,3 +141,26 @@ def test_limits_are_kept(femto: Cell) -> None:
     tilts = np.degrees(np.hypot(*np.vstack([plan.q_start, plan.q_end])[:, 3:5].T))
     assert tilts.max() <= 2.01
     assert ((plan.q_start != plan.q_end).sum(axis=1) == 1).all()
+
+
+def test_sweeps_that_reach_the_target_need_no_more(capsys: pytest.CaptureFixture[str]) -> None:
+    run("plan", "--after", CASE_A, "--reach", "circle=20nm", *QUICK, "-o", "n.csv", "--json", "n.json")
+    assert len(Path("n.csv").read_text().splitlines()) == 1
+    content = json.loads(Path("n.json").read_text())
+    assert (content["n_sweeps"], content["should_stop"]) == (0, True)
+    assert content["expected_sd_nm"]["before"]["circle"] <= 20.0
+    assert "no sweeps" in capsys.readouterr().out
+
+
+def test_as_many_sweeps_as_time_allows_and_the_frontier(femto: Cell) -> None:
+    one_at_a_time = ("--no-coordinated", "--readings", 0, "-o", "p.csv", "--json", "p.json")
+    run("plan", "--minutes", 1.5, "--n", 5, *QUICK, *one_at_a_time, "--frontier", "f.svg", "--quiet")
+    content = json.loads(Path("p.json").read_text())
+    plan = read_sweeps("p.csv", femto, plan=True, whole=True)
+    assert 1 <= len(plan) <= 5
+    assert content["seconds"]["plan"] <= 90.0
+    assert ((plan.q_start != plan.q_end).sum(axis=1) == 1).all()
+    assert Path("p.csv").read_text().splitlines()[1].endswith(",0")
+    numbers = [point["n_sweeps"] for point in content["frontier"]["plans"]]
+    assert content["frontier"]["knee"] in numbers[1:-1]
+    assert Path("f.svg").read_text().startswith("<?xml")

@@ -29,7 +29,8 @@ def ground() -> Ground:
 
 
 def planner(ground: Ground, **changes: object) -> Planner:
-    settings = replace(PlanSettings(n_candidates=60, limits=LIMITS, passes=0, variations=0, iterations=0), **changes)
+    small = PlanSettings(n_candidates=60, limits=LIMITS, passes=0, starts=1, iterations=0, several=True)
+    settings = replace(small, **changes)
     return Planner(ground, settings, ground.expected_sd(paper_protocol(CELL), readings=1))
 
 
@@ -55,9 +56,9 @@ def test_slopes_against_differences(name: str) -> None:
 def test_descent_is_better_and_keeps_to_the_limits(ground: Ground, several: bool) -> None:
     search = planner(ground, several=several)
     first = search.best(5).sweeps
-    model, centre = CavityModel.of(CELL), CELL.free.nominal
-    found = descend(first, search.judge, model, centre, LIMITS, several=several, iterations=25)
-    again = descend(first, search.judge, model, centre, LIMITS, several=several, iterations=25)
+    model, centre, made = CavityModel.of(CELL), CELL.free.nominal, ground.sweep_rows(2, 0.005)
+    found = descend(first, search.judge, made, centre, LIMITS, several=several, iterations=25)
+    again = descend(first, search.judge, made, centre, LIMITS, several=several, iterations=25)
     np.testing.assert_array_equal(found.q_end, again.q_end)
     assert search.judge(found).value(range(5)) < 0.8 * search.judge(first).value(range(5))
     check_sweeps(found, CELL)
@@ -72,7 +73,7 @@ def test_a_large_plan_descends_in_parts(ground: Ground, monkeypatch: pytest.Monk
     monkeypatch.setattr("fpcal_bayes.infer.design.descend._TOGETHER", 2)
     search = planner(ground)
     sweeps = candidate_sweeps(CELL, n=5, rng=np.random.default_rng(2), limits=LIMITS)
-    found = descend(sweeps, search.judge, CavityModel.of(CELL), CELL.free.nominal, LIMITS, iterations=4)
+    found = descend(sweeps, search.judge, ground.sweep_rows(2, 0.005), CELL.free.nominal, LIMITS, iterations=4)
     assert search.judge(found).value(range(5)) < search.judge(sweeps).value(range(5))
     assert ((found.q_start != sweeps.q_start) | (found.q_end != sweeps.q_end)).any(axis=1).all()
 
@@ -81,12 +82,12 @@ def test_joints_that_cannot_move_stay(ground: Ground) -> None:
     stuck = replace(CELL.joints[0], low=0.0, high=0.0)
     cell: Cell = replace(CELL, joints=(stuck, *CELL.joints[1:]))
     stuck_ground = replace(ground, model=CavityModel.of(cell))
-    search = Planner(stuck_ground, PlanSettings(n_candidates=60, limits=LIMITS, variations=4, iterations=5))
+    search = Planner(stuck_ground, PlanSettings(n_candidates=60, limits=LIMITS, starts=1, iterations=5))
     assert not search.best(3).sweeps.q_start[:, 0].any()
 
 
 def test_no_iterations_leave_the_plan_alone(ground: Ground) -> None:
     search = planner(ground)
     sweeps = search.candidates.take(np.arange(3))
-    found = descend(sweeps, search.judge, CavityModel.of(CELL), CELL.free.nominal, LIMITS, iterations=0)
+    found = descend(sweeps, search.judge, ground.sweep_rows(2, 0.005), CELL.free.nominal, LIMITS, iterations=0)
     assert found is sweeps

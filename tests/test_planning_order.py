@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
-from fpcal_bayes.infer.design.plan import duration, in_short_order
+from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cavity import CavityModel

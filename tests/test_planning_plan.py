@@ -23,7 +23,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate_um
 
-SMALL = PlanSettings(n_candidates=150, variations=8, iterations=5, share=4)
+SMALL = PlanSettings(n_candidates=150, starts=2, iterations=10, share=4, several=True)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_better_than_random_and_than_greedy(cell: Cell, ground: Ground, planner:
     found = planner.best(8)
     plain = Planner(
         ground,
-        replace(SMALL, passes=0, variations=0),
+        replace(SMALL, passes=0, iterations=0, starts=1),
         dict(zip(ground.goals.jacobians, planner.reference, strict=True)),
     )
     excess = planner.excess({name: sd[-1] for name, sd in found.sd.items()})

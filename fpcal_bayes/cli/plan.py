@@ -2,10 +2,15 @@
 
 import argparse
 import re
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from math import radians
 
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
 
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
@@ -14,7 +19,8 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, duration, in_safe_order, shortfalls
+from fpcal_bayes.infer.design.order import duration
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, shortfalls
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
@@ -22,34 +28,63 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
 from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.ticket import Ticket
+from fpcal_bayes.measure.ticket import Ticket, empty_ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
 from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import accuracy_table, draw_plan, plan_content, sweeps_table
+from fpcal_bayes.report.plan import (
+    accuracy_table,
+    draw_frontier,
+    draw_plan,
+    frontier_content,
+    plan_content,
+    sweeps_table,
+)
 from fpcal_bayes.tracking.drift import propagated
 
+#: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
+_DRAWS, _MACHINE_DRAWS = 192, 24
+#: Other draws that a plan is judged on, at most.
+_CHECKED = 96
+#: Seconds until the first line of progress, and between two.
+_FIRST_LINE, _BETWEEN_LINES = 2.0, 5.0
+#: Sweeps up to which the frontier goes at least.
+_MOST_FRONTIER = 30
+#: Share of a joint's range in the tasks that may lie beyond the sweeps.
+_BEYOND = 0.1
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    sizes = (options.n is not None or options.reach is not None, options.commission, options.validation is not None)
-    if sum(sizes) != 1:
-        raise InputError("expected --n N or --reach TASK=NM,.., or --commission alone, or --validation N alone")
+    asked = any(size is not None for size in (options.n, options.reach, options.minutes))
+    if asked + options.commission + (options.validation is not None) != 1:
+        raise InputError(
+            "expected --n N or --reach TASK=NM,.. or --minutes M, or --commission alone, or --validation N alone"
+        )
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         check_suffix(rows, ".csv", *HDF5_SUFFIXES)
-    check_suffix(options.figure, ".svg", ".png")
-    settings = _settings(options)
+    for figure in (options.figure, options.frontier):
+        check_suffix(figure, ".svg", ".png")
+    settings = _settings(options, cell)
     if options.commission:
         return _commission(options, cell, settings)
     if options.validation is not None:
         return plan_validation.run(options, cell, settings.limits)
+    options.draws = options.draws or (_DRAWS if cell.mechanics is None else _MACHINE_DRAWS)
+    with _Bar(options.quiet) as bar:
+        return _plan(options, cell, settings, targets, bar)
+
+
+def _plan(
+    options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
+) -> int:
+    """Search for a plan, write it, and say what it is expected to leave."""
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
@@ -57,46 +92,134 @@ def run(options: argparse.Namespace) -> int:
     papers = _paper(cell)
     warnings = no_envelope_text(ground.model, ground.draws)
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
-    planner = Planner(ground, settings, reference)
+    planner = Planner(ground, settings, reference, bar.part("plan"))
     settings = planner.settings
-    chosen = planner.fewest(most=options.n or 69, check=check) if targets else planner.best(options.n)
+    if targets and options.after is not None and trust.usable and planner.should_stop(check):
+        return _stop(options, cell, check, trust)
+    most = options.n or 69
+    if targets:
+        chosen = planner.fewest(most=most, check=check)
+    else:
+        chosen = planner.best(most) if options.minutes is None else planner.within(60.0 * options.minutes, most)
     chosen = replace(chosen, sweeps=_labelled(chosen.sweeps))
-    ordered = in_safe_order(ground, chosen.sweeps, options.output)
+    ordered = planner.in_order(chosen.sweeps, options.output)
 
-    expected = {"before": check.expected_sd(None), "plan": check.expected_sd(ordered, readings=readings, sigma=sigma)}
+    expected = {
+        "before": check.expected_sd(None),
+        "plan": check.expected_sd(ordered, readings=readings, sigma=sigma),
+        "plan, where it was made": ground.expected_sd(ordered, readings=readings, sigma=sigma),
+    }
     seconds = {"plan": duration(cell, ordered, readings, settings.limits)}
+    if options.minutes is not None and seconds["plan"] > 60.0 * options.minutes:
+        raise InputError(
+            f"{len(ordered)} sweeps that reach the targets take {seconds['plan'] / 60.0:.3g} min, expected at most "
+            f"{options.minutes:g}"
+        )
+    if settings.several:
+        single = planner.short(several=False)
+        plain = single.in_order(single.best(len(ordered)).sweeps)
+        expected["single joints"] = check.expected_sd(plain, readings=readings, sigma=sigma)
+        seconds["single joints"] = duration(cell, plain, readings, settings.limits)
     if papers is not None:
         for name, often in (("paper", 1), ("paper, midpoints", 2)):
             expected[name] = check.expected_sd(papers, readings=often, sigma=sigma)
             seconds[name] = duration(cell, papers, often, settings.limits)
     warnings += shortfalls(check, ordered, readings=readings, sigma=sigma)
-    if cell.mechanics is not None:
-        warnings.append(
-            "the expected sd are those of a perfect mechanism: they compare plans and promise nothing of a machine; "
-            f"fpcal observe {options.output} takes the stated error motions into account"
-        )
+    if ground.machine is not None:
+        warnings += _uncovered(cell, ground, ordered)
+    elif cell.mechanics is not None:
+        warnings.append("the estimate knows nothing of the cell's mechanics: the expected sd are of a perfect one")
     if ground.goals.dropped:
         warnings.append(f"{ground.goals.dropped} of {options.draws} draws are left out: a task is out of reach there")
 
+    frontier = None
+    if options.frontier is not None:
+        frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
+        points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
     write_plan(options.output, planned, cell)
     if options.rows is not None:
         write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None:
         save_figure(draw_plan(cell, ordered), options.figure)
+    if frontier is not None:
+        save_figure(draw_frontier(frontier, points), options.frontier)
     warnings += [reason.text for reason in trust.reasons]
     content = plan_content(
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
     )
+    if frontier is not None and trust.usable:
+        content["frontier"] = frontier_content(frontier)
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     out = console(options)
     out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
     if trust.usable:
-        out.print(accuracy_table(expected, "expected standard deviation at the worst point"))
+        shown = {name: sd for name, sd in expected.items() if name != "plan, where it was made"}
+        out.print(accuracy_table(shown, "expected standard deviation at the worst point"))
+        if reference is not None:
+            made, other = (planner.excess(expected[name]) for name in ("plan, where it was made", "plan"))
+            of = "target" if targets else "paper"
+            out.say(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
+    if frontier is not None:
+        out.say(f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps")
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
     warn(warnings)
     return 0
+
+
+def _stop(options: argparse.Namespace, cell: Cell, check: Ground, trust: Trust) -> int:
+    """Write a plan without sweeps: what is known keeps to the targets."""
+    write_plan(options.output, empty_ticket(str(options.output)), cell)
+    expected = {task: 1e3 * sd for task, sd in check.expected_sd(None).items()}
+    content = {"n_sweeps": 0, "should_stop": True, "expected_sd_nm": {"before": expected}, "warnings": []}
+    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
+    console(options).say(f"{options.output}: no sweeps, {options.after} already reaches the targets")
+    return 0
+
+
+def _uncovered(cell: Cell, ground: Ground, sweeps: Sweeps) -> list[str]:
+    """A sentence for each joint that the tasks move farther than the sweeps do."""
+    low, high = ground.goals.reach
+    ends = np.stack([sweeps.q_start, sweeps.q_end])
+    beyond = np.maximum(ends.min(axis=(0, 1)) - low, high - ends.max(axis=(0, 1)))
+    return [
+        f"q{i + 1}: the tasks go to {low[i] / scale:.3g} .. {high[i] / scale:.3g} {cell.joints[i].unit}, beyond the "
+        "sweeps, which do not tell its error motions there"
+        for i, scale in enumerate(cell.joint_scales)
+        if beyond[i] > _BEYOND * (high[i] - low[i])
+    ]
+
+
+class _Bar:
+    """How far the search is: a bar on a terminal, else a line now and then, from the second second on."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._terminal, self._quiet = sys.stderr.isatty(), quiet
+        self._next = time.monotonic() + _FIRST_LINE
+        self._bar = Progress(console=Console(stderr=True), disable=quiet or not self._terminal, transient=True)
+
+    def __enter__(self) -> "_Bar":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def part(self, name: str) -> Callable[[float], None]:
+        """What shows the share done of a part of the work."""
+        task, began = self._bar.add_task(name, total=1.0), time.monotonic()
+
+        def tell(share: float) -> None:
+            now = time.monotonic()
+            self._bar.update(task, completed=share)
+            if self._quiet or self._terminal or now < self._next or not share > 0:
+                return
+            self._next = now + _BETWEEN_LINES
+            left = (now - began) * (1.0 - share) / share
+            print(f"fpcal: {name}: {100 * share:.0f} % done, about {max(left, 1.0):.0f} s left", file=sys.stderr)
+
+        return tell
 
 
 def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
@@ -143,7 +266,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     if estimate is not None:
         grounds = [estimate_ground(estimate, **common)] * 2
     else:
-        grounds = [prior_ground(cell, draws=options.draws, seed=options.seed + i, **common) for i in (0, 1_000_003)]
+        draws = (options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)
+        grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
         extra.append(_absolute(cell))
@@ -198,15 +322,16 @@ def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -
     return list(dict.fromkeys(tasks))
 
 
-def _settings(options: argparse.Namespace) -> PlanSettings:
-    readings = options.readings or (2 if options.midpoints else 1)
+def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
+    readings = (2 if options.midpoints else 1) if options.readings is None else options.readings
+    together = cell.envelope is not None and bool(cell.envelope.together)
     return PlanSettings(
         readings=readings,
         sigma=options.sigma_nm * 1e-3,
         criterion=options.criterion,
         n_candidates=options.candidates,
-        variations=options.variations,
-        several=not options.single_joints,
+        several=together if options.coordinated is None else options.coordinated,
+        **({} if cell.mechanics is None else {"starts": 4, "finalists": 1}),
         seed=options.seed,
         limits=_limits(options),
     )
@@ -229,7 +354,8 @@ def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, ob
         "sigma_nm": options.sigma_nm,
         "criterion": settings.criterion,
         "candidates": settings.n_candidates,
-        "variations": settings.variations,
+        "coordinated": settings.several,
+        "starts": settings.starts,
         "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,

@@ -72,7 +72,8 @@ class Reading:
         rows = legendre(np.maximum(s, self.set_out), degree)[:, 1:] - legendre(np.array([self.set_out]), degree)[:, 1:]
         changes = rows @ self.profile
         covariance = rows @ self.profile_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
-        return changes, covariance
+        # Where the mirror was at the start is common to all changes.
+        return changes, covariance + (0.0 if self.fit is None else self.fit.ends_variance)
 
     def grouped(self, points: int) -> tuple[Floats, Floats, float]:
         """Changes to evenly spaced interior points and to the end, as rows that share the reading at their start.

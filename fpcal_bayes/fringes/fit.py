@@ -70,7 +70,9 @@ class Fit:
     def change(self) -> tuple[float, float]:
         """L(end) - L(start) and its standard deviation, in um."""
         weights = end_weights(len(self.profile), self.ends)
-        return float(weights @ self.profile), float(np.sqrt(weights @ self.covariance @ weights + self.ends_variance))
+        # Rounding may leave the variance of many polynomials a trace below zero.
+        own = max(float(weights @ self.covariance @ weights), 0.0)
+        return float(weights @ self.profile), float(np.sqrt(own + self.ends_variance))
 
     @property
     def amplitude(self) -> float:
@@ -144,8 +146,8 @@ def fit_course(
     light = mirror_light if nuisance.fade else 0.0
     unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
     if warm is not None:
-        own = len(unknowns) - (slope is not None)
-        unknowns[:own] = warm.unknowns[:own]
+        n_warm = len(unknowns) - (slope is not None)
+        unknowns[:n_warm] = warm.unknowns[:n_warm]
     matrix = np.empty((len(unknowns), len(unknowns)))
     prior_weight = np.diag(prior_sd**-2)
     if known is not None:

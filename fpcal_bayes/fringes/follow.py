@@ -29,6 +29,10 @@ _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
 _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
+#: Odds of a late start where nothing speaks for it.
+_LATE_ODDS = 0.01
+#: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
+_IMAGES = np.linspace(0.5, 2.0, 13)
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
@@ -81,12 +85,14 @@ def follow(
     nuisance: Nuisance,
     noise: float,
     mirror_light: float = 0.0,
+    errs: bool = False,
 ) -> Followed | None:
     """The most likely course of a mirror, the smooth one among others.
 
     smooth: what was found on the joint's course, if anything.
     nuisance: what the signal may do beside its fringes.
     noise: standard deviation of one reading in V to begin with.
+    errs: whether the mirror is known to leave the joint's course.
     Returns none where nothing resembles a fringe.
     """
     start = smooth.best.profile if smooth else _searched(samples, profile, phase_per_um)
@@ -118,7 +124,7 @@ def follow(
         tries.append(_set_out(samples, size, places, tries[0], fit))
     tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.solution.best.evidence)
-    if best.errors.probability < UNLIKELY:
+    if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.solution.best.evidence)
@@ -138,6 +144,30 @@ def follow(
     apart = np.array([each.change[0] - chosen.change[0] for each in fits])
     wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
     return replace(best, solution=replace(best.solution, fits=(wide,)))
+
+
+def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
+    """What a late start that few samples tell adds to the variance of a change, in um^2.
+
+    Shortly before an extreme of the fringe a mirror may as well stand at its image beyond, until the joint is there.
+    """
+    phase = fit.phase(samples.s, phase_per_um)
+    ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
+    first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
+    extreme = np.pi * np.ceil(first / np.pi)
+    # A start that explains hardly more than the fit is left to the fit.
+    least, found = -2.0 * fit.noise**2, first
+    for image in (extreme + (extreme - first) * _IMAGES).tolist():
+        early = np.cumsum(ahead * phase > image) == 0
+        few = samples.part(early)
+        stands, moves = (
+            few.count @ (few.signal - fit.signal(few.s, few.time, phase_per_um, turn)) ** 2
+            for turn in (ahead * image - phase[early], 0.0)
+        )
+        if stands - moves < least:
+            least, found = float(stands - moves), image
+    odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
+    return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)
@@ -215,14 +245,16 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
     """A mirror that lags: the best of some lags, then one more unknown of the fit."""
     per_um, held = smooth.phase_per_um, smooth.solution.best
     fits = []
-    for lag in _LAGS:
-        held = fit(_chunked(_lagging(whole, float(lag)), size), held)
+    lags = _LAGS.tolist()
+    for lag in lags:
+        held = fit(_chunked(_lagging(whole, lag), size), held)
         fits.append(held)
     best = int(np.argmax([each.evidence for each in fits]))
-    held, lag = fits[best], float(_LAGS[best])
+    held, lag = fits[best], lags[best]
     for _ in range(_ROUNDS):
         moved = _lagging(whole, lag)
-        shift = _chunked(replace(moved, s=(_lagging(whole, lag * np.exp(1e-4)).s - moved.s) / 1e-4), size).s
+        rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
+        shift = _chunked(replace(moved, s=rise), size).s
         moved = _chunked(moved, size)
         held = fit(moved, held, slope=per_um * Legendre([0.0, *held.profile]).deriv()(moved.s) * shift)
         step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))
@@ -278,10 +310,15 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
         tried.append(replace(base, solution=FringeSolution((best,), moved), size=size))
         holds = tried[-1].errors.probability > UNLIKELY
         for _ in range(_SIZINGS if holds else 0):
-            # The polynomials that no joint makes tell how large the course is.
-            own = (best.profile**2 + np.diag(best.covariance))[DEGREE:].sum()
-            size *= float(np.sqrt(own / np.diag(loosened(profile, degree, size).covariance)[DEGREE:].sum()))
-            best = fit(moved, None, loosened(profile, degree, size), best.profile)
+            # The polynomials that the joint makes less of tell how large the course is.
+            prior, joint = loosened(profile, degree, size), np.pad(profile.covariance, (0, degree - DEGREE))
+            room, own = np.diag(prior.covariance - joint), (best.profile - prior.mean) ** 2 + np.diag(best.covariance)
+            told = room > np.diag(joint)
+            wanted = size * float(np.sqrt(own[told].sum() / room[told].sum()))
+            better = fit(moved, None, loosened(profile, degree, wanted), best.profile)
+            if better.evidence < best.evidence:
+                break
+            best, size = better, wanted
         best = replace(best, ends=old.ends, ends_variance=old.ends_variance)
         tried[-1] = replace(base, solution=FringeSolution((best,), moved), size=size)
         if holds and best.evidence < max(each.solution.best.evidence for each in tried):

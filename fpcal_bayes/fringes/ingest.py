@@ -21,6 +21,9 @@ from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
+#: Share of the full scale below which a higher gain is proposed.
+_LITTLE = 0.25
+
 
 @dataclass(frozen=True)
 class IngestSettings:
@@ -105,7 +108,7 @@ def read_index(
         samples=tuple(None if each is None else each.samples for each in recorded),
         scans_before=before,
         scans_after=after,
-        warnings=tuple(_warnings(index, readings, doubtful, before, after)),
+        warnings=(*_warnings(index, readings, doubtful, before, after), *_gain(index, optics.full_scale)),
     )
 
 
@@ -190,6 +193,7 @@ class _IndexReader:
                     wavelength=float(self.vacuum[i] / self.air[i]),
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
+                    errs=self.cell.mechanics is not None,
                     sign_sources=tuple(sign_sources),
                 )
             )
@@ -318,6 +322,16 @@ def _warnings(
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")
     return said
+
+
+def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:
+    """How much more gain the converter has room for, where its steps are coarse beside the fringes."""
+    used = max((float(trace.irradiance.max()) for trace in index.traces if len(trace)), default=np.inf)
+    if full_scale is None or not 0.0 < used < _LITTLE * full_scale:
+        return []
+    return [
+        f"the light reaches {used:.3g} V of {full_scale:g} V: raise the gain by {0.9 * full_scale / used:.2g} times"
+    ]
 
 
 def _missed(reading: Reading) -> float:

@@ -8,6 +8,7 @@ as noise.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
@@ -17,6 +18,8 @@ from fpcal_bayes.fringes.samples import Samples
 
 #: Blocks of a trace; the first and the last are halved this many times more towards the ends, where mirrors linger.
 _BLOCKS, _HALVINGS = 24, 5
+#: Samples in a row that a jump of the light spoils beyond what a course follows.
+_IN_A_ROW = 8
 #: Odds that a scan is straight.
 _STRAIGHT = 20.0
 #: Rounds in which a block's phase is sought, until none changes by more than this, in rad.
@@ -34,6 +37,7 @@ class PhaseErrors:
     s: Floats  # middle of each block, (n_blocks,)
     phase: Floats  # rad, (n_blocks,)
     sd: Floats  # of each by the noise from sample to sample, rad, (n_blocks,)
+    worst: float  # largest mean square of what is left of a few samples in a row, by that noise
 
     @classmethod
     def of(cls, fit: Fit, samples: Samples, phase_per_um: float) -> "PhaseErrors":
@@ -55,7 +59,8 @@ class PhaseErrors:
         # At the tops alone a block tells nothing of its phase.
         told = weight > 0.02 * sizes * float(np.mean(slope**2))
         middle = np.add.reduceat(samples.s, edges[:-1]) / sizes
-        return cls(middle[told], total[told], noise / np.sqrt(weight[told]))
+        worst = float(uniform_filter1d((left / noise) ** 2, _IN_A_ROW).max())
+        return cls(middle[told], total[told], noise / np.sqrt(weight[told]), worst)
 
     @property
     def scores(self) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow
+from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow, hidden_start
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -30,10 +30,14 @@ _VISIBLE = 0.05
 _ROUGH = 0.25
 #: Phase errors of blocks, in rad, and their mean square by the noise, above which a fit does not hold.
 _OFF_PHASE, _OFF_SQUARE = 0.3, 25.0
+#: Mean square of some samples in a row, by the noise, above which a hop may spoil a course of its own, and does.
+_MAY_JUMP, _JUMP = 7.0, 25.0
 #: Fringes that a mirror may stand still or go astray before the joint's position means nothing.
 _ASTRAY = 2.0
 #: An uneven course that runs back by this much more than its joint's, in um, may have been mirrored.
 _TURNED = 0.005
+#: A turn this near to an extreme of the fringe, in half fringes, may be none.
+_AT_EXTREME = 0.15
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
@@ -55,6 +59,7 @@ class Recorded:
     wavelength: float  # in the air of the cavity, in um
     wavelength_share: float = 0.0  # its relative standard deviation
     fading: Nuisance = LIVELY  # how visibility may fade along it
+    errs: bool = False  # whether the cell states error motions, which no joint's course has
     #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
     sign_sources: tuple[SignSource, ...] = ()
 
@@ -108,12 +113,14 @@ def _followed(
 ) -> Followed | None:
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
-    if smooth is not None and smooth.errors.probability > UNLIKELY:
-        return smooth
+    if smooth is not None and smooth.errors.probability > UNLIKELY and not each.errs:
+        hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
+        fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
+        return replace(smooth, solution=replace(smooth.solution, fits=fits))
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution
-    found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light)
+    found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light, errs=each.errs)
     if smooth is not None and (found is None or not found.astray):
         found = smooth
     if found is None:
@@ -123,8 +130,13 @@ def _followed(
         found.errors,
         rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
     )
-    if errors.probability < UNLIKELY:
+    jumps = found.uneven and errors.worst > _MAY_JUMP
+    if jumps or errors.probability < UNLIKELY:
         off = max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+        if jumps:
+            # A hop leaves half of itself to either side, at half height of the fringe.
+            best = found.solution.best
+            off += 2.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
         wide = [replace(fit, ends_variance=fit.ends_variance + 2.0 * off) for fit in solution.fits]
         solution = replace(solution, fits=tuple(wide))
     return replace(found, solution=solution)
@@ -276,11 +288,16 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     errors = found.errors
     if np.sqrt(np.mean(errors.phase**2)) > _OFF_PHASE or errors.excess > _OFF_SQUARE:
         return f"the signal does not follow a smooth sweep (phase errors {errors.excess**0.5:.1f} times the noise)"
+    if found.astray and errors.worst > _JUMP:
+        off = errors.worst**0.5
+        return f"the signal does not follow a smooth sweep (it jumps: samples in a row {off:.0f} times the noise off)"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
     if missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
-    if found.uneven and _turned_back(verdict.fit.profile, found) > _turned_back(each.profile.mean, found) + _TURNED:
+    turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
+    mirrored = found.uneven and bool((np.abs(turns - np.rint(turns)) < _AT_EXTREME).any())
+    if mirrored and _turned_back(verdict.fit.profile, found) > _turned_back(each.profile.mean, found) + _TURNED:
         return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
     for source in each.sign_sources:
         off = min(abs(verdict.fit.change[0] - source.dl), abs(verdict.fit.change[0] + source.dl))

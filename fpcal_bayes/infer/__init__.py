@@ -29,7 +29,7 @@ _PLACES = {
     "fit_traces": "traces.fit",
     "identify": "fit.identify",
     "independent_draws": "posterior.draws",
-    "in_short_order": "design.plan",
+    "in_short_order": "design.order",
     "linear_task_sd": "tasks.error",
     "make_target": "posterior.draws",
     "mechanics_task_errors": "tasks.machine",

@@ -214,7 +214,7 @@ def to_columns(
         if (values != COLUMNS[name].default if is_text(name) else ~np.isnan(values)).any():
             table[name] = values
     table |= asked or {}
-    from_columns(table, cell, str(file), rows, plan=not sweeps.measured)
+    from_columns(table, cell, str(file), rows, plan=not sweeps.measured, whole=True)
     return table
 
 

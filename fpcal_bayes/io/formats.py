@@ -18,6 +18,11 @@ from fpcal_bayes.io.csv import MAX_SAMPLES
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.io.recordings_mat import load_variables
 
+try:
+    import nptdms
+except ImportError:
+    nptdms = None
+
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 #: What stands between two numbers; None: blanks.
 _DELIMITERS = ("\t", ";", ",", None)
@@ -62,7 +67,7 @@ def _picked(
         if len(same) == 1:
             chosen.append(found[same[0]])
         elif step > 0.0 and name == names[0]:
-            chosen.append(step * np.arange(len(next(iter(found.values()), ()))))
+            chosen.append(np.asarray(step * np.arange(len(next(iter(found.values()), ()))), dtype=float))
         else:
             known = ", ".join(repr(key) for key in list(found)[:_SHOWN]) + (", ..." if len(found) > _SHOWN else "")
             what = f"expected the header {','.join(names)}, found {known or 'no columns'}"
@@ -86,12 +91,10 @@ def _same(text: str, names: Iterable[str]) -> list[str]:
 
 def _tdms(path: Path) -> dict[str, Floats]:
     """Channels of a LabVIEW file as group/channel, with the time of a waveform as group/channel time."""
+    if nptdms is None:
+        raise InputError(f"{path}: a TDMS file, read by npTDMS: pip install 'fpcal-bayes[formats]'")
     try:
-        from nptdms import TdmsFile
-    except ImportError as error:
-        raise InputError(f"{path}: a TDMS file, read by npTDMS: pip install 'fpcal-bayes[formats]'") from error
-    try:
-        channels = [channel for group in TdmsFile.read(path).groups() for channel in group.channels()]
+        channels = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]
         numeric = [each for each in channels if each.dtype is not None and np.dtype(each.dtype).kind in "fiu"]
         found = {f"{each.group_name}/{each.name}": np.asarray(each[:], dtype=float) for each in numeric}
         for each in numeric:

@@ -42,21 +42,32 @@ def group_poses(cell: Cell, q: Floats) -> PoseGroups:
     q = np.ascontiguousarray(q, dtype=float)
     if q.ndim != 2 or q.shape[1] != len(cell.joints):
         raise ValueError(f"joint vectors have shape {q.shape}, expected (n, {len(cell.joints)})")
-    order = np.concatenate([np.flatnonzero(cell.revolute), np.flatnonzero(~cell.revolute)])
-    distinct, inverse = np.unique(q[:, order], axis=0, return_inverse=True)
-    distinct = distinct[:, np.argsort(order)]
-    revolute_q = np.where(cell.revolute, distinct, 0.0)
-    group_q, group_of_pose = np.unique(revolute_q[:, order], axis=0, return_inverse=True)
-    group_q = np.ascontiguousarray(group_q[:, np.argsort(order)])
+    turns = np.flatnonzero(cell.revolute)
+    order = np.concatenate([turns, np.flatnonzero(~cell.revolute)])
+    # Sorted by the revolute joints first, so that the poses of a group follow each other.
+    place = np.lexsort(q[:, order[::-1]].T)
+    new, new_group = (_changes(q[np.ix_(place, part)]) for part in (order, turns))
+    inverse = np.empty(len(q), dtype=np.int64)
+    inverse[place] = np.cumsum(new) - 1
+    distinct = q[place[new]]
+    group_start = np.flatnonzero(new_group[new])
+    group_q = np.where(cell.revolute, distinct, 0.0)[group_start]
     return PoseGroups(
         q=distinct,
         group_q=group_q,
         group_cos=np.cos(group_q),
         group_sin=np.sin(group_q),
-        group_start=np.searchsorted(group_of_pose.reshape(-1), np.arange(len(group_q) + 1)).astype(np.int64),
+        group_start=np.append(group_start, len(distinct)).astype(np.int64),
         prismatic_q=np.ascontiguousarray(distinct[:, ~cell.revolute]),
-        inverse=inverse.reshape(-1).astype(np.int64),
+        inverse=inverse,
     )
+
+
+def _changes(rows: Floats) -> Bools:
+    """Whether each row differs from the one before it, shape (n,); the first does."""
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    return new
 
 
 #: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, UnreachableError
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home, joint_axes
@@ -85,8 +85,8 @@ class Task:
             return self.driven()
         return replace(self, q=q, start=start, status=np.full(len(self), "ok"))
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Task":
-        """The same task at some of its points, shape (n_points,)."""
+    def take(self, chosen: Bools | Ints) -> "Task":
+        """The same task at some of its points, a mask (n_points,) or positions."""
         return replace(
             self,
             offsets=self.offsets[chosen],

@@ -16,7 +16,7 @@ import numpy as np
 from fpcal_bayes.cli.main import main as fpcal
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.commission import commission_plan
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, in_safe_order
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.io.cell import load_cell
@@ -149,8 +149,8 @@ def bounded_cells(folder: Path) -> list[Cell]:
 
 def light_plan(ground: Ground, n: int) -> Sweeps:
     """A plan of `n` sweeps, searched with little effort: where it goes matters, not how good it is."""
-    settings = PlanSettings(n_candidates=200, variations=5, iterations=10)
-    return in_safe_order(ground, Planner(ground, settings).best(n).sweeps)
+    planner = Planner(ground, PlanSettings(n_candidates=200, starts=1, iterations=10, several=True))
+    return planner.in_order(planner.best(n).sweeps)
 
 
 def estimate_of(cell: Cell, rng: np.random.Generator, folder: Path) -> Estimate:

@@ -16,14 +16,18 @@ from fpcal_bayes.cli.arguments.common import (
 )
 
 _PLAN = """\
-Sweeps are chosen among random candidates, one joint or several joints of one controller moving, such that the worst
-task, in units of what the paper's 69 sweeps leave, is expected to be known best; then they are varied to serve better,
-and at the end all of them move together to where the criterion is smallest nearby.
-Without an estimate the plan is averaged over draws of the prior, so that it is good before the cell is known.
+Sweeps are chosen such that the worst task, in units of what the paper's 69 sweeps leave, is expected to be known best.
+The search starts at many places among random candidates; the best of them descend together to where the criterion is
+smallest nearby. One joint moves at a time; with --coordinated, or where the cell's envelope lets axes move together,
+several joints of one controller also do, and both kinds of plan are compared.
+Without an estimate the plan is averaged over draws of the prior, and judged on others that it is not made for. With
+mechanics the error motions that the cell states count, in the sweeps and in what they leave of the tasks.
 
 --reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
-task's worst point. --for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago.
---after FILE are sweeps that come first: measured ones are identified, and the plan holds the best next sweeps.
+task's worst point, --minutes M for the most sweeps in that time, --frontier for a picture of both.
+--for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago. --after FILE are sweeps
+that come first: measured ones are identified, and the plan holds the best next sweeps; with --reach it holds none, and
+should_stop is true in the JSON, once the targets are reached.
 
 --commission writes small safe moves around joint zero for a new cell: once they are measured, fpcal doctor says which
 axis counts the other way, is swapped with another, or stands in another unit, and what to look at: lengths cannot tell
@@ -42,6 +46,7 @@ def plan(commands: Commands) -> None:
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
     add("--reach", metavar="TASK=NM,..", help="fewest sweeps that reach these standard deviations")
+    add("--minutes", type=positive, metavar="M", help="most sweeps that take no longer")
     add("--commission", action="store_true", help="small moves that tell how the axes of a new cell are connected")
     add("--validation", type=count, metavar="N", help="sweeps that verify the calibration of --after: fpcal verify")
     add("--tasks", metavar="TASK,..", help="tasks that count (default: circle,tilt-x,tilt-z,spin)")
@@ -52,21 +57,21 @@ def plan(commands: Commands) -> None:
     add("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
     add("--session", metavar="NAME", help="session of these (default: the first)")
     add("--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too")
-    add("--readings", type=count, metavar="K", help="readings of a sweep after its start, evenly spaced")
+    add("--readings", type=seed, metavar="K", help="of a sweep after its start, evenly spaced; 0: the whole trace")
     add("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)")
     add("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
-    add("--draws", type=count, default=64, metavar="N", help="of the prior (default: 64)")
+    add("--draws", type=count, metavar="N", help="of the prior (default: 192; with mechanics 24)")
     add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
     add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
-    add("--single-joints", action="store_true", help="move one joint at a time only")
-    add(
-        "--variations", type=count, default=30, metavar="N", help="of each sweep in a round of refinement (default: 30)"
-    )
+    add("--coordinated", action=argparse.BooleanOptionalAction, help="joints of one controller may move together")
+    add("--single-joints", dest="coordinated", action="store_const", const=False, help="as --no-coordinated")
+    add("--variations", type=count, help=argparse.SUPPRESS)
     add("--seed", type=seed, default=0, help="of the search (default: 0)")
     add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
     add("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
+    add("--frontier", metavar="OUT", type=Path, help="draw accuracy against sweeps and minutes: .svg or .png")
     add_json(parser)
 
 

@@ -27,9 +27,6 @@ class SweepLimits:
     # free_travel, free_turn: how far a joint without limit is moved, to either side of zero
     free_travel: float = 150.0
     free_turn: float = float(np.radians(90.0))
-    # factor on a sweep's variance, when sweeps are chosen, where the cavity length turns round on the way by more than
-    # half a fringe: counting fringes takes the wrong sign there
-    reversal_variance: float = 1.0
     # lowest and highest value of each joint, within its limits, or None: those
     reach: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
@@ -148,38 +145,6 @@ def candidate_sweeps(
         )
     labels = [f"c{i}" for i in range(1, n + 1)]
     return Sweeps.of_um_rad(np.vstack(starts)[:n], np.vstack(ends)[:n], label=labels, file="candidates")
-
-
-def neighbours(
-    cell: Cell,
-    sweeps: Sweeps,
-    *,
-    n_each: int,
-    width: float,
-    rng: np.random.Generator,
-    values: Floats | None = None,
-    limits: SweepLimits | None = None,
-) -> tuple[Sweeps, NDArray[np.int64]]:
-    """Variations of sweeps: poses shifted, moves lengthened or shortened, the same joints moving.
-
-    `n_each` are tried of each sweep; those that cannot be followed are left out. `width` is the standard deviation of
-    the variations, as a share of each joint's range. Beside them the position of the sweep that each of them varies.
-    """
-    limits = SweepLimits() if limits is None else limits
-    model = CavityModel.of(cell)
-    values = cell.free.nominal if values is None else values
-    low, high = visible_ranges(model, values, limits)
-    moved = np.repeat(sweeps.q_start != sweeps.q_end, n_each, axis=0)
-    start, end = (np.repeat(q, n_each, axis=0) for q in (sweeps.q_start, sweeps.q_end))
-    # Often only some of the joints vary, so that one that is right at its limit can stay there.
-    varied = rng.random(start.shape) < 0.5
-    steps = width * (high - low) * rng.standard_normal((2, *start.shape)) * varied
-    new_start = np.clip(start + steps[0], low, high)
-    new_end = np.where(moved, np.clip(end + steps[1], low, high), new_start)
-    good = long_enough(new_end - new_start, high - low)
-    good &= can_be_followed(model, values, new_start, new_end, limits)
-    origin = np.repeat(np.arange(len(sweeps)), n_each)[good]
-    return replace(sweeps.take(origin), q_start=new_start[good], q_end=new_end[good]), origin
 
 
 def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> tuple[Floats, Floats]:

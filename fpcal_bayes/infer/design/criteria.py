@@ -32,6 +32,7 @@ class Criterion:
     # what makes that value: directions u, shape (n_draws, n_pulls, n), and weights w, shape (n_draws, n_pulls), such
     # that a change dW of the rows W of the chosen changes it by the sum of -2 w (W u)'(dW u) over draws and pulls
     pull: Callable[[Sequence[int]], tuple[Floats, Floats]]
+    scale: float = 1.0  # of its rows, beside those that it was given
 
     def slope(self, chosen: Sequence[int]) -> Floats:
         """Derivative of the value by the rows of those chosen, shape (n_draws, len(chosen), k, n)."""
@@ -50,23 +51,17 @@ def worst_task(design: Design, reference: Floats) -> Criterion:
         return (((ratio / largest) ** _POWER).sum(axis=-1, keepdims=True) ** (1.0 / _POWER) * largest)[..., 0]
 
     def pull(chosen: Sequence[int]) -> tuple[Floats, Floats]:
-        roots = design.roots(chosen)
-        points = design.tasks @ roots
-        variance, draws = (points**2).sum(axis=-1), np.arange(len(roots))
-        of_task = [np.flatnonzero(design.task_of_point == task) for task in range(len(design.names))]
         # Of each task the worst point alone counts, at each draw another one.
-        worst = np.stack([places[variance[:, places].argmax(axis=1)] for places in of_task], axis=1)
-        expected = variance[draws[:, None], worst].mean(axis=0)
-        ratio = expected / reference**2
-        share = (ratio / power_mean(expected)) ** (_POWER - 1.0) / reference**2 / len(roots)
-        directions = points[draws[:, None], worst] @ roots.transpose(0, 2, 1)
-        return directions, np.broadcast_to(share, worst.shape)
+        variance, directions = design.worst_points(chosen)
+        expected = variance.mean(axis=0)
+        share = (expected / reference**2 / power_mean(expected)) ** (_POWER - 1.0) / reference**2 / len(variance)
+        return directions, np.broadcast_to(share, variance.shape)
 
     return Criterion(
         "worst",
         design,
         lambda chosen, among: power_mean(design.if_added(chosen, among)[0]),
-        lambda chosen: float(power_mean(design.expected_variance(chosen))),
+        lambda chosen: float(power_mean(design.worst_points(chosen)[0].mean(axis=0))),
         pull,
     )
 
@@ -126,7 +121,7 @@ def observability_index(design: Design, reference: Floats) -> Criterion:
     that no sweep sees stay at the prior's size whatever is chosen.
     """
     flat = replace(design, rows=design.rows * _FLAT, tasks=design.tasks * _FLAT, base=_widened(design.base))
-    return replace(volume(flat, reference), name="O1")
+    return replace(volume(flat, reference), name="O1", scale=_FLAT)
 
 
 def worst_direction(design: Design, _: Floats) -> Criterion:

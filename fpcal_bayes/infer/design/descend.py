@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from scipy import optimize
@@ -16,6 +17,7 @@ from fpcal_bayes.infer.design.candidates import (
     visible_ranges,
 )
 from fpcal_bayes.infer.design.criteria import Criterion
+from fpcal_bayes.infer.design.rows import SweepRows
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 
@@ -27,18 +29,19 @@ _MARGIN = 1e-4
 _BACK = (0.0, 1e-3, 1e-2, 0.1, 0.5)
 _LEAST_GAIN = 1e-6
 #: Sweeps that descend together.
-_TOGETHER = 16
+_TOGETHER = 20
 
 
 def descend(
     sweeps: Sweeps,
     judge: Callable[[Sweeps], Criterion],
-    model: CavityModel,
+    made: SweepRows,
     values: Floats,
     limits: SweepLimits,
     *,
     several: bool = True,
     iterations: int = 100,
+    tell: Callable[[float], None] = lambda _: None,
 ) -> Sweeps:
     """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
@@ -47,16 +50,21 @@ def descend(
     at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
 
     `sweeps` are a plan of whole sweeps that can be followed, and so is the result; `judge` gives the criterion over a
-    set of candidates. Visibility and fringe rate are judged at `values` (n_free,) of the model's free parameters. With
-    `several` all joints of a controller may move that moves one, else only those that move. Each part takes
-    `iterations` steps at most.
+    set of candidates, whose rows `made` makes. Visibility and fringe rate are judged at `values` (n_free,) of the
+    cell's free parameters. With `several` all joints of a controller may move that moves one, else only those that
+    move. Each part takes `iterations` steps at most; `tell` with the share done.
     """
     if iterations < 1:
         return sweeps
     everyone = np.arange(len(sweeps))
-    for part in np.array_split(everyone, -(-len(sweeps) // _TOGETHER)):
-        space = _Space.of(sweeps.take(part), model, values, limits, several)
-        moved = _part_descended(space, sweeps.take(np.setdiff1d(everyone, part)), judge, limits, iterations)
+    parts = np.array_split(everyone, -(-len(sweeps) // _TOGETHER))
+    for number, part in enumerate(parts):
+
+        def step(taken: int, number: int = number) -> None:
+            tell((number + min(1.0, taken / iterations)) / len(parts))
+
+        space = _Space.of(sweeps.take(part), CavityModel.of(made.model.cell), values, limits, several)
+        moved = _part_descended(space, sweeps.take(np.setdiff1d(everyone, part)), judge, made, limits, iterations, step)
         q_start, q_end = sweeps.q_start.copy(), sweeps.q_end.copy()
         q_start[part], q_end[part] = moved.q_start, moved.q_end
         sweeps = replace(sweeps, q_start=q_start, q_end=q_end)
@@ -64,26 +72,42 @@ def descend(
 
 
 def _part_descended(
-    space: "_Space", others: Sweeps, judge: Callable[[Sweeps], Criterion], limits: SweepLimits, iterations: int
+    space: "_Space",
+    others: Sweeps,
+    judge: Callable[[Sweeps], Criterion],
+    made: SweepRows,
+    limits: SweepLimits,
+    iterations: int,
+    tell: Callable[[int], None],
 ) -> Sweeps:
     """The sweeps of a space after their descent beside others that stay."""
-    chosen = range(len(space.plan) + len(others))
+    n = len(space.plan)
+    chosen = range(n + len(others))
 
-    def criterion_at(sweeps: Sweeps, *more: Sweeps) -> Criterion:
-        return judge(join([sweeps, others, *more], "descent"))
+    def criterion_at(sweeps: Sweeps) -> Criterion:
+        return judge(join([sweeps, others], "descent"))
 
     first = criterion_at(space.plan).value(chosen)
     if not first or not space.sweep_of.size:
         return space.plan
+    last: tuple[bytes, Criterion] = b"", criterion_at(space.plan)
+
+    def at(x: Floats) -> Criterion:
+        # The slope is asked for where the value was.
+        nonlocal last
+        if last[0] != x.tobytes():
+            last = x.tobytes(), criterion_at(space.sweeps(x))
+        return last[1]
+
+    steps = count(1)
 
     def value(x: Floats) -> float:
-        return criterion_at(space.sweeps(x)).value(chosen) / abs(first)
+        return at(x).value(chosen) / abs(first)
 
     def slope(x: Floats) -> Floats:
-        criterion = criterion_at(space.sweeps(x), space.varied(x))
-        rows, of_rows = criterion.design.rows, criterion.slope(chosen)
-        by_joint = (rows[:, len(chosen) :] - rows[:, space.sweep_of]) / _STEP
-        return (by_joint * of_rows[:, space.sweep_of]).sum(axis=(0, 2, 3)) / abs(first)
+        criterion = at(x)
+        by_rows = criterion.scale * criterion.slope(chosen)[:, :n, :, : made.root.shape[1]]
+        return space.slope(made.slope(space.sweeps(x), by_rows, space.steps)) / abs(first)
 
     visible = optimize.NonlinearConstraint(
         lambda x: space.tilts(space.sweeps(x)) / limits.tilt,
@@ -98,6 +122,7 @@ def _part_descended(
         method="SLSQP",
         bounds=[(0.0, 1.0)] * space.sweep_of.size,
         constraints=visible,
+        callback=lambda _: tell(next(steps)),
         options={"maxiter": iterations, "ftol": _LEAST_GAIN},
     )
     better = _followed(space.plan, space.sweeps(found.x), space, limits)
@@ -144,14 +169,16 @@ class _Space:
         end = np.where(self.moving, ends[:, 1], ends[:, 0])
         return replace(self.plan, q_start=ends[:, 0], q_end=end)
 
-    def varied(self, x: Floats) -> Sweeps:
-        """For each coordinate its sweep with that coordinate a step further."""
-        plan = self.sweeps(x).take(self.sweep_of)
-        change = np.zeros((2, *plan.q_start.shape))
-        each = np.arange(x.size)
-        change[self.end_of, each, self.joint_of] = _STEP * self.width[self.joint_of]
-        change[1] = np.where(self.moving[self.sweep_of], change[1], change[0])
-        return replace(plan, q_start=plan.q_start + change[0], q_end=plan.q_end + change[1])
+    @property
+    def steps(self) -> Floats:
+        """Steps of differences, shape (n_joints,); joints without room stay, whatever theirs."""
+        return _STEP * np.where(self.width > 0, self.width, 1.0)
+
+    def slope(self, by_ends: Floats) -> Floats:
+        """Derivatives by the coordinates from those by the ends (2, n_sweeps, n_joints), shape (n_coordinates,)."""
+        start = np.where(self.moving, by_ends[0], by_ends.sum(axis=0))
+        slope = np.stack([start, by_ends[1]])[self.end_of, self.sweep_of, self.joint_of]
+        return slope * self.width[self.joint_of]
 
     def tilts(self, sweeps: Sweeps) -> Floats:
         """Tilt of the mirror at the starts, then at the ends, in rad, shape (2 n,)."""
@@ -159,9 +186,17 @@ class _Space:
 
     def tilt_slopes(self, x: Floats) -> Floats:
         """Derivatives of the tilts by the coordinates, shape (2 n_sweeps, n_coordinates)."""
-        here, further = (self.tilts(part).reshape(2, -1) for part in (self.sweeps(x), self.varied(x)))
+        sweeps, n_joints = self.sweeps(x), len(self.width)
+        further = np.stack([sweeps.q_start, sweeps.q_end])[:, :, None] + np.vstack(
+            [np.zeros(n_joints), np.diag(self.steps)]
+        )
+        found = tilts(self.model, self.values, further.reshape(-1, n_joints)).reshape(*further.shape[:3])
+        by_joint = (found[..., 1:] - found[..., :1]) / _STEP
         slopes = np.zeros((2, len(self.plan), x.size))
-        slopes[:, self.sweep_of, np.arange(x.size)] = (further - here[:, self.sweep_of]) / _STEP
+        each = np.arange(x.size)
+        slopes[self.end_of, self.sweep_of, each] = by_joint[self.end_of, self.sweep_of, self.joint_of]
+        still = ~self.moving[self.sweep_of, self.joint_of]
+        slopes[1, self.sweep_of[still], each[still]] = by_joint[1, self.sweep_of[still], self.joint_of[still]]
         return slopes.reshape(-1, x.size)
 
 

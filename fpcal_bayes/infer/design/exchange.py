@@ -1,15 +1,15 @@
-"""Choose sweeps: greedily among candidates, by exchange, and by variations that serve better."""
+"""Choose sweeps: greedily among candidates, and by exchange."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
 from fpcal_bayes.infer.design.information import Design
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps
 
 #: An exchange must make the criterion smaller by this share.
 _LEAST_GAIN = 1e-4
@@ -122,32 +122,3 @@ def reference_of(names: tuple[str, ...], tolerances: Mapping[str, float] | None)
     if not (reference > 0).all() or not np.isfinite(reference).any():
         raise InputError("tolerances of tasks: expected numbers above zero")
     return reference
-
-
-#: Widths of the variations as shares of the joints' ranges, from coarse to fine.
-WIDTHS = (0.5, 0.4, 0.3, 0.3, 0.2, 0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.1, 0.07, 0.07, 0.05, 0.05, 0.03, 0.03, 0.02, 0.02)
-
-
-def refine(
-    chosen: Sweeps,
-    vary: Callable[[Sweeps, float], tuple[Sweeps, Ints]],
-    judge: Callable[[Sweeps], Criterion],
-    *,
-    widths: tuple[float, ...] = WIDTHS,
-) -> Sweeps:
-    """Vary chosen sweeps, a plan, and keep what makes the criterion smaller.
-
-    `vary` gives variations of a width, and which sweep each of them may replace; `judge` the criterion over a set of
-    candidates. There is one round a width.
-    """
-    n = len(chosen)
-    for width in widths:
-        variations, replaced = vary(chosen, width)
-        criterion = judge(join([chosen, variations], "candidates"))
-        found = list(range(n))
-        for place in range(n):
-            among = np.concatenate([[found[place]], n + np.flatnonzero(replaced == place)])
-            values = criterion.if_added(found[:place] + found[place + 1 :], among)
-            found[place] = int(among[np.argmin(values)])
-        chosen = join([chosen, variations], "candidates").take(np.array(found))
-    return chosen

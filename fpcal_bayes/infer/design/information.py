@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.design.kernels import add_gains
+from fpcal_bayes.infer.design.kernels import add_gains, worst_points
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,27 @@ class Design:
         scaled = self.tasks @ self.roots(chosen)
         return (scaled**2).sum(axis=-1)
 
+    def worst_points(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
+        """Variance of each task's worst point after the chosen candidates, in um^2, shape (n_draws, n_tasks).
+
+        Beside it the covariance times the derivatives of that point, shape (n_draws, n_tasks, n).
+        """
+        n_draws, n, n_tasks = len(self.rows), self.n_parameters, len(self.names)
+        variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
+        rows = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
+        worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
+        return variance, directions
+
+    @cached_property
+    def information(self) -> Floats:
+        """Information before any candidate, shape (n_draws, n, n)."""
+        return np.ascontiguousarray(self.base.transpose(0, 2, 1) @ self.base)
+
+    @property
+    def task_start(self) -> Ints:
+        """Where the points of each task start, and where the last ends, shape (n_tasks + 1,)."""
+        return np.concatenate([[0], np.cumsum(np.bincount(self.task_of_point))])
+
     def expected_variance(self, chosen: Sequence[int], *, worst: bool = True) -> Floats:
         """Mean over the draws of each task's worst-point (or mean) variance, in um^2, shape (n_tasks,)."""
         variance = self.task_variance(chosen)
@@ -88,9 +110,8 @@ class Design:
         """
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
-        counts = [n] if whole_state else np.bincount(self.task_of_point).tolist()
-        task_start = np.concatenate([[0], np.cumsum(counts)])
-        left, gain = np.zeros((n_candidates, len(counts))), np.zeros(n_candidates)
+        task_start = np.array([0, n]) if whole_state else self.task_start
+        left, gain = np.zeros((n_candidates, len(task_start) - 1)), np.zeros(n_candidates)
         for draw, root in enumerate(self.roots(chosen)):
             points = root if whole_state else self.tasks[draw] @ root
             scaled = rows[draw].reshape(-1, n) @ root

@@ -1,4 +1,4 @@
-"""Compiled kernel: what each candidate sweep would leave unknown.
+"""Compiled kernels: what each candidate sweep would leave unknown, and what chosen ones leave.
 
 With the rows W (k, n) of a candidate in units of the present uncertainty, the covariance shrinks to I - W' S^-1 W,
 S = I + W W' (Woodbury), so that a task whose derivatives are V in these units keeps the variance v'v - |L^-1 W v|^2,
@@ -64,3 +64,60 @@ def add_gains(
             for p in range(first, last):
                 total = max(total, value[p]) if worst else total + value[p]
             left[c, task] += total if worst else total / (last - first)
+
+
+@compiled
+def worst_points(
+    information: Floats, rows: Floats, tasks: Floats, task_start: Ints, variance: Floats, directions: Floats
+) -> None:
+    """Worst point of each task at each draw after rows, by the Cholesky factor of the information.
+
+    Parameters
+    ----------
+    information
+        Before the rows, shape (n_draws, n, n).
+    rows, tasks
+        Shapes (n_draws, n_rows, n), (n_draws, n_points, n).
+    task_start
+        Where the points of each task start, and where the last ends, shape (n_tasks + 1,).
+    variance, directions
+        Written: variance of the worst point (n_draws, n_tasks), covariance times its derivatives (.., n_tasks, n).
+    """
+    n_draws, n_rows, n = rows.shape
+    n_points = tasks.shape[1]
+    upper, seen, total = np.empty((n, n)), np.empty((n, n_points)), np.empty(n_points)
+    for d in range(n_draws):
+        upper[:] = information[d]
+        for r in range(n_rows):
+            row = rows[d, r]
+            for i in range(n):
+                for j in range(i, n):
+                    upper[i, j] += row[i] * row[j]
+        for p in range(n_points):
+            total[p] = 0.0
+            for i in range(n):
+                seen[i, p] = tasks[d, p, i]
+        for k in range(n):
+            scale = 1.0 / math.sqrt(upper[k, k])
+            for j in range(k, n):
+                upper[k, j] *= scale
+            for p in range(n_points):
+                seen[k, p] *= scale
+                total[p] += seen[k, p] * seen[k, p]
+            for i in range(k + 1, n):
+                share = upper[k, i]
+                for j in range(i, n):
+                    upper[i, j] -= share * upper[k, j]
+                for p in range(n_points):
+                    seen[i, p] -= share * seen[k, p]
+        for task in range(task_start.size - 1):
+            worst = task_start[task]
+            for p in range(task_start[task], task_start[task + 1]):
+                if total[p] > total[worst]:
+                    worst = p
+            variance[d, task] = total[worst]
+            for k in range(n - 1, -1, -1):
+                value = seen[k, worst]
+                for j in range(k + 1, n):
+                    value -= upper[k, j] * directions[d, task, j]
+                directions[d, task, k] = value / upper[k, k]

@@ -1,58 +1,63 @@
 """Plan sweeps: the best of a number, or the fewest that reach a target."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import covariance_root
-from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps, neighbours, reverses
+from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
 from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
 from fpcal_bayes.infer.design.descend import descend
 from fpcal_bayes.infer.design.exchange import (
-    WIDTHS,
     ChosenSweeps,
     chosen_sweeps,
     exchange,
     greedy,
     most_useful_first,
     reference_of,
-    refine,
 )
 from fpcal_bayes.infer.design.information import Design
+from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.joint_path import travel_seconds
 
 #: A task is left undetermined if more than this share of its standard deviation is left.
 LEFT_SHARE = 0.1
 _NAMED = 3
+#: Share of the work until every start has its candidates.
+_BEGUN = 0.15
+#: Steps of a descent on few draws, least candidates of a start, and by how much more draws finalists descend on.
+_SHORT, _FEW, _WIDER = 30, 300, 4
+#: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
+_TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
+#: Numbers of sweeps on the frontier.
+_NUMBERS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 30)
+#: Sweeps of the first plan when time is given.
+_FIRST = 12
 
 
 def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:
     """A sentence for each task that the sweeps leave undetermined, with the parameters that make it so."""
-    design = ground.design(sweeps, readings=readings, sigma=sigma)
-    before, after = design.expected_variance(()), design.expected_variance(range(len(sweeps)))
-    variance, roots = design.task_variance(range(len(sweeps))), design.roots(range(len(sweeps)))
-    root = covariance_root(ground.covariance, eigh=linalg.eigh)
+    first, last = (ground.driven(part, readings=readings, sigma=sigma) for part in (None, sweeps))
+    before, after = first.expected_variance(()), last.expected_variance(())
+    variance, roots = last.task_variance(()), last.roots(())
     own = np.sqrt(np.diag(ground.covariance))
     safe = np.where(own > 0, own, 1.0)
     sentences = []
-    for task, name in enumerate(design.names):
+    for task, name in enumerate(last.names):
         if after[task] <= LEFT_SHARE**2 * before[task]:
             continue
-        of_task = np.flatnonzero(design.task_of_point == task)
+        of_task = np.flatnonzero(last.task_of_point == task)
         draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
         # The way the parameters move when the error at this point is one standard deviation.
-        point = design.tasks[draw, of_task[place]] @ roots[draw]
-        direction = (root @ (roots[draw] @ point)) / safe / np.linalg.norm(point)
+        point = last.tasks[draw, of_task[place]] @ roots[draw]
+        moved = (roots[draw] @ point)[: ground.root.shape[1]]
+        direction = (ground.root @ moved) / safe / np.linalg.norm(point)
         names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
         plural = "s leave" if len(sweeps) > 1 else " leaves"
         sentences.append(
@@ -62,93 +67,73 @@ def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: floa
     return sentences
 
 
-def in_short_order(cell: Cell, sweeps: Sweeps) -> Sweeps:
-    """Sweeps of a plan ordered and turned round such that the way between them is short.
-
-    A sweep tells the same from either end. From joint vector zero the nearest end is taken each time; then parts of the
-    way are turned round while that shortens it (2-opt, Croes 1958).
-    """
-    ends = np.stack([sweeps.q_start, sweeps.q_end])
-    order, turned = _nearest(cell, ends)
-    while True:
-        first, last = ends[turned, order], ends[1 - turned, order]
-        before = np.vstack([np.zeros((1, ends.shape[2])), last[:-1]])
-        # Turning round sweeps i to j replaces the way into i and the way out of j; nothing follows the last.
-        into = travel_seconds(cell, first - before)
-        out = np.append(into[1:], 0.0)
-        to_last = travel_seconds(cell, last[None, :] - before[:, None])
-        from_first = travel_seconds(cell, first[:, None] - np.vstack([first[1:], first[:1]])[None, :])
-        from_first[:, -1] = 0.0
-        change = np.where(np.tri(len(order), dtype=bool).T, to_last + from_first - into[:, None] - out[None, :], 0.0)
-        i, j = (int(k) for k in np.unravel_index(np.argmin(change), change.shape))
-        if change[i, j] > -1e-9:
-            break
-        order[i : j + 1], turned[i : j + 1] = order[i : j + 1][::-1].copy(), 1 - turned[i : j + 1][::-1]
-    ordered = sweeps.take(order)
-    return Sweeps.of_um_rad(
-        ends[turned, order], ends[1 - turned, order], label=ordered.label.tolist(), file=sweeps.file
-    )
-
-
-def in_safe_order(ground: Ground, sweeps: Sweeps, file: object = "plan") -> Sweeps:
-    """Sweeps `in_short_order`; `InputError` if one of them, or a way between them, may leave the cell's envelope."""
-    ordered = in_short_order(ground.cell, sweeps)
-    require_within_envelope(ground.model, ground.draws, ordered.q_start, ordered.q_end, file=file)
-    return ordered
-
-
-def duration(cell: Cell, sweeps: Sweeps, readings: int, limits: SweepLimits) -> float:
-    """Seconds from joint vector zero through all sweeps in their order: ways, sweeps, and settling at each reading."""
-    before = np.vstack([np.zeros((1, len(cell.joints))), sweeps.q_end[:-1]])
-    moving = travel_seconds(cell, sweeps.q_start - before) + travel_seconds(cell, sweeps.q_end - sweeps.q_start)
-    return float(moving.sum() + limits.settling * (1 + readings) * len(sweeps))
-
-
-def _nearest(cell: Cell, ends: Floats) -> tuple[Ints, Ints]:
-    """Sweeps taken from the nearest end each time: their order, and whether each is turned round."""
-    n = ends.shape[1]
-    order, turned, left = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.ones(n, dtype=bool)
-    here = np.zeros(ends.shape[2])
-    for step in range(n):
-        ways = np.where(left, travel_seconds(cell, ends - here), np.inf)
-        side, sweep = (int(k) for k in np.unravel_index(np.argmin(ways), ways.shape))
-        order[step], turned[step], left[sweep] = sweep, side, False
-        here = ends[1 - side, sweep]
-    return order, turned
-
-
 @dataclass(frozen=True)
 class PlanSettings:
     """How a plan is searched."""
 
-    readings: int = 2  # readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on
+    # readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on; 0 the whole trace
+    readings: int = 2
     sigma: float = 0.005  # standard deviation of a row in um
     criterion: str = "worst"  # one of `CRITERIA`
     n_candidates: int = 2000  # random sweeps to choose from
-    # draws that one start of the search is averaged over; there are as many starts as the draws give shares, and the
-    # best of them is refined over all draws
+    # starts of the search, draws that each is averaged over, and how many of them descend over four times as many; the
+    # best of these descends over all draws at the end
+    starts: int = 8
     share: int = 16
+    finalists: int = 2
     passes: int = 1  # passes of the exchange
-    variations: int = 30  # variations of each chosen sweep in a round of refinement
-    iterations: int = 100  # steps of the descent at the end; 0 of both keeps to the candidates
-    several: bool = True  # also move several joints of one controller at once
+    iterations: int = 100  # steps of the descent at the end; 0 keeps to the candidates
+    several: bool = False  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)  # the planner holds them to the cell's envelope
+
+
+@dataclass(frozen=True)
+class Point:
+    """A plan on the frontier: its sweeps, seconds, and expected standard deviation of each task in um."""
+
+    sweeps: int
+    seconds: float
+    sd: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """Plans by rising number of sweeps, and the worst task of each over what it is judged by."""
+
+    points: tuple[Point, ...]
+    excess: tuple[float, ...]
+
+    @property
+    def knee(self) -> int:
+        """Position of the plan after which more sweeps gain least: farthest below the line between the ends.
+
+        Accuracy counts by its logarithm: along the line every sweep gains the same share (Satopaa et al. 2011).
+        """
+        x, y = np.array([float(point.sweeps) for point in self.points]), np.log(self.excess)
+        line = np.interp(x, x[[0, -1]], y[[0, -1]])
+        return int(np.argmax(line - y))
 
 
 class Planner:
     """Searches for plans on one ground.
 
-    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike.
+    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike. `tell` is
+    called with the share of the work of a plan that is done.
     """
 
     def __init__(
-        self, ground: Ground, settings: PlanSettings | None = None, tolerances: Mapping[str, float] | None = None
+        self,
+        ground: Ground,
+        settings: PlanSettings | None = None,
+        tolerances: Mapping[str, float] | None = None,
+        tell: Callable[[float], None] = lambda _: None,
     ) -> None:
-        self.ground = ground
+        self.ground, self.tell = ground, tell
         settings = PlanSettings() if settings is None else settings
         limits = settings.limits.within_envelope(ground.model, ground.draws)
         self.settings = settings = replace(settings, limits=limits)
+        self._tolerances = tolerances
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
         self.candidates = candidate_sweeps(
             ground.cell,
@@ -158,10 +143,6 @@ class Planner:
             limits=settings.limits,
             several=settings.several,
         )
-        n_draws = len(ground.goals.values)
-        starts = max(1, n_draws // settings.share)
-        self._parts = [ground.at_draws(np.arange(first, n_draws, starts)) for first in range(starts)]
-        self._criteria = [self.judge(self.candidates, part) for part in self._parts]
 
     @property
     def _centre(self) -> Floats:
@@ -170,74 +151,145 @@ class Planner:
         return vector[self.ground.cell.free.slots]
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
-        """The criterion over sweeps as candidates, by default over all draws; what reverses counts less."""
-        settings, ground = self.settings, self.ground if ground is None else ground
-        design = ground.design(sweeps, readings=settings.readings, sigma=settings.sigma)
-        if settings.limits.reversal_variance != 1.0:
-            weight = np.where(
-                reverses(ground.model, ground.goals.values, sweeps), settings.limits.reversal_variance**-0.5, 1.0
-            )
-            design = replace(design, rows=design.rows * weight[:, :, None, None])
-        return criterion_by_name(settings.criterion, design, self.reference)
+        """The criterion over sweeps as candidates, by default over all draws."""
+        return criterion_by_name(self.settings.criterion, self._design(sweeps, ground or self.ground), self.reference)
+
+    def value(self, sweeps: Sweeps, ground: Ground | None = None) -> float:
+        """The criterion after sweeps in their order."""
+        design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
+        return criterion_by_name(self.settings.criterion, design, self.reference).value(())
 
     def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: greedy start, exchange among the candidates, refinement, descent."""
+        """The best n sweeps that are found: many starts on few draws each, the best of them on more, then on all."""
+        settings, n_draws = self.settings, len(self.ground.goals.values)
         if not 1 <= n <= len(self.candidates):
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
             )
+        stages = (settings.share, settings.share * _WIDER, n_draws)
+        counts = (settings.starts, settings.finalists, 1)
+        work = np.cumsum([n * min(share, n_draws) for n, share in zip(counts, stages, strict=True)])
         found = []
-        for part, criterion in zip(self._parts, self._criteria, strict=True):
-            chosen = exchange(criterion, greedy(criterion, n), passes=self.settings.passes)
-            found.append(self._vary(self.candidates.take(np.array(chosen)), part, WIDTHS[::2]))
-        if len(found) == 1:
-            return self._finished(self._descended(found[0]))
-        values = [self.judge(plan).value(range(n)) for plan in found]
-        return self.refined(found[int(np.argmin(values))])
+        for number in range(settings.starts):
+            found.append(self._start(n, number))
+            self.tell(_BEGUN * (number + 1) / settings.starts)
+        for stage, (count, share) in enumerate(zip(counts, stages, strict=True)):
+            values = [self.judge(plan).value(range(n)) for plan in found]
+            kept = [found[i] for i in np.argsort(values)[:count].tolist()]
+            done, found = 0 if stage == 0 else work[stage - 1], []
+            each = (work[stage] - done) / count
+            for number, plan in enumerate(kept):
+
+                def tell(share: float, begun: float = done + number * each, each: float = each) -> None:
+                    self.tell(_BEGUN + (1.0 - _BEGUN) * float((begun + each * share) / work[-1]))
+
+                length = _SHORT if stage < 2 else settings.iterations
+                found.append(self._descended(plan, self._part(number, share), length, tell))
+        return self._finished(found[0])
+
+    def _start(self, n: int, number: int) -> Sweeps:
+        """The best of a part of the candidates, one by one, then exchanged, over a few draws."""
+        settings = self.settings
+        random = np.random.default_rng([settings.seed, number])
+        count = min(len(self.candidates), max(n, len(self.candidates) // settings.starts, _FEW))
+        some = self.candidates.take(random.choice(len(self.candidates), count, replace=False))
+        criterion = self.judge(some, self._part(number, settings.share))
+        return some.take(np.array(exchange(criterion, greedy(criterion, n), passes=settings.passes)))
+
+    def _part(self, number: int, share: int) -> Ground:
+        """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""
+        n_draws = len(self.ground.goals.values)
+        if share >= n_draws:
+            return self.ground
+        return self.ground.at_draws((number * share + np.arange(share)) % n_draws)
 
     def refined(self, sweeps: Sweeps) -> ChosenSweeps:
-        """Sweeps after refinement and descent over all draws, the most useful first."""
-        return self._finished(self._descended(self._vary(sweeps, self.ground, WIDTHS)))
+        """Sweeps after a descent over all draws, the most useful first."""
+        return self._finished(self._descended(sweeps, self.ground, self.settings.iterations))
 
-    def _descended(self, sweeps: Sweeps) -> Sweeps:
-        settings, cell = self.settings, self.ground.cell
+    def _descended(
+        self, sweeps: Sweeps, ground: Ground, iterations: int, tell: Callable[[float], None] = lambda _: None
+    ) -> Sweeps:
+        settings = self.settings
         return descend(
             sweeps,
-            self.judge,
-            CavityModel.of(cell),
+            lambda plan: self.judge(plan, ground),
+            ground.sweep_rows(settings.readings, settings.sigma),
             self._centre,
             settings.limits,
             several=settings.several,
-            iterations=settings.iterations,
+            iterations=min(iterations, settings.iterations),
+            tell=tell,
         )
-
-    def _vary(self, sweeps: Sweeps, ground: Ground, widths: tuple[float, ...]) -> Sweeps:
-        settings = self.settings
-        if not settings.variations:
-            return sweeps
-        rng = np.random.default_rng([settings.seed, len(sweeps)])
-
-        def vary(chosen: Sweeps, width: float) -> tuple[Sweeps, Ints]:
-            return neighbours(
-                ground.cell,
-                chosen,
-                n_each=settings.variations,
-                width=width,
-                rng=rng,
-                values=self._centre,
-                limits=settings.limits,
-            )
-
-        return refine(sweeps, vary, lambda pool: self.judge(pool, ground), widths=widths)
 
     def _finished(self, sweeps: Sweeps) -> ChosenSweeps:
         judge = self.judge(sweeps)
         order = most_useful_first(judge, tuple(range(len(sweeps))))
-        return chosen_sweeps(self._plain_design(sweeps), sweeps, order)
+        return chosen_sweeps(self._design(sweeps, self.ground), sweeps, order)
 
-    def _plain_design(self, sweeps: Sweeps) -> Design:
-        """Sweeps as candidates without any penalty, for figures that are reported."""
-        return self.ground.design(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
+    def _design(self, sweeps: Sweeps, ground: Ground) -> Design:
+        return ground.design(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
+
+    def in_order(self, sweeps: Sweeps, file: object = "plan") -> Sweeps:
+        """Sweeps in an order that takes little time, within the cell's envelope.
+
+        Where error motions are told, a sweep turns round if the lost motion of its joint then shows.
+        """
+        ordered = in_short_order(self.ground.cell, sweeps)
+        if self.ground.machine is not None and len(self.ground.machine.reversing):
+            few = self.ground.at_draws(np.arange(min(_TURNED_DRAWS, len(self.ground.goals.values))))
+            best = self.value(ordered, few)
+            for i in range(len(ordered)):
+                start, end = ordered.q_start.copy(), ordered.q_end.copy()
+                start[i], end[i] = ordered.q_end[i], ordered.q_start[i]
+                turned = replace(ordered, q_start=start, q_end=end)
+                found = self.value(turned, few)
+                if found < best * (1.0 - _TURNED_GAIN):
+                    ordered, best = turned, found
+        require_within_envelope(self.ground.model, self.ground.draws, ordered.q_start, ordered.q_end, file=file)
+        return ordered
+
+    def within(self, seconds: float, most: int = 69) -> ChosenSweeps:
+        """As many sweeps, up to `most`, as take no longer than `seconds` in their order; `InputError` if none does."""
+        n, fits, too_many = min(most, _FIRST), 0, most + 1
+        best = None
+        while too_many - fits > 1:
+            found = self.best(n)
+            spent = duration(
+                self.ground.cell, self.in_order(found.sweeps), self.settings.readings, self.settings.limits
+            )
+            if spent <= seconds:
+                best, fits = found, n
+            else:
+                too_many = n
+            # Time is nearly proportional to the number.
+            n = int(np.clip(int(n * seconds / spent), fits + 1, too_many - 1))
+        if best is None:
+            raise InputError(f"{seconds / 60.0:g} min: not even one sweep takes as little")
+        return best
+
+    def short(self, several: bool) -> "Planner":
+        """A planner that searches less, on fewer draws, for a comparison."""
+        less = replace(self.settings, starts=2, finalists=1, several=several)
+        return Planner(self._part(0, less.share * _WIDER), less, self._tolerances)
+
+    def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
+        """What plans of several numbers of sweeps, up to `most`, are expected to leave, with a short search for each.
+
+        They are judged on the ground `check`; `tell` is called with the share done.
+        """
+        settings, short, points = self.settings, self.short(self.settings.several), []
+        numbers = [n for n in _NUMBERS if n < most] + [most]
+        for done, n in enumerate(numbers):
+            plan = short.in_order(short.best(n).sweeps)
+            sd = check.expected_sd(plan, readings=settings.readings, sigma=settings.sigma)
+            points.append(Point(n, duration(self.ground.cell, plan, settings.readings, settings.limits), sd))
+            tell((done + 1) / len(numbers))
+        return Frontier(tuple(points), tuple(self.excess(point.sd) for point in points))
+
+    def should_stop(self, check: Ground) -> bool:
+        """Whether what is known before any sweep keeps every task within its tolerance, on the ground `check`."""
+        return self.excess(check.expected_sd(None)) <= 1.0
 
     def excess(self, sd: Mapping[str, float]) -> float:
         """The largest ratio of a task's standard deviation to what it is judged by."""
@@ -259,11 +311,14 @@ class Planner:
             return self.excess(check.expected_sd(plan, readings=readings, sigma=sigma)) <= 1.0
 
         chosen: tuple[int, ...] = ()
+        criterion = self.judge(self.candidates, self.ground.at_draws(np.arange(min(len(self.ground.goals.values), 16))))
         while len(chosen) < most:
-            chosen = greedy(self._criteria[0], len(chosen) + 1, chosen)
+            chosen = greedy(criterion, len(chosen) + 1, chosen)
             if enough(self.candidates.take(np.array(chosen))):
                 break
         best = self.refined(self.candidates.take(np.array(chosen)))
+        if not enough(best.sweeps):
+            best = self.best(len(chosen))
         if not enough(best.sweeps):
             raise self._unreached(len(chosen), check.expected_sd(best.sweeps, readings=readings, sigma=sigma))
         too_few, high = 0, len(chosen)
@@ -329,4 +384,5 @@ def plan(
         ground = prior_ground(cell, tasks=tasks, radius=radius_um, draws=draws, seed=seed)
     else:
         ground = estimate_ground(estimate, tasks=tasks, radius=radius_um)
-    return in_safe_order(ground, Planner(ground, settings).best(n).sweeps)
+    planner = Planner(ground, settings)
+    return planner.in_order(planner.best(n).sweeps)

@@ -1,30 +1,39 @@
 """What a plan starts from: what is known of the cell, where that is linearised, and the tasks that count."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import linalg
+from scipy.stats import qmc
 
 from fpcal_bayes.core.errors import InputError, UnreachableError
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
 from fpcal_bayes.infer.design.information import Design
-from fpcal_bayes.infer.design.rows import plan_rows, sweep_rows
+from fpcal_bayes.infer.design.machine import Machine, motions_of_path, prior_machine
+from fpcal_bayes.infer.design.rows import TRACE_PLACES, TRACE_READINGS, SweepRows, plan_rows
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.tasks.error import task_jacobian
+from fpcal_bayes.measure.protocol import read_often
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import normal_draws
-from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.model.mechanics import Terms
+from fpcal_bayes.motion.tasks import Task, find_task
 
 #: Tasks that a plan serves unless others are named.
 DEFAULT_TASKS = ("circle", "tilt-x", "tilt-z", "spin")
 #: Points of a task's path at which plans are compared.
 POINTS = 9
+#: Sweeps that tell which combinations of error motions are felt at all.
+_FELT = 400
 
 
 @dataclass(frozen=True)
@@ -36,10 +45,19 @@ class Goals:
     # derivatives of each task's points by the free parameters, shape (n_draws, n_points, n_free)
     jacobians: dict[str, Floats]
     dropped: int  # draws that were left out since a task has no point that can be driven to
+    # what weights of error motions, and last what no sweep can tell, add to the points, (n_draws, n_points, n_weights)
+    motions: dict[str, Floats]
+    reach: Floats  # lowest and highest value of each joint on the paths, middle over the draws, shape (2, n_joints)
 
 
 def goals_of(
-    model: CavityModel, values: Floats, tasks: Sequence[str], *, radius: float | None = None, points: int = POINTS
+    model: CavityModel,
+    values: Floats,
+    tasks: Sequence[str],
+    *,
+    radius: float | None = None,
+    points: int = POINTS,
+    terms: Terms | None = None,
 ) -> Goals:
     """The tasks, names or path files, at each draw, as a controller with these parameters would drive them.
 
@@ -50,44 +68,60 @@ def goals_of(
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
     kept: list[int] = []
-    jacobians: dict[str, list[Floats]] = {task: [] for task in tasks}
+    found: dict[str, list[tuple[Floats, Floats, Floats]]] = {task: [] for task in tasks}
     reason = ""
     for number, point in enumerate(values):
         try:
-            found = {task: _at(model, point, task, radius, points) for task in tasks}
+            parts = [_at(model, point, find_points(model, point, task, radius, points), terms) for task in tasks]
         except UnreachableError as error:
             reason = str(error)
             continue
         kept.append(number)
-        for task, jacobian in found.items():
-            jacobians[task].append(jacobian)
+        for task, part in zip(tasks, parts, strict=True):
+            found[task].append(part)
     if not kept:
         raise InputError(f"{reason}: expected tasks that the cell can drive")
-    stacked = {task: np.array(parts) for task, parts in jacobians.items()}
-    return Goals(values[kept], stacked, len(values) - len(kept))
+    jacobians, motions = ({task: np.array([p[i] for p in each]) for task, each in found.items()} for i in (0, 1))
+    reach = np.array([[part[2] for part in each] for each in found.values()])
+    ends = np.stack([reach[:, :, 0].min(axis=0), reach[:, :, 1].max(axis=0)])
+    return Goals(values[kept], jacobians, len(values) - len(kept), motions, np.median(ends, axis=1))
 
 
-def _at(model: CavityModel, values: Floats, name: str, radius: float | None, points: int) -> Floats:
-    """Derivatives of a task's points by the free parameters, shape (points, n_free)."""
+def find_points(model: CavityModel, values: Floats, name: str, radius: float | None, points: int) -> Task:
+    """A task's points that can be driven to, the nearest in place of those that cannot."""
     task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
     if not task.ok.any() or not np.isfinite(task.start).all():
         raise UnreachableError(f"task {task.name!r}: no point can be driven to; point 1: {task.status[0]}")
     good = np.flatnonzero(task.ok)
-    jacobian = task_jacobian(model, values, task.take(task.ok))
-    nearest = np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)
-    return jacobian[nearest]
+    return task.take(good[np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)])
+
+
+def _at(model: CavityModel, values: Floats, task: Task, terms: Terms | None) -> tuple[Floats, Floats, Floats]:
+    """Derivatives of a task's points by the free parameters, what error motions add, and the joints' reach."""
+    reach = np.stack([task.q.min(axis=0), task.q.max(axis=0)])
+    motions = np.zeros((len(task), 0))
+    if terms is not None:
+        told, untold = motions_of_path(terms, model.vector(values), task.start, task.q)
+        motions = np.hstack([told, untold[:, None]])
+    return task_jacobian(model, values, task), motions, reach
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Knowledge before the planned sweeps."""
+    """Knowledge before the planned sweeps.
+
+    What is unknown is a state of unit covariance: the free parameters, and with mechanics the error motions.
+    """
 
     model: CavityModel  # model of the parameters that are not known exactly
     centre: Floats  # where visibility and fringe rate are judged, shape (n_free,), in um and rad
     covariance: Floats  # of the free parameters, shape (n_free, n_free), in um and rad
     goals: Goals  # the tasks, at the draws over which the plan is averaged
-    # whitened rows of what is measured in any case, shape (n_draws, n_rows, n_free), or None
+    machine: Machine | None = None  # error motions
+    # whitened rows by the state of what is measured in any case, shape (n_draws, n_rows, n), or None
     known: Floats | None = None
+    # from the state to the free parameters, shape (n_free, n), where knowledge of an estimate says it
+    factor: Floats | None = None
 
     @property
     def cell(self) -> Cell:
@@ -99,39 +133,91 @@ class Ground:
         """Draws of what is known of the free parameters, shape (n_draws, n_free)."""
         return normal_draws(self.centre, self.covariance)
 
+    @cached_property
+    def root(self) -> Floats:
+        """From the state to the free parameters, shape (n_free, n)."""
+        if self.factor is not None:
+            return self.factor
+        own = np.diag(self.covariance)
+        diagonal = np.count_nonzero(self.covariance) == np.count_nonzero(own)
+        root: Floats = np.diag(np.sqrt(own)) if diagonal else covariance_root(self.covariance, eigh=linalg.eigh)
+        more = 0 if self.machine is None else self.machine.basis.shape[1] - root.shape[1]
+        return np.pad(root, ((0, 0), (0, more)))
+
+    @cached_property
+    def tasks(self) -> dict[str, Floats]:
+        """Derivatives of each task's points by the state, shape (n_draws, n_points, n)."""
+        found = {name: jacobian @ self.root for name, jacobian in self.goals.jacobians.items()}
+        if self.machine is not None:
+            for name, motions in self.goals.motions.items():
+                found[name] = found[name] + motions[..., :-1] @ self.machine.basis
+                # What no sweep tells is one more direction of the state.
+                found[name] = np.concatenate([found[name], motions[..., -1:]], axis=2)
+        return found
+
+    def sweep_rows(self, readings: int, sigma: float) -> SweepRows:
+        """What turns candidates into rows by the state; 0 `readings` are a whole trace."""
+        if readings == 0:
+            readings, sigma = TRACE_PLACES, sigma * float(np.sqrt((TRACE_PLACES + 1) / (TRACE_READINGS + 1)))
+        return SweepRows(self.model, self.goals.values, self.centre, self.root, readings, sigma, self.machine)
+
     def design(self, sweeps: Sweeps, *, readings: int, sigma: float) -> Design:
-        """The sweeps as candidates (see `sweep_rows`)."""
-        rows = sweep_rows(self.model, self.goals.values, sweeps, readings=readings, sigma=sigma)
-        return Design.of(rows, self.goals.jacobians, self.covariance, self.known)
+        """The sweeps as candidates, each by itself."""
+        rows = self.padded(self.sweep_rows(readings, sigma).of(sweeps))
+        return Design.of(rows, self.tasks, known=self.known)
+
+    def padded(self, rows: Floats) -> Floats:
+        """Rows with nothing of what no sweep tells."""
+        return rows if self.machine is None else np.pad(rows, ((0, 0),) * (rows.ndim - 1) + ((0, 1),))
 
     def expected_sd(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, float]:
         """Worst-point standard deviation of each task in um, the root of its mean variance over the draws.
 
-        `sweeps` are a plan that is measured as a whole, or None for what is known without one.
+        `sweeps` are a plan that is measured as a whole in its order, or None for what is known without one.
         """
         each = self.sd_at_draws(sweeps, readings=readings, sigma=sigma)
         return {name: float(np.sqrt(np.mean(sd**2))) for name, sd in each.items()}
 
     def sd_at_draws(self, sweeps: Sweeps | None, *, readings: int = 2, sigma: float = 0.005) -> dict[str, Floats]:
         """Worst-point standard deviation of each task in um at each draw, shape (n_draws,) (see `expected_sd`)."""
-        home = np.zeros((1, len(self.cell.joints)))
-        design = self.design(Sweeps.of_um_rad(home, home) if sweeps is None else sweeps, readings=readings, sigma=sigma)
-        variance = design.task_variance(() if sweeps is None else range(len(sweeps)))
+        design = self.driven(sweeps, readings=readings, sigma=sigma)
+        variance = design.task_variance(())
         return {
             name: np.sqrt(variance[:, design.task_of_point == task].max(axis=1))
             for task, name in enumerate(design.names)
         }
 
-    def at_draws(self, chosen: NDArray[np.int64]) -> "Ground":
+    def driven(self, sweeps: Sweeps | None, *, readings: int, sigma: float) -> Design:
+        """What is left after sweeps in their order, with no candidates."""
+        known = self.known
+        if sweeps is not None:
+            made = self.sweep_rows(readings, sigma)
+            rows = self._rows(read_often(sweeps, made.readings), made.sigma)
+            known = rows if known is None else np.concatenate([known, rows], axis=1)
+        nothing = np.zeros((len(self.goals.values), 0, 1, next(iter(self.tasks.values())).shape[-1]))
+        return Design.of(nothing, self.tasks, known=known)
+
+    def _rows(self, sweeps: Sweeps, sigma: float) -> Floats:
+        """Whitened rows by the state of sweeps in their order; `sigma` in um where they say none."""
+        used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
+        if self.machine is None:
+            return plan_rows(self.model, self.goals.values, used) @ self.root
+        rows = self.model.rows(used.q_start, used.q_end, used.absolute)
+        _, jacobian = self.model.predict_with_jacobian(self.goals.values, rows)
+        return self.padded(self.machine.whitened(used, jacobian @ self.root))
+
+    def at_draws(self, chosen: Ints) -> "Ground":
         """The same averaged over some of the draws, by position."""
-        jacobians = {name: jacobian[chosen] for name, jacobian in self.goals.jacobians.items()}
-        goals = replace(self.goals, values=self.goals.values[chosen], jacobians=jacobians)
+        goals = self.goals
+        jacobians, motions = (
+            {name: each[chosen] for name, each in part.items()} for part in (goals.jacobians, goals.motions)
+        )
+        goals = replace(goals, values=goals.values[chosen], jacobians=jacobians, motions=motions)
         return replace(self, goals=goals, known=None if self.known is None else self.known[chosen])
 
     def with_known(self, sweeps: Sweeps, sigma: float) -> "Ground":
         """The same with sweeps that are measured in any case; `sigma` in um where they say none."""
-        used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
-        return replace(self, known=plan_rows(self.model, self.goals.values, used))
+        return replace(self, known=self._rows(sweeps, sigma))
 
 
 def prior_ground(
@@ -143,20 +229,43 @@ def prior_ground(
     points: int = POINTS,
     seed: int = 0,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` draws of it."""
+    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967)."""
     model, free = CavityModel.of(cell), cell.free
-    values = Prior.of(free).values(np.random.default_rng(seed).standard_normal((draws, len(free))))
-    goals = goals_of(model, values, tasks, radius=radius, points=points)
-    return Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
+    engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
+    with warnings.catch_warnings():
+        # Balance asks for a power of two; any number of draws serves here.
+        warnings.simplefilter("ignore", UserWarning)
+        values = Prior.of(free).values(engine.random(draws))
+    terms = None if cell.mechanics is None else Terms.of(cell, cell.mechanics, free.names)
+    goals = goals_of(model, values, tasks, radius=radius, points=points, terms=terms)
+    made = Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
+    if terms is None:
+        return made
+    limits = SweepLimits().within_envelope(model, made.draws)
+    some = candidate_sweeps(cell, n=_FELT, rng=np.random.default_rng(0), limits=limits)
+    poses = np.stack([some.q_start, 0.5 * (some.q_start + some.q_end), some.q_end], axis=1)
+    told = np.concatenate([part[..., :-1].reshape(-1, part.shape[-1] - 1) for part in goals.motions.values()])
+    return replace(made, machine=prior_machine(terms, cell.parameters.nominal, poses, told, len(free)))
 
 
 def estimate_ground(
     estimate: Estimate, *, tasks: Sequence[str] = DEFAULT_TASKS, radius: float | None = None, points: int = POINTS
 ) -> Ground:
-    """A cell of which there is an estimate: its values and the covariance of all its parameters."""
-    model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
-    goals = goals_of(model, estimate.values[None], tasks, radius=radius, points=points)
-    return Ground(model, estimate.values, estimate.covariance, goals)
+    """A cell of which there is an estimate: its values, and what it leaves unknown of parameters and error motions."""
+    cell, known = estimate.cell, estimate.mechanics
+    model = CavityModel.of(cell, estimate.parameters, estimate.vector())
+    terms = None if known is None else known.terms(cell)
+    goals = goals_of(model, estimate.values[None], tasks, radius=radius, points=points, terms=terms)
+    made = Ground(model, estimate.values, estimate.covariance, goals)
+    if known is None or terms is None:
+        return made
+    # Geometry and weights share the directions of the estimate; what drift has added since is new.
+    _, geometry = known.geometry(estimate.parameters.names)
+    later = covariance_root(np.asarray(estimate.covariance - geometry @ geometry.T), estimate.sd, eigh=linalg.eigh)
+    names, _, factor = known.weights(known.n_parameters)
+    shared = factor[[not name.startswith("drift along") for name in names]]
+    basis = np.hstack([shared, np.zeros((len(shared), later.shape[1]))])
+    return replace(made, machine=Machine(terms, estimate.vector(), basis), factor=np.hstack([geometry, later]))
 
 
 def measured_estimate(cell: Cell, sweeps: Sweeps) -> Estimate:

@@ -1,15 +1,20 @@
 """What candidate sweeps and tasks look like to the design: derivatives by the free parameters, over draws."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.design.machine import Machine
 from fpcal_bayes.infer.fit.noise import whitening_of
 from fpcal_bayes.measure.protocol import read_often
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
+
+#: A whole trace is planned as readings at so many places, which together tell as much as so many independent ones: the
+#: errors of a fringe fit are alike over a stretch of the trace.
+TRACE_PLACES, TRACE_READINGS = 6, 32
 
 
 def sweep_rows(
@@ -39,3 +44,73 @@ def plan_rows(model: CavityModel, values: Floats, sweeps: Sweeps) -> Floats:
         whitening_of(model, sweeps, point).apply(jacobian) for point, jacobian in zip(values, jacobians, strict=True)
     ]
     return np.array(parts)
+
+
+@dataclass(frozen=True)
+class SweepRows:
+    """Whitened rows of sweeps by the state: what is unknown, in units in which its covariance is the identity."""
+
+    model: CavityModel
+    values: Floats  # where rows are linearised, shape (n_draws, n_free), in um and rad
+    centre: Floats  # where the noise of the joints is, shape (n_free,)
+    root: Floats  # of the covariance of the free parameters, shape (n_free, n)
+    readings: int  # places after the start
+    sigma: float  # standard deviation of a row in um
+    machine: Machine | None = None  # error motions, by the same state
+
+    def of(self, sweeps: Sweeps) -> Floats:
+        """Rows of each sweep, shape (n_draws, n_sweeps, readings, n)."""
+        poses = self._poses(sweeps)
+        at = self._at(poses.reshape(-1, poses.shape[-1])).reshape(len(self.values), *poses.shape[:2], -1)
+        rows = at[:, :, 1:] - at[:, :, :1]
+        if self.machine is not None:
+            rows += self.machine.rows(poses)
+        return self._whitening(poses) @ rows
+
+    def slope(self, sweeps: Sweeps, by_rows: Floats, steps: Floats) -> Floats:
+        """Derivative of a value by the ends of the sweeps, shape (2, n_sweeps, n_joints), given that by their rows.
+
+        `steps` (n_joints,) are those of differences. That the noise of the joints depends on where they stand is left
+        out.
+        """
+        poses = self._poses(sweeps)
+        n_sweeps, places, n_joints = poses.shape
+        pulls = self._whitening(poses).transpose(0, 2, 1) @ by_rows
+        by_pose = np.concatenate([-pulls.sum(axis=2, keepdims=True), pulls], axis=2)
+        further = poses[:, :, None] + np.vstack([np.zeros(n_joints), np.diag(steps)])
+        _, jacobian = self.model.predict_with_jacobian(
+            self.values[: len(pulls)], self.model.pose_rows(further.reshape(-1, n_joints))
+        )
+        jacobian = jacobian.reshape(len(pulls), n_sweeps * places, n_joints + 1, -1)
+        by_parameter = (by_pose @ self.root.T).reshape(len(pulls), n_sweeps * places, -1, 1)
+        seen = (jacobian @ by_parameter).sum(axis=0).reshape(n_sweeps, places, -1)
+        if self.machine is not None:
+            seen += self.machine.seen(further, pulls.sum(axis=0))
+        slope = (seen[..., 1:] - seen[..., :1]) / steps
+        share = np.linspace(0.0, 1.0, places)
+        return np.stack([np.einsum("p,spj->sj", part, slope) for part in (1.0 - share, share)])
+
+    def _poses(self, sweeps: Sweeps) -> Floats:
+        """Start and readings of each sweep, shape (n_sweeps, readings + 1, n_joints)."""
+        share = np.linspace(0.0, 1.0, self.readings + 1)[:, None]
+        return sweeps.q_start[:, None] * (1.0 - share) + sweeps.q_end[:, None] * share
+
+    def _at(self, q: Floats) -> Floats:
+        """Derivatives of the cavity length at poses (n_poses, n_joints) by the state, (n_draws, n_poses, n)."""
+        _, jacobian = self.model.predict_with_jacobian(self.values, self.model.pose_rows(q))
+        n = len(self.root)
+        if self.root.shape == (n, n) and np.count_nonzero(self.root) == np.count_nonzero(np.diag(self.root)):
+            return jacobian * np.diag(self.root)
+        return jacobian @ self.root
+
+    def _whitening(self, poses: Floats) -> Floats:
+        """Maps that whiten the rows of each sweep, shape (n_sweeps, readings, readings)."""
+        cell, k = self.model.cell, self.readings
+        noise = np.broadcast_to(0.5 * self.sigma**2 * (np.eye(k) + 1.0), (len(poses), k, k)).copy()
+        if self.machine is not None:
+            noise += self.machine.noise(poses)
+        elif cell.repeatability.any():
+            felt = self.model.joint_jacobian(self.centre, poses.reshape(-1, poses.shape[-1])) * cell.repeatability
+            variance = (felt**2).sum(axis=1).reshape(len(poses), -1)
+            noise += variance[:, :1, None] + np.eye(k) * variance[:, 1:, None]
+        return np.linalg.inv(np.linalg.cholesky(noise))

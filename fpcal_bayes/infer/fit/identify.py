@@ -7,7 +7,6 @@ from html import escape
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import softmax
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
@@ -19,6 +18,7 @@ from fpcal_bayes.infer.fit.minimise import (
     minimise,
     sign_images,
     solution_rank,
+    spread_over,
 )
 from fpcal_bayes.infer.fit.mistakes import axis_rivals, second_solution
 from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
@@ -211,7 +211,7 @@ def identify(
     own = model.free.positions(chosen.names)
     spectrum = spectrum_of(problem.prior_scaled_jacobian(unknowns)[:, own])
     covariance = problem.covariance(unknowns) if machine is None else covariance_of(machine)
-    covariance = _over_all(problem, covariance, solution, others)
+    covariance = spread_over(problem, covariance, solution, others)
     status = statuses(spectrum.null_share, np.diag(covariance)[own] / problem.prior.sd[own] ** 2)
     by_name = dict(zip(chosen.names, status, strict=True))
     fit = goodness_of_fit(problem, unknowns)
@@ -382,23 +382,6 @@ def _estimate(
         status=tuple(status.get(name, "fixed") for name in parameters.names),
         time_h=float(sweeps.time_h.max()),
     )
-
-
-def _over_all(problem: Problem, covariance: Floats, solution: Solution, others: Sequence[Solution]) -> Floats:
-    """Second moments around the lowest minimum over all that count, by their Laplace weights, shape as `covariance`."""
-    n = problem.n_free
-    spreads = [covariance, *(problem.covariance(other.unknowns) for other in others)]
-    weights = softmax(
-        [
-            0.5 * (np.linalg.slogdet(problem.covariance(m.unknowns)[:n, :n])[1] - m.sum_of_squares)
-            for m in (solution, *others)
-        ]
-    )
-    away = np.zeros((len(spreads), len(covariance)))
-    away[1:, :n] = [
-        problem.values(other.unknowns)[:n] - problem.values(solution.unknowns)[:n] for other in others
-    ] or 0.0
-    return np.tensordot(weights, np.array(spreads) + away[:, :, None] * away[:, None], 1) if others else covariance
 
 
 def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, float]]:

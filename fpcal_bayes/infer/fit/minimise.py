@@ -6,11 +6,12 @@ alpha_5 is such a direction: from random starting points about half of the fits 
 squares that differ by less than ten.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, special
 
 from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.typing import Floats
@@ -196,3 +197,17 @@ def all_minima(problem: Problem, solution: Solution) -> tuple[Solution, ...]:
     found = [solution, *(minimise(problem, image) for image in sign_images(problem, solution))]
     best = min(found, key=solution_rank)
     return (best, *distinct_minima(problem, best, found))
+
+
+def spread_over(problem: Problem, covariance: Floats, solution: Solution, others: Sequence[Solution]) -> Floats:
+    """Second moments around the lowest minimum over all that count, by their Laplace weights, shape as `covariance`."""
+    if not others:
+        return covariance
+    n, minima = problem.n_free, (solution, *others)
+    own = [problem.covariance(minimum.unknowns) for minimum in minima]
+    volumes = [np.linalg.slogdet(each[:n, :n])[1] for each in own]
+    weights = special.softmax(0.5 * np.array([v - m.sum_of_squares for v, m in zip(volumes, minima, strict=True)]))
+    away = np.zeros((len(minima), len(covariance)))
+    away[:, :n] = [problem.values(minimum.unknowns)[:n] - problem.values(solution.unknowns)[:n] for minimum in minima]
+    result: Floats = np.tensordot(weights, np.array([covariance, *own[1:]]) + away[:, :, None] * away[:, None], 1)
+    return result

@@ -9,7 +9,7 @@ from scipy import linalg, special
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
-from fpcal_bayes.infer.design.plan import in_short_order
+from fpcal_bayes.infer.design.order import in_short_order
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.verification.expected import Expected
 from fpcal_bayes.infer.verification.power import LEVEL, Effects, effects_of

@@ -98,7 +98,7 @@ def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[tuple[int, Floats]
     return made
 
 
-def _at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str], list[int]]:
+def at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str], list[int]]:
     """Columns that depend on the pose alone: error motions and encoders of known period; names and scales."""
     index = {name: i for i, name in enumerate(terms.scales)}
     parts, names, scales = [], [], []
@@ -180,8 +180,8 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
     end = responses(cell, vector, terms.told, drive.q_end)
     start = responses(cell, vector, terms.told, drive.q_start)
     begun = (~drive.absolute).astype(float)[:, None]
-    at_end, names, scales = _at_poses(terms, drive.q_end, end)
-    at_start, _, _ = _at_poses(terms, drive.q_start, start)
+    at_end, names, scales = at_poses(terms, drive.q_end, end)
+    at_start, _, _ = at_poses(terms, drive.q_start, start)
     parts = [at_end - begun * at_start]
 
     reversing = np.flatnonzero(terms.reversal > 0)
@@ -315,7 +315,7 @@ def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> Pat
     """The design matrices of a path that is driven point by point from `start_q` (n_joints,)."""
     poses = np.vstack([start_q, q])
     at = responses(terms.cell, vector, terms.told, poses)
-    columns, _, _ = _at_poses(terms, poses, at)
+    columns, _, _ = at_poses(terms, poses, at)
     reversing = np.flatnonzero(terms.reversal > 0)
     parts = [columns[1:] - columns[:1]]
     _, side = path_sides(start_q, q)

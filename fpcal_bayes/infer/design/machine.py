@@ -1,0 +1,120 @@
+"""The error motions of a machine as the design sees them: what a sweep tells of them, and what they leave of a task.
+
+They act linearly on the cavity length (see `model.mechanics`), at the sizes that the cell states. Their responses are
+taken at one point, since they hardly depend on where the geometry stands.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.infer.fit.noise import Whitening
+from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
+from fpcal_bayes.infer.mechanics.rows import RowNoise
+from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.mechanics import Terms, design, path_design
+from fpcal_bayes.model.mechanics.design import at_poses
+from fpcal_bayes.model.mechanics.response import responses
+
+#: Combinations of weights that change rows and tasks by less than this, in um, root mean square, are left out.
+_NEGLIGIBLE = 6e-4
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Error motions of a cell, by a state of unit covariance."""
+
+    terms: Terms
+    vector: Floats  # where responses are taken, shape (model size,)
+    basis: Floats  # from the state to the weights that a task shares, shape (n_weights, n)
+
+    @property
+    def reversing(self) -> Ints:
+        """Joints whose direction of approach counts, by position."""
+        return np.flatnonzero(self.terms.reversal > 0).astype(np.int64)
+
+    def rows(self, poses: Floats) -> Floats:
+        """What the state adds to sweeps at poses (n_sweeps, places, n_joints), shape (n_sweeps, places - 1, n).
+
+        The readings are approached along the sweep, its start from an unknown side (see `noise`).
+        """
+        at, drive = self._columns(poses)
+        sides = np.sign(poses[:, -1] - poses[:, 0])[:, None]
+        columns = np.concatenate([at[:, 1:] - at[:, :1], (drive * self.terms.reversal)[:, 1:] * sides], axis=-1)
+        wanted = np.concatenate([np.arange(at.shape[-1]), at.shape[-1] + self.reversing])
+        result: Floats = columns[..., wanted] @ self.basis
+        return result
+
+    def seen(self, poses: Floats, pulls: Floats) -> Floats:
+        """What pulls (n_sweeps, places - 1, n) on the rows make of poses (n_sweeps, places, n_variants, n_joints)."""
+        at, drive = self._columns(poses)
+        sides = np.sign(poses[:, -1:, :1] - poses[:, :1, :1])
+        by_weight = pulls @ self.basis.T
+        own = by_weight[..., : at.shape[-1]]
+        by_pose = np.concatenate([-own.sum(axis=1, keepdims=True), own], axis=1)
+        result: Floats = np.einsum("spvm,spm->spv", at, by_pose, optimize=True)
+        reversal = (drive * self.terms.reversal * sides)[:, 1:, :, self.reversing]
+        result[:, 1:] += np.einsum("spvj,spj->spv", reversal, by_weight[..., at.shape[-1] :])
+        return result
+
+    def noise(self, poses: Floats) -> Floats:
+        """Covariance of what is new in each sweep, beside its readings, in um^2, shape (n_sweeps, k, k)."""
+        terms, k = self.terms, poses.shape[1] - 1
+        _, drive = self._columns(poses)
+        moved = (poses[:, -1] != poses[:, 0])[:, None]
+        reached = drive * np.hypot(terms.return_sd, np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder))
+        ends, lost = np.where(moved, reached, 0.0), drive * terms.reversal
+        # A joint that stands still keeps its error through the sweep; one that moves had another one at the start.
+        started = np.concatenate([ends[:, :1], np.where(moved, lost[:, :1], 0.0)], axis=-1) + np.zeros((k, 1))
+        kept = [np.where(moved, 0.0, part[:, 1:] - part[:, :1]) for part in (reached, lost)]
+        common = np.concatenate([started, *kept], axis=-1)
+        share = np.arange(1, k + 1) / k
+        drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * share
+        noise: Floats = common @ common.transpose(0, 2, 1) + np.outer(drift, drift)
+        noise += np.eye(k) * (ends[:, 1:] ** 2).sum(axis=-1)[:, None]
+        return noise
+
+    def whitened(self, sweeps: Sweeps, geometry: Floats) -> Floats:
+        """Rows of a plan as they are driven, one after the other, by the state.
+
+        `sweeps` are rows with standard deviations, `geometry` their derivatives by the state through the parameters,
+        shape (n_draws, n_rows, n).
+        """
+        made = design(
+            self.terms, self.vector, drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep), sweeps.sigma
+        )
+        base: Whitening = RowNoise.of(sweeps, made).whitening()
+        shared = made.motion_count
+        whitening = MarginalWhitening.around(base, made.matrix[:, shared:])
+        return whitening.apply(geometry + made.matrix[:, :shared] @ self.basis)
+
+    def _columns(self, poses: Floats) -> tuple[Floats, Floats]:
+        """Columns of the error motions at poses (..., n_joints), and the responses to the joints' own travel."""
+        flat = poses.reshape(-1, poses.shape[-1])
+        at = responses(self.terms.cell, self.vector, self.terms.told, flat)
+        columns = at_poses(self.terms, flat, at)[0]
+        return columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)
+
+
+def motions_of_path(terms: Terms, vector: Floats, start: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """What shared weights (n_points, n_weights) and errors that no sweep tells (n_points,), one sd, add to a path."""
+    path = path_design(terms, vector, start, q)
+    encoders = path.encoded[1:] ** 2 + path.encoded[:1] ** 2 * (path.places[1:] != path.places[:1])
+    unknown = path.unknown_side**2 + path.returned_start**2 + path.returned_point**2 + encoders
+    return path.motions, np.sqrt(unknown.sum(axis=1))
+
+
+def prior_machine(terms: Terms, vector: Floats, poses: Floats, tasks: Floats, n_parameters: int) -> Machine:
+    """The machine before anything is measured: parameters first, then the combinations of weights that are felt.
+
+    `poses` (n_sweeps, places, n_joints) are sweeps that could be made, and `tasks` (n_points, n_weights) what the
+    weights add to tasks.
+    """
+    every = Machine(terms, vector, np.eye(tasks.shape[1]))
+    effects = np.concatenate([every.rows(poses).reshape(-1, tasks.shape[1]), tasks])
+    values, vectors = linalg.eigh(effects.T @ effects / len(effects))
+    felt = vectors[:, values > _NEGLIGIBLE**2][:, ::-1]
+    return replace(every, basis=np.hstack([np.zeros((len(felt), n_parameters)), felt]))

@@ -11,6 +11,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import (
     JointMechanics,
     Mechanics,
@@ -20,6 +21,8 @@ from fpcal_bayes.model.mechanics import (
     path_design,
 )
 from fpcal_bayes.model.mechanics.basis import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
+from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
+from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.response import directions, responses
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
@@ -212,6 +215,42 @@ def test_path_and_rows_hold_the_same_weights():
     )
     made = design(terms, vector, drive, np.full(5, 0.005))
     np.testing.assert_allclose(path.motions, made.matrix[:, : made.motion_count], atol=1e-15)
+
+
+@pytest.mark.parametrize("cause", ["geometry", "approach", "encoder", "return", "drift", "added", "all"])
+def test_the_closed_form_is_the_spread_of_draws(cause):
+    """Each cause that is summed without draws, alone and with the others, on a path that comes back."""
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(8)
+    sizes = {"return": {"return_sd": 20.0}, "encoder": {"encoder": 30.0}, "approach": {"reversal": 40.0}}
+    stated = {key: size for name, each in sizes.items() if cause in (name, "all") for key, size in each.items()}
+    joint = JointMechanics(straightness_nm=1e-3, **stated)
+    drift = 5.0 if cause in ("drift", "all") else 0.0
+    terms = Terms.of(cell, Mechanics((joint,) * 6, drift_nm_per_min=drift))
+    q = _poses(rng, 6)
+    q[2, :3], q[4] = q[1, :3], 0.0
+    start, vector = np.zeros(6), cell.parameters.nominal
+    shared = [
+        f"{name} [{i}]" for i, name in enumerate(["weight"] * path_design(terms, vector, start, q).motions.shape[1])
+    ]
+    drifts = [f"drift along {axis} [{i}]" for i in range(2 if drift else 0) for axis in "xyz"]
+    names, scales = (*cell.free.names, *shared, *drifts), terms.scales
+    spread = np.concatenate([1e-4 * cell.free.prior_sd, np.full(len(names) - len(cell.free), 0.5)])
+    if cause not in ("geometry", "all"):
+        spread[: len(cell.free)] = 0.0
+    n = 4000
+    knowledge = MechanicsKnowledge(
+        terms.sizes, (), names, 0.5 * spread, spread[:, None] * rng.standard_normal((len(names), 5)),
+        rng.standard_normal((n, 5)), scales, 0.3 * rng.standard_normal((n, len(scales))), 60.0,
+    )  # fmt: skip
+    covariance = np.diag(spread[: len(cell.free)] ** 2)
+    estimate = Estimate(cell, cell.free, cell.free.nominal, covariance, ("identified",) * len(cell.free))
+    estimate = replace(estimate, mechanics=knowledge)
+    added = 0.02 * np.arange(6.0) if cause in ("added", "all") else None
+    drawn = known_task_errors(estimate, start, q, added=added, draws=n)[0].total
+    found = known_task_sd(estimate, start, q, added)
+    assert found.max() > 1e-3
+    # A standard deviation of 4,000 draws is off by 1.1 percent, more where the scales' tails count.
+    np.testing.assert_allclose(found, np.sqrt((drawn**2).mean(axis=0)), rtol=0.07, atol=1e-9)
 
 
 def test_a_slow_reading_error_is_stated_for_the_cell():

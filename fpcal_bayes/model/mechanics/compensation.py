@@ -11,7 +11,6 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.mechanics.design import PathDesign, path_design
-from fpcal_bayes.model.mechanics.response import responses
 from fpcal_bayes.model.mechanics.terms import Terms
 
 #: A joint that moves the cavity length by less than this share of its own travel does not make up for anything.
@@ -44,27 +43,28 @@ def compensated_path(
     Returns the joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry
     expects of `q`, in um, shape (n_points,).
     """
-    cell = terms.cell
-    drive = responses(cell, vector, terms.told, q).drive
-    slopes = np.where(cell.revolute, 0.0, np.abs(drive).min(axis=0, initial=np.inf))
-    joint = int(np.argmax(slopes))
-    as_it_is = q, np.zeros(len(q))
-    if not len(q) or slopes[joint] < _LEAST_SLOPE:
+    cell, as_it_is = terms.cell, (q, np.zeros(len(q)))
+    if not len(q):
         return as_it_is
     first = np.zeros((0, len(start))) if before is None else before[None]
+    made = path_design(terms, vector, start, np.vstack([first, q]))
+    drive = made.drive[1 + len(first) :]
+    slopes = np.where(cell.revolute, 0.0, np.abs(drive).min(axis=0, initial=np.inf))
+    joint = int(np.argmax(slopes))
+    if slopes[joint] < _LEAST_SLOPE:
+        return as_it_is
 
-    def driven(path: Floats) -> tuple[Floats, float, Floats]:
-        made = path_design(terms, vector, start, np.vstack([first, path]))
+    def driven(made: PathDesign) -> tuple[Floats, float, Floats]:
         motions = made.motions[len(first) :]
         return geometry + motions @ weights, return_factor**2 * _new_each_time(made), motions
 
-    plain, new, motions = driven(q)
+    plain, new, motions = driven(made)
     if _spread(plain) < _WORTH**2 * _spread(motions).sum():
         return as_it_is
     moved, error, again = q.copy(), plain, new
     for _ in range(_ROUNDS):
         moved[:, joint] = np.clip(q[:, joint] - error / drive[:, joint], cell.low[joint], cell.high[joint])
-        error, again, _ = driven(moved)
+        error, again, _ = driven(path_design(terms, vector, start, np.vstack([first, moved])))
     added = (moved - q)[:, joint] * drive[:, joint]
     return (moved, added) if _spread(error + added) + again < _spread(plain) + new else as_it_is
 

@@ -57,10 +57,16 @@ class PathDesign:
     returned_start: Floats
     returned_point: Floats
     encoded: Floats  # the same of encoders of unknown period, the start first, shape (n_points + 1, n_joints)
-    places: Ints  # number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints)
+    poses: Floats  # joint vectors, the start first, shape (n_points + 1, n_joints)
+    drive: Floats  # of the joints' own travel at these poses, same shape
     # joints that stand still between one point and the next keep their return error, shape (n_points, n_joints): number
     # of the position that each joint has reached
     steps: Ints
+
+    @cached_property
+    def places(self) -> Ints:
+        """Number of each joint's position, the same wherever it is the same, shape (n_points + 1, n_joints)."""
+        return np.column_stack([np.unique(values, return_inverse=True)[1] for values in self.poses.T])
 
 
 def _columns(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
@@ -327,6 +333,7 @@ def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> Pat
         returned_start=np.repeat(returned[:1], len(q), axis=0),
         returned_point=returned[1:],
         encoded=at.drive * _unknown_encoder(terms),
-        places=np.column_stack([np.unique(values, return_inverse=True)[1] for values in poses.T]),
+        poses=poses,
+        drive=at.drive,
         steps=np.cumsum(moved, axis=0)[1:].astype(np.int64),
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,14 +74,14 @@ class MechanicsKnowledge:
         """Names, mean and factor of the weights, behind `n_parameters` parameters."""
         return self.names[n_parameters:], self.mean[n_parameters:], self.factor[n_parameters:]
 
-    @property
+    @cached_property
     def known_motions(self) -> tuple[Floats, float]:
         """Posterior mean of the weights that a task shares, shape (n_weights,), and typical factor on return errors."""
         names, mean, _ = self.weights(self.n_parameters)
         shared = [not name.startswith("drift along") for name in names]
         return mean[shared], float(np.exp(self.log_scales[:, self.scales.index("return")].mean()))
 
-    @property
+    @cached_property
     def n_parameters(self) -> int:
         """How many of the names are parameters: those without a number in brackets."""
         return sum(not name.endswith("]") for name in self.names)

@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 
 from fpcal_bayes import InputError, Sweeps, identify, load_cell, paper_protocol, pool, simulate
-from fpcal_bayes.infer import independent_draws, predict_from_draws, widened
+from fpcal_bayes.infer import independent_draws, predict_from_draws
 from fpcal_bayes.measure import Truth
 from fpcal_bayes.model import CavityModel, Cell
 from fpcal_bayes.motion import TASKS, task_path
@@ -79,9 +79,7 @@ def main() -> None:
             if not len(draws):
                 bent += 1
                 continue
-            # As `fpcal identify` states it.
-            content = {"draws": {"rows": cell.free.to_shown(draws)}}
-            estimate = widened(found, content).estimate
+            estimate = found.estimate
             z.append((values - estimate.values) / estimate.sd)
             widths.append(estimate.sd[names.index("y_wf")] / cell.free.prior_sd[names.index("y_wf")])
             for name in TASKS:

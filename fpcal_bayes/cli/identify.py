@@ -10,7 +10,7 @@ from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.fit.prior import bends
-from fpcal_bayes.infer.posterior.draws import draws_content, widened
+from fpcal_bayes.infer.posterior.draws import draws_content
 from fpcal_bayes.infer.verification.verify import kept_rows, verify
 from fpcal_bayes.io.estimate import read_estimate, read_estimate_rows
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -42,9 +42,8 @@ def run(options: argparse.Namespace) -> int:
         texts = [reason.text for reason in made.reasons]
         result = replace(result, estimate=replace(result.estimate, trust=trust), warnings=(*result.warnings, *texts))
 
-    draws = draws_content(result)
-    result = widened(result, draws)
     if options.json is not None:
+        draws = draws_content(result)
         write_result(options.json, "identify", {**result.content(), **draws, **verified})
         warn(draws.get("warnings", [])[-1:])
     out = console(options)

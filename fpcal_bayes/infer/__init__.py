@@ -50,7 +50,6 @@ _PLACES = {
     "validation_plan": "verification.choice",
     "verify": "verification.verify",
     "whitened_jacobian": "observability.observe",
-    "widened": "posterior.draws",
 }
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

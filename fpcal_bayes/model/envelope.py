@@ -22,6 +22,7 @@ _MEASURE_GAP = "measure it by a wavelength scan (a row of kind absolute), or sta
 _ALONG_BEAM = 0.5
 #: Standard deviations by which a length is below zero that no cell can have given.
 _LIKELY = 2.0
+_TOUCHING_UM = 1e-9
 #: Share of a joint's range that gives way at a time; turns of more than this are looked at between their ends, in rad.
 _CUT, _TURN_STEP = 0.02, float(np.radians(30.0))
 #: Draws that ranges are found with, and rows that share the risk: a plan has fewer, and is looked at again as a whole.
@@ -232,7 +233,8 @@ def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats])
     expected = lengths[:n] + gain @ (np.concatenate([seen[1], stated[:, 0]]) - lengths[n:])
     variance = (rows[:n] ** 2).sum(axis=1) - (gain * (rows[:n] @ rows[n:].T)).sum(axis=1)
     _, facing, _, _ = Known.of(model, model.free.nominal).facing(q)
-    behind = (expected < -_LIKELY * np.sqrt(np.maximum(variance, 0.0))) | (facing[0] <= 0)
+    # A mirror that touches the fibre is not behind it, whatever rounding says.
+    behind = (expected < -_LIKELY * np.sqrt(np.maximum(variance, 0.0)) - _TOUCHING_UM) | (facing[0] <= 0)
     # The literal reading of the paper has the light run along the mirror.
     return behind & (cell.optical_axis != "z"), expected
 

@@ -28,6 +28,7 @@ INPUTS = (
     "simulate --path joints.csv --traces -o driven.csv",
     "simulate --traces -o index.h5",
     "decide sweeps.csv --tolerance-nm 500 -o ticket.csv",
+    "simulate -o fresh.csv --seed 2",
 )
 COMMANDS = {
     "append": "append sweeps.csv driven.csv --ticket ticket.csv",
@@ -35,6 +36,7 @@ COMMANDS = {
     "cell": "cell femto-st",
     "identify": "identify sweeps.csv",
     "observe": "observe sweeps.csv",
+    "verify": "verify sweeps.csv --validation fresh.csv --task circle",
     "task-error": "task-error estimate.json --task spin --tolerance-nm 50",
     "control": "control --estimate estimate.json --task circle -o path.csv",
     "track": "track sweeps.csv",

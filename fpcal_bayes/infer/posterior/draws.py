@@ -1,7 +1,7 @@
 """The density of a posterior, and draws of it; apart from the sampler, since emcee takes half a second to import."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -26,8 +26,6 @@ N_DRAWS = 500
 _LEAST_WORTH = 0.5
 _MOST_ROUNDS = 8
 LOST = "no posterior draws travel with the estimate, too few could be made of this fit: bands are of first order"
-#: Draws that spread so many times as far as the covariance says do so by more than chance.
-_SPREADS = 1.2
 #: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
 _DIGITS = 10
 
@@ -166,15 +164,3 @@ def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]
         return {"draws": None, "warnings": [*found.warnings, LOST]}
     shown = np.round(free.to_shown(values), _DIGITS)
     return {"draws": {"names": list(free.names), "rows": shown.tolist()}}
-
-
-def widened(found: Identification, content: dict[str, Any]) -> Identification:
-    """With the sd of its `draws_content` where a bent posterior spreads further than its covariance."""
-    rows = (content.get("draws") or {}).get("rows")
-    if rows is None:
-        return found
-    estimate, free = found.estimate, found.free
-    spread = np.sqrt(np.mean((np.array(rows) - free.to_shown(estimate.values)) ** 2, axis=0))
-    ratio = spread / free.to_shown(estimate.sd)
-    wide = np.where(ratio > _SPREADS, ratio, 1.0)
-    return replace(found, estimate=replace(estimate, covariance=estimate.covariance * np.outer(wide, wide)))

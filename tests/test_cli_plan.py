@@ -152,7 +152,9 @@ def test_sweeps_that_reach_the_target_need_no_more(capsys: pytest.CaptureFixture
     assert "no sweeps" in capsys.readouterr().out
 
 
-def test_as_many_sweeps_as_time_allows_and_the_frontier(femto: Cell) -> None:
+def test_as_many_sweeps_as_time_allows_and_the_frontier(femto: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fpcal_bayes.infer.design.plan._NUMBERS", (4, 6, 8))
+    monkeypatch.setattr("fpcal_bayes.cli.plan._MOST_FRONTIER", 10)
     one_at_a_time = ("--no-coordinated", "--readings", 0, "-o", "p.csv", "--json", "p.json")
     run("plan", "--minutes", 1.5, "--n", 5, *QUICK, *one_at_a_time, "--frontier", "f.svg", "--quiet")
     content = json.loads(Path("p.json").read_text())

@@ -53,6 +53,14 @@ def test_flat_names_hold_the_calibrated_chain(tmp_path):
     assert flat_content(replace(estimate, data={}))["valid_until_unix_s"] is None
 
 
+def per_offset(folder, suffix, offsets, work):
+    """The numbers that Octave prints for each offset, a line each."""
+    np.savetxt(folder / "offsets.txt", offsets, fmt="%.17g")
+    read = "now = load('now.mat');" if suffix == ".mat" else "now = jsondecode(fileread('now.json'));"
+    ran = octave(folder, f"{read} offsets = load('offsets.txt'); for i = 1:{len(offsets)}, {work} end")
+    return np.array([[float(x) for x in line.split()] for line in ran.strip().splitlines()])
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(OCTAVE is None, reason="octave-cli is not installed (apt-get install octave)")
 @pytest.mark.parametrize(("opd", "suffix"), [("axis", ".mat"), ("perpendicular", ".json")])
@@ -62,14 +70,13 @@ def test_octave_drives_as_the_controller_does(tmp_path, opd, suffix):
     write_flat(tmp_path / f"now{suffix}", flat_content(estimate))
     random = np.random.default_rng(1)
     offsets = random.uniform(-1, 1, (6, 6)) * np.array([80, 15, 80, 1.5, 40.0, 1.5])
-    np.savetxt(tmp_path / "offsets.txt", offsets, fmt="%.17g")
-    read = "now = load('now.mat');" if suffix == ".mat" else "now = jsondecode(fileread('now.json'));"
-    ran = octave(
+    found = per_offset(
         tmp_path,
-        f"{read} offsets = load('offsets.txt'); for i = 1:6, q = fpcal_ik(now, offsets(i, :)); "
-        "[pose, gap] = fpcal_fk(now, q); fprintf('%.17g ', q, gap, pose); fprintf('\\n'); end",
+        suffix,
+        offsets,
+        "q = fpcal_ik(now, offsets(i, :)); "
+        "[pose, gap] = fpcal_fk(now, q); fprintf('%.17g ', q, gap, pose); fprintf('\\n');",
     )
-    found = np.array([[float(x) for x in line.split()] for line in ran.strip().splitlines()])
     controller, vector = Controller(estimate), estimate.vector()
     radians = np.hstack([offsets[:, :3], np.radians(offsets[:, 3:])])
     solved = controller.joints(controller._placement.moved(radians), follow=False)
@@ -97,14 +104,12 @@ def test_octave_makes_up_for_error_motions_as_the_controller_does(tmp_path, opd,
     write_flat(tmp_path / f"now{suffix}", flat_content(estimate))
     random = np.random.default_rng(3)
     offsets = random.uniform(-1, 1, (12, 6)) * np.array([50, 10, 50, 1.0, 20.0, 1.0])
-    np.savetxt(tmp_path / "offsets.txt", offsets, fmt="%.17g")
-    read = "now = load('now.mat');" if suffix == ".mat" else "now = jsondecode(fileread('now.json'));"
-    ran = octave(
+    found = per_offset(
         tmp_path,
-        f"{read} offsets = load('offsets.txt'); for i = 1:12, "
-        "fprintf('%.17g ', fpcal_ik(now, offsets(i, :), [1 2 3 0.1 5 0.1])); fprintf('\\n'); end",
+        suffix,
+        offsets,
+        "fprintf('%.17g ', fpcal_ik(now, offsets(i, :), [1 2 3 0.1 5 0.1])); fprintf('\\n');",
     )
-    found = np.array([[float(x) for x in line.split()] for line in ran.strip().splitlines()])
     at = np.array([1, 2, 3, 0.1, 5, 0.1]) * cell.joint_scales
     controller, plain = Controller(estimate, at), Controller(estimate, at, compensate=False)
     poses = controller._placement.moved(np.hstack([offsets[:, :3], np.radians(offsets[:, 3:])]))

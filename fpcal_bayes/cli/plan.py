@@ -24,7 +24,7 @@ from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, shortfal
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps
 from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -38,7 +38,6 @@ from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import (
     accuracy_table,
     draw_frontier,
-    draw_plan,
     frontier_content,
     plan_content,
     sweeps_table,
@@ -137,11 +136,7 @@ def _plan(
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
         points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
-    write_plan(options.output, planned, cell)
-    if options.rows is not None:
-        write_sweeps(options.rows, planned.rows(), cell)
-    if options.figure is not None:
-        save_figure(draw_plan(cell, ordered), options.figure)
+    plan_validation.write_planned(options, planned, cell)
     if frontier is not None:
         save_figure(draw_frontier(frontier, points), options.frontier)
     warnings += [reason.text for reason in trust.reasons]
@@ -231,11 +226,7 @@ def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings)
     sweeps, (model, draws) = commission_plan(cell), prior_draws(cell)
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
     planned = Ticket(str(options.output), sweeps, np.full(len(sweeps), settings.readings))
-    write_plan(options.output, planned, cell)
-    if options.rows is not None:
-        write_sweeps(options.rows, planned.rows(), cell)
-    if options.figure is not None:
-        save_figure(draw_plan(cell, sweeps), options.figure)
+    plan_validation.write_planned(options, planned, cell)
     warnings = no_envelope_text(model, draws)
     seconds = duration(cell, sweeps, settings.readings, settings.limits)
     content = {"n_sweeps": len(sweeps), "seconds": {"plan": seconds}, "warnings": warnings}

@@ -20,6 +20,15 @@ from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.plan import draw_plan, sweeps_table
 
 
+def write_planned(options: argparse.Namespace, planned: Ticket, cell: Cell) -> None:
+    """Write a plan, and where they are asked for its rows and its picture."""
+    write_plan(options.output, planned, cell)
+    if options.rows is not None:
+        write_sweeps(options.rows, planned.rows(), cell)
+    if options.figure is not None and planned.plan is not None:
+        save_figure(draw_plan(cell, planned.plan), options.figure)
+
+
 def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
     """Write the plan."""
     if options.after is None:
@@ -46,11 +55,7 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
             "more readings of each"
         )
     planned = Ticket(str(options.output), made.sweeps, np.full(len(made.sweeps), made.readings))
-    write_plan(options.output, planned, cell)
-    if options.rows is not None:
-        write_sweeps(options.rows, planned.rows(), cell)
-    if options.figure is not None:
-        save_figure(draw_plan(cell, made.sweeps), options.figure)
+    write_planned(options, planned, cell)
     content = {"n_sweeps": len(made.sweeps), "readings": made.readings, "level": LEVEL, "power": made.power}
     about = {"cell": {"name": cell.name, "sha256": cell.sha256}, **content, "warnings": warnings}
     write_result(options.json, "plan", about, found.estimate.trust)

@@ -92,18 +92,21 @@ class Expected:
         at = self.unknowns
         miss = self.problem.target - self.problem.model.predict(self.problem.values(at), self.problem.rows)
         miss = miss + self.geometry @ at
-        gain, _ = self.conditional(self.typical)
-        return np.asarray(miss[~self.fitted] - gain @ miss[self.fitted])
+        return np.asarray(miss[~self.fitted] - self.gain @ miss[self.fitted])
 
     @cached_property
+    def _known(self) -> tuple[Floats, Floats]:
+        return self.conditional(self.typical)
+
+    @property
     def gain(self) -> Floats:
         """K_FR K_RR^-1 at the typical scales, shape (n_fresh, n_fitted)."""
-        return self.conditional(self.typical)[0]
+        return self._known[0]
 
-    @cached_property
+    @property
     def covariance(self) -> Floats:
         """S at the typical scales, in um^2, shape (n_fresh, n_fresh)."""
-        return self.conditional(self.typical)[1]
+        return self._known[1]
 
     @cached_property
     def taken_up(self) -> Floats:

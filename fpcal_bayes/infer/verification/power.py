@@ -115,6 +115,4 @@ def _kind(cell: Cell, name: str) -> str:
     """The kind of error of a weight: its word and the group of its joint."""
     word, _, joint = name.partition(" of q")
     group = group_of(cell, int("".join(c for c in joint if c.isdigit())) - 1)
-    return (
-        f"{word.partition(',')[0]} of the {group}{'' if group.endswith('s') else 's' if group == 'stage' else ' joint'}"
-    )
+    return f"{word.partition(',')[0]} of the {_GROUPS[group]}"

@@ -331,7 +331,7 @@ class TestCommand:
         axis, perpendicular = written["models"]
         assert axis["fits"]
         assert axis["elpd"] == pytest.approx(252.5, abs=1.5)
-        assert axis["bad_k"] == axis["refitted"]
+        assert axis["bad_k"] <= axis["refitted"] < 20
         assert not perpendicular["fits"]
         assert perpendicular["elpd"] < -500.0
         assert written["verdict"].startswith("the data favour the axis path")

@@ -32,7 +32,7 @@ class Placement:
         home = np.zeros(len(cell.joints))
         world, mirror = chain.reflection_point(cell, vector, home)
         fibre = chain.fibre_in_world(vector)
-        point = chain.mirror_in_tool(vector) @ chain.translation(*mirror)
+        point = chain.mirror_in_tool(cell, vector) @ chain.translation(*mirror)
         aligned = np.eye(4)
         # The light leaves along -Yf, or along Zf in the literal reading of the paper's (13).
         aligned[:3, :3] = chain.rot_x(-np.pi / 2 if cell.optical_axis == "minus-y" else np.pi)[:3, :3]

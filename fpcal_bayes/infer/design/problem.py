@@ -202,7 +202,7 @@ class Ground:
         used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
         if self.machine is None:
             return plan_rows(self.model, self.goals.values, used) @ self.root
-        rows = self.model.rows(used.q_start, used.q_end, used.absolute)
+        rows = used.laid_out(self.model)
         _, jacobian = self.model.predict_with_jacobian(self.goals.values, rows)
         return self.padded(self.machine.whitened(used, jacobian @ self.root))
 

@@ -33,7 +33,7 @@ def sweep_rows(
 
 def plan_rows(model: CavityModel, values: Floats, sweeps: Sweeps) -> Floats:
     """Whitened derivatives of the rows of a plan with standard deviations, shape (n_draws, n_rows, n_free)."""
-    rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+    rows = sweeps.laid_out(model)
     values = np.atleast_2d(values)
     _, jacobians = model.predict_with_jacobian(values, rows)
     whitening = whitening_of(model, sweeps, values[0])

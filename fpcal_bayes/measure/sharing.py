@@ -1,12 +1,11 @@
 """Which rows share errors: a reading at their start, the pose reached there, the pose reached at their end."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, Texts
 
 
 @dataclass(frozen=True)
@@ -20,13 +19,11 @@ class Sharing:
     @classmethod
     def of(cls, sweeps: Sweeps) -> "Sharing":
         """Of rows in file order. Without several beams a shot says nothing."""
-        session, group, beam = sweeps.session.tolist(), sweeps.group.tolist(), sweeps.beam.tolist()
-        reading = _first(list(zip(session, group, beam, strict=True)), group)
-        if len(set(beam)) < 2:
+        several = bool((sweeps.beam != sweeps.beam[:1]).any())
+        reading = _first(sweeps, sweeps.group, *([sweeps.beam] if several else []))
+        if not several:
             return cls(reading, reading, np.arange(len(sweeps)))
-        shot = sweeps.shot.tolist()
-        end = _first(list(zip(session, shot, strict=True)), shot)
-        start = _first(list(zip(session, group, strict=True)), group)
+        start, end = _first(sweeps, sweeps.group), _first(sweeps, sweeps.shot)
         while (start != (lower := np.minimum(_lowest(end, start), _lowest(start, start)))).any():
             start = lower
         return cls(reading, start, end)
@@ -65,13 +62,13 @@ class Sharing:
         return np.hstack([spread[0], starts, spread[1]])
 
 
-def _first(keys: Sequence[object], named: list[str]) -> Ints:
-    """The first row with each row's key; a row that is not named is its own first."""
+def _first(sweeps: Sweeps, name: Texts, *more: Texts) -> Ints:
+    """The first row of the same session, name and more; a row whose name is empty is its own first."""
+    result, named = np.arange(len(sweeps)), np.flatnonzero(name != "")
+    keys = zip(*(column[named].tolist() for column in (sweeps.session, name, *more)), strict=True)
     first: dict[object, int] = {}
-    return np.array(
-        [first.setdefault(key, i) if name else i for i, (key, name) in enumerate(zip(keys, named, strict=True))],
-        dtype=np.int64,
-    )
+    result[named] = [first.setdefault(key, i) for key, i in zip(keys, named.tolist(), strict=True)]
+    return result
 
 
 def _lowest(of: Ints, values: Ints) -> Ints:
@@ -82,6 +79,7 @@ def _lowest(of: Ints, values: Ints) -> Ints:
 
 
 def _blocks(first: Ints) -> list[Ints]:
-    order = np.argsort(first, kind="stable")
-    parts = np.split(order, np.flatnonzero(np.diff(first[order])) + 1)
-    return [part for part in parts if len(part) > 1]
+    members: dict[int, list[int]] = {}
+    for i, place in enumerate(first.tolist()):
+        members.setdefault(place, []).append(i)
+    return [np.array(rows) for rows in members.values() if len(rows) > 1]

@@ -97,6 +97,8 @@ class Cell:
 
     def beam_numbers(self, names: NDArray[np.str_]) -> Ints:
         """Number of the beam of each name, shape (n,); an empty name is the first beam's."""
+        if not self.further:
+            return np.zeros(len(names), dtype=np.int64)
         number = {"": 0} | {name: i for i, name in enumerate(self.beams)}
         return np.array([number[name] for name in names.tolist()], dtype=np.int64)
 

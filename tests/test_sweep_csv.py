@@ -208,7 +208,7 @@ def test_refuses_another_layout(tmp_path, text, expected):
 @pytest.mark.parametrize("plan", [False, True])
 def test_refuses_a_beam_that_the_cell_does_not_have(tmp_path, plan):
     path = write(tmp_path, with_option("beam", "left"))
-    expected = "row 2, column beam: cell 'femto-st' names no beam, see [[beam]] of the cell"
+    expected = "row 3, column beam: cell 'femto-st' names no beam, see [[beam]] of the cell"
     assert refusal(path, plan=plan) == expected
 
 

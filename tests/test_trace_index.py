@@ -139,7 +139,9 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex, s
     assert back.temperature_c[1] == 20.5
 
 
-def test_a_matlab_file_of_beams_that_the_cell_does_not_have_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
+def test_a_matlab_file_of_beams_that_the_cell_does_not_have_is_refused(
+    tmp_path: Path, femto: Cell, index: TraceIndex
+) -> None:
     savemat(tmp_path / "index.mat", variables(femto, index) | {"beam": np.array(["a", "a", "a"], dtype=object)})
     with pytest.raises(InputError, match="column beam: cell 'femto-st' names no beam"):
         read_recordings(tmp_path / "index.mat", femto)

@@ -289,9 +289,10 @@ def _check_distinct(sweeps: Sweeps) -> None:
 
 def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
     """Rows that stand earlier too, poses and dL to the last digit, shape (n,); counts of whole fringes do repeat."""
-    seen: set[tuple[float, ...]] = set()
+    seen: set[tuple[object, ...]] = set()
     again = np.zeros(len(sweeps), dtype=bool)
-    for i, key in enumerate(map(tuple, np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist())):
+    rows = np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist()
+    for i, key in enumerate(zip(map(tuple, rows), sweeps.beam.tolist(), strict=True)):
         again[i] = key in seen and sweeps.kind[i] == "sweep" and sweeps.sigma[i] < _COUNTED
         seen.add(key)
     return again

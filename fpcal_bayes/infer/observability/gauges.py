@@ -59,11 +59,11 @@ def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[
     n_beams = len(model.cell.beams)
     rows = model.pose_rows(np.tile(poses, (n_beams, 1)), np.repeat(np.arange(n_beams), len(poses)))
     lengths = model.predict_with_jacobian(values, rows)[1] * model.free.prior_sd
-    changes = lengths.reshape(n_beams, len(poses), -1)
     # Within the null space of the data: what remains unseen by any sweep, and by any length.
     never = null_space_within(null_space, lengths)
-    changes = (changes - changes.mean(axis=1, keepdims=True)).reshape(lengths.shape)
-    without_absolute = null_space_within(null_space, changes)
+    of_beams = lengths.reshape(n_beams, len(poses), -1)
+    changes = of_beams - of_beams.mean(axis=1, keepdims=True)
+    without_absolute = null_space_within(null_space, changes.reshape(lengths.shape))
     basis = np.zeros((0, null_space.shape[1]))
     pivots: list[int] = []
     layers: list[Layer] = []
@@ -154,8 +154,8 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
         seen = "every cavity length"
         if len(model.cell.beams) > 1:
             numbers = {model.free.position(name) for name in names}
-            moved = [view.cell.beam for view, own in model.views if numbers & set(own.tolist())]
-            seen = f"every length of beam {_join(moved)}"
+            beams = [view.cell.beam for view, own in model.views if numbers & set(own.tolist())]
+            seen = f"every length of beam {_join(beams)}"
         return f"{cause} changes {seen} by the same amount, and sweeps measure differences"
     if not others:
         return f"no cavity length depends on {first}"

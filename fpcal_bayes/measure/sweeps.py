@@ -195,6 +195,11 @@ class Sweeps:
         """The rows laid out for the kernels of a model."""
         return model.rows(self.q_start, self.q_end, self.absolute, model.cell.beam_numbers(self.beam))
 
+    @property
+    def names(self) -> list[str]:
+        """Labels for messages, with the beam that read the row where it is named."""
+        return [f"{label} ({beam})" if beam else label for label, beam in zip(self.label, self.beam, strict=True)]
+
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
         known = {text: [float("-0+".index(sign) - 1) for sign in text] for text in set(self.approach.tolist()) if text}

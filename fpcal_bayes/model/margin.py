@@ -6,13 +6,12 @@ before the plane of the fibre's end; whichever keeps them farther apart counts.
 """
 
 from dataclasses import dataclass, replace
-from itertools import compress
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home
 from fpcal_bayes.model.cavity import CavityModel
@@ -166,23 +165,24 @@ def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float,
     cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
     groups = [np.arange(len(q))]
     while groups:
-        spans = [(q[group].min(axis=0), q[group].max(axis=0)) for group in groups]
-        made = [lattice(cell, low, high) for low, high in spans]
-        worth = [len(group) > _WORTH * len(poses) for group, (poses, _) in zip(groups, made, strict=True)]
-        for group in compress(groups, (not each for each in worth)):
-            left[group] = True
-        groups, spans, made = (list(compress(each, worth)) for each in (groups, spans, made))
-        if not groups:
-            break
-        room = _room(_sizes(few, np.vstack([poses for poses, _ in made]), bounds), bounds[0])[0 if gap else 1 :]
-        ends, parts = np.cumsum([len(poses) for poses, _ in made]), []
-        for own, group, (low, high), (_, shape) in zip(np.split(room, ends[:-1], axis=1), groups, spans, made, strict=True):
-            values = own.reshape(-1, *shape)
-            bent = sum(
-                np.abs(np.diff(values, n=2, axis=axis)).max(axis=tuple(range(1, values.ndim)))
-                for axis in range(1, values.ndim)
-                if shape[axis - 1] > 2
-            )
+        boxes: list[tuple[Ints, Floats, Floats, Floats, tuple[int, ...]]] = []
+        for group in groups:
+            low, high = q[group].min(axis=0), q[group].max(axis=0)
+            poses, shape = lattice(cell, low, high)
+            if len(group) > _WORTH * len(poses):
+                boxes.append((group, low, high, poses, shape))
+            else:
+                left[group] = True
+        groups, first = [], 0
+        if boxes:
+            room = _room(_sizes(few, np.vstack([poses for _, _, _, poses, _ in boxes]), bounds), bounds[0])
+        for group, low, high, poses, shape in boxes:
+            own = room[0 if gap else 1 :, first : first + len(poses)]
+            first += len(poses)
+            grid, bent = own.reshape(-1, *shape), np.zeros(len(own))
+            for axis in range(1, grid.ndim):
+                if shape[axis - 1] > 2:
+                    bent += np.abs(np.diff(grid, n=2, axis=axis)).reshape(len(own), -1).max(axis=1)
             if (own.min(axis=1) > bent / 4.0).all():
                 continue
             joint = int(np.argmax((high - low) / full))
@@ -190,8 +190,7 @@ def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float,
             if lower.all():
                 left[group] = True
             else:
-                parts += [group[lower], group[~lower]]
-        groups = parts
+                groups += [group[lower], group[~lower]]
     return left
 
 

@@ -95,7 +95,7 @@ class Machine:
         """Columns of the error motions at poses (..., n_joints), and the responses to the joints' own travel."""
         flat = poses.reshape(-1, poses.shape[-1])
         at = responses(self.terms.cell, self.vector, self.terms.told, flat)
-        columns = at_poses(self.terms, flat, at)[0]
+        columns = at_poses(self.terms, flat, at)
         return columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)
 
 

@@ -39,9 +39,9 @@ class SmarActStage:
         self._targets = np.full(len(axes), np.nan)
 
     def prepare(self) -> None:
-        """Connect; channels calibrated and referenced, speed set, absolute moves chosen."""
+        """Connect; channels stopped that move, calibrated and referenced, speed set, absolute moves chosen."""
         self._link.open()
-        self._targets[:] = np.nan
+        self.stop()
         self._link.ask(f":DEV:SNUM?{_END}")
         for _ in range(self._number(":SYST:ERR:COUN?")):
             self._link.ask(f":SYST:ERR?{_END}")  # An error from before this session is none of ours.

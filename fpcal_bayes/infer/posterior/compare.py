@@ -17,7 +17,8 @@ from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, left_out_each, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.cell.beams import Opd
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import TERMS
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Trust
 
@@ -34,7 +35,11 @@ _MOST_REFITS = 200
 #: Cavity shorter than this in um: mirror and fibre touch.
 _TOUCHING = 1.0
 
-_PATH_WORDS: dict[Opd, str] = {"axis": "the axis path", "perpendicular": "the perpendicular path"}
+_PATH_WORDS: dict[Opd, str] = {
+    "axis": "the axis path",
+    "perpendicular": "the perpendicular path",
+    "distance": "the distance to the point",
+}
 _LIKELIHOOD_WORDS = {"gaussian": "", "student": " with Student-t noise", "slip": " with fringe slips"}
 
 

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from filterpy.kalman import update as kalman_update
 
 from fpcal_bayes.core.linalg import covariance_root, symmetric
 from fpcal_bayes.core.typing import Floats
@@ -146,10 +147,10 @@ def update(state: State, measurement: Measurement) -> Update:
     # Linear in the state from here on: one exact update from the prediction.
     misfit = misfit + jacobian @ (mean - prior)
     rows, derivatives = equivalent_rows(misfit, jacobian)
-    filtered = kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
-    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
-    after = replace(state, mean=prior + filtered.x, covariance=symmetric(filtered.P))
-    return Update(after, innovation, filtered.K, misfit, jacobian, converged)
+    shift, left = kalman_update(np.zeros_like(prior), covariance, rows, np.eye(len(rows)), derivatives)
+    after = State(state.time_h, prior + shift, symmetric(left), state.temperature_c)
+    # With errors of unit variance the gain is P H'.
+    return Update(after, innovation, after.covariance @ derivatives.T, misfit, jacobian, converged)
 
 
 def _newton(

@@ -261,9 +261,9 @@ def test_a_machine_moves_all_beams_alike() -> None:
     returns = RowNoise.of(plan, made).dense()[1] + made.matrix @ made.matrix.T
     machine = machine_of(cell, Truth(cell.free, np.zeros(1), cell.free.nominal[None]), 3)
     machine.return_sd[:] = Terms.of(cell, cell.mechanics).return_sd
-    drawn = np.cov(np.array([machine.sweep(drive, 1e-9) for _ in range(400)]).T)
+    drawn = np.cov(np.array([machine.sweep(drive, 1e-9) for _ in range(150)]).T)
     spread = np.sqrt(np.outer(np.diag(returns), np.diag(returns)))
-    assert np.abs((drawn - returns) / spread).max() < 0.25
+    assert np.abs((drawn - returns) / spread).max() < 0.4
 
 
 @pytest.mark.parametrize("which", ["three", "cubes"])

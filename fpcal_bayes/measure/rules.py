@@ -58,7 +58,7 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     for number, (view, _) in enumerate(cell.views):
         mine = np.flatnonzero(beam == number)
         if view.target == "plane-mirror" and len(mine):
-            _check_ahead(sweeps.take(mine), view)
+            _check_ahead(sweeps if len(mine) == len(sweeps) else sweeps.take(mine), view)
 
     # Rows of a group: compared with the first of them.
     keys: dict[tuple[str, str, str], int] = {}

@@ -81,7 +81,7 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
     the Gaussian likelihood.
     """
     allowed = {
-        "opd": get_args(Opd),
+        "opd": ("axis", "perpendicular"),
         "likelihood": get_args(Likelihood),
         "mechanics": ("stated", "none", *(f"no-{term}" for term in TERMS)),
     }

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -45,7 +45,7 @@ class Postures:
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """Positions of the plate, in order."""
+        """Positions of the plate."""
         return tuple(dict.fromkeys(position for position, _ in self.places))
 
     def at(self, *positions: str) -> "Postures":
@@ -59,31 +59,24 @@ class Postures:
         return np.array([values[self.socket == i].mean(axis=0) for i in range(len(self.places))])
 
 
-def read_robots(folder: Path, n_joints: int) -> Iterator[tuple[str, Postures | InputError]]:
-    """Each robot of a folder, or the one whose folder it is: its postures, or what is wrong with them.
-
-    A robot's folder holds one for each position of the plate, with files ``hole_0.csv``: a row of joint angles each.
-    """
-    files = [file for depth in ("*", "*/*") for file in sorted(folder.glob(f"{depth}/hole_*.csv"))]
-    files = [file for file in files if re.fullmatch(r"hole_\d+", file.stem)]
-    if not files:
+def find_robots(folder: Path) -> list[Path]:
+    """The folders of robots in a folder, or that folder if it is one robot's."""
+    robots = [file.parents[1] for depth in ("*", "*/*") for file in folder.glob(f"{depth}/hole_?.csv")]
+    if not robots:
         raise InputError(
             f"{folder}: expected POSITION/hole_0.csv of one robot or ROBOT/POSITION/hole_0.csv, found none"
         )
-    for robot in sorted({file.parents[1] for file in files}):
-        own = [file for file in files if file.parents[1] == robot]
-        try:
-            read = [_read(file, n_joints) for file in own]
-            if len({file.parent for file in own}) < 2:
-                raise InputError(f"{robot}: expected two positions of the plate or more, found one")
-        except InputError as error:
-            yield robot.resolve().name, error
-            continue
-        places = tuple((file.parent.name, file.stem) for file in own)
-        yield (
-            robot.resolve().name,
-            Postures(np.concatenate(read), np.repeat(np.arange(len(own)), [len(q) for q in read]), places),
-        )
+    return sorted(set(robots))
+
+
+def read_robot(robot: Path, n_joints: int) -> Postures:
+    """All postures of a robot: a folder for each position of the plate with a file for each hole, joint angles a row."""
+    files = sorted(robot.glob("*/hole_?.csv"))
+    read = [_read(file, n_joints) for file in files]
+    if len({file.parent for file in files}) < 2:
+        raise InputError(f"{robot}: expected two positions of the plate or more, found one")
+    places = tuple((file.parent.name, file.stem) for file in files)
+    return Postures(np.concatenate(read), np.repeat(np.arange(len(read)), [len(q) for q in read]), places)
 
 
 def _read(file: Path, n_joints: int) -> Floats:

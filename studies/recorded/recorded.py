@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from arm import MECHANICS, Arm, Floats, Postures, read_robots
+from arm import MECHANICS, Arm, Floats, Postures, find_robots, read_robot
 from evidence import PAIR, PAIR_SD, Fit
 from scipy import stats
 
@@ -33,6 +33,7 @@ CHOICES: tuple[tuple[str, ...], ...] = (
 )
 LEVEL = 0.95
 _DRAWS = 4000
+_FARTHEST = 3.0  # logarithm of the largest factor on a stated size that is believed
 
 
 class Missed(NamedTuple):
@@ -57,11 +58,10 @@ def judge(fit: Fit, held: Postures) -> Missed:
     radius = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3.0)
     pair = pair_sd = np.nan
     if len(held.places) > 1:
-        way = means[1] - means[0]
-        along = way / np.linalg.norm(way)
+        along = (means[1] - means[0]) / np.linalg.norm(means[1] - means[0])
         row = along @ (slopes[1] - slopes[0])
         own = sum(along @ noise[held.socket == i].mean(axis=0) @ along / np.sum(held.socket == i) for i in (0, 1))
-        pair = float(np.linalg.norm(way) - PAIR)
+        pair = float(along @ (means[1] - means[0]) - PAIR)
         pair_sd = float(np.sqrt(row @ fit.covariance @ row + own + (PAIR_SD * np.exp(fit.factors[-3])) ** 2))
     return Missed(np.linalg.norm(off, axis=1), chi_square, score, radius, pair, pair_sd)
 
@@ -90,12 +90,15 @@ def others(postures: Postures, position: str) -> Postures:
 def hold_out(arm: Arm, robot: str, postures: Postures, position: str) -> Held:
     """Choose and fit on all other positions, then look at this one."""
     training, held = others(postures, position), postures.at(position)
-    fits = {kinds: Fit(arm, training, kinds) for kinds in CHOICES}
+    geometry = Fit(arm, training, ())
+    if np.delete(geometry.factors, -3).max() > _FARTHEST:
+        raise InputError(f"the chain of cell {arm.cell.name!r} does not explain its postures")
+    fits = {kinds: Fit(arm, training, kinds) if kinds else geometry for kinds in CHOICES}
     inner = {kinds: _left_out(fit, training) for kinds, fit in fits.items()}
     scores = {kinds: np.mean([m.score for m in inner[kinds]] or fits[kinds].log_evidence) for kinds in CHOICES}
     chosen = max(scores, key=lambda kinds: scores[kinds])
     factor = max(1.0, float(np.mean([m.chi_square.mean() / 3.0 for m in inner[chosen]] or 1.0)))
-    found, plain = (judge(fits[kinds], held) for kinds in (chosen, ()))
+    found, plain = judge(fits[chosen], held), judge(geometry, held)
     # The factor is a mean over few sockets: its own spread makes the normal an F distribution.
     limit = factor * stats.f.ppf(LEVEL, 3, len(training.places))
     tail = np.sqrt(factor) * stats.t.ppf(0.5 + 0.5 * LEVEL, len(training.places))
@@ -136,19 +139,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows: list[Held] = []
     refused = False
     try:
-        arm = Arm()
-        print(line(Held._fields), flush=True)
-        for robot, postures in read_robots(options.folder, len(arm.cell.joints)):
-            if isinstance(postures, InputError):
-                print(f"{robot:10s} refused: {postures}", flush=True)
-                refused = True
-                continue
-            for position in postures.positions:
-                rows.append(hold_out(arm, robot, postures, position))
-                print(line(rows[-1]), flush=True)
+        arm, folders = Arm(), find_robots(options.folder)
     except InputError as error:
         print(f"recorded: error: {error}", file=sys.stderr)
         return 2
+    print(line(Held._fields), flush=True)
+    for folder in folders:
+        name = folder.resolve().name
+        try:
+            postures = read_robot(folder, len(arm.cell.joints))
+            for position in postures.positions:
+                rows.append(hold_out(arm, name, postures, position))
+                print(line(rows[-1]), flush=True)
+        except InputError as error:
+            print(f"{name} refused: {error}", flush=True)
+            refused = True
     robots = dict.fromkeys(row.robot for row in rows)
     summary = {name: pooled([row for row in rows if row.robot == name]) for name in robots}
     summary |= {"all": pooled(rows)} if rows else {}

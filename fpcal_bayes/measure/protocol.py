@@ -10,7 +10,8 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.resources import paper_tables
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import tool_pose
 

@@ -146,9 +146,9 @@ class CavityModel:
         return made(self.cell.revolute, slots)
 
     def vector(self, values: Floats) -> Floats:
-        """Model vector (model size,) with the free parameters at `values` (n,)."""
-        vector = self.held.copy()
-        vector[self.free.slots] = values
+        """Model vector (model size,) with the free parameters at `values` (n,); or of many of them, (n_vectors, n)."""
+        vector = np.broadcast_to(self.held, (*np.shape(values)[:-1], len(self.held))).copy()
+        vector[..., self.free.slots] = values
         return vector
 
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None, beam: Ints | None = None) -> Rows:

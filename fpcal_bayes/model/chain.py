@@ -92,13 +92,15 @@ def mirror_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
 
 
 def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
-    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,).
+    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,), or of vectors (n, size), (n, 3).
 
     The paper names Zf, the third column of (13), which stands across the mirror normal; minus the second column
     points from the fibre to the mirror.
     """
-    frame = fibre_in_world(vector)
-    return frame[:3, 2] if cell.optical_axis == "z" else -frame[:3, 1]
+    beta, theta = vector[..., -6], vector[..., -5]
+    if cell.optical_axis == "z":
+        return np.stack([0.0 * beta, -np.sin(beta), np.cos(beta)], axis=-1)
+    return np.stack([np.sin(theta), -np.cos(beta) * np.cos(theta), -np.sin(beta) * np.cos(theta)], axis=-1)
 
 
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:

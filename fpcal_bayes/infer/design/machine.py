@@ -100,7 +100,7 @@ class Machine:
         found = []
         for beam in range(len(cell.beams)):
             at = responses(cell, self.vector, self.terms.told, flat, np.full(len(flat), beam))
-            columns = at_poses(self.terms, flat, at)[0]
+            columns = at_poses(self.terms, flat, at)
             found.append((columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)))
         return found
 

@@ -95,6 +95,11 @@ class Cell:
         """Names of the beams, the first one's empty in a cell that names none."""
         return (self.beam, *(beam.name for beam in self.further))
 
+    def require_one_beam(self, what: str) -> None:
+        """Raise `InputError` in a cell with several beams, since `what` knows one only."""
+        if self.further:
+            raise InputError(f"cell {self.name!r} has {len(self.beams)} beams: {what} knows one only; expected sweeps")
+
     def beam_numbers(self, names: NDArray[np.str_]) -> Ints:
         """Number of the beam of each name, shape (n,); an empty name is the first beam's."""
         if not self.further:

@@ -70,7 +70,7 @@ def find_robots(folder: Path) -> list[Path]:
 
 
 def read_robot(robot: Path, n_joints: int) -> Postures:
-    """All postures of a robot: a folder for each position of the plate with a file for each hole, joint angles a row."""
+    """All postures of a robot: a folder for each position of the plate with a file for each hole, a row each."""
     files = sorted(robot.glob("*/hole_?.csv"))
     read = [_read(file, n_joints) for file in files]
     if len({file.parent for file in files}) < 2:
@@ -106,7 +106,7 @@ class Arm:
     """The Panda's chain, whose three beams x, y and z end on the ball."""
 
     def __init__(self) -> None:
-        self.cell = load_cell(Path(__file__).parent / "panda.toml", check=False)
+        self.cell = load_cell(Path(__file__).parent / "panda.toml")
         self.free = self.cell.select([p.name for p in self.cell.parameters if p.prior_sd > 0])
         self.model = CavityModel.of(self.cell, self.free)
         # Heights of the centres of mass: a point on each link, seen by the upright beam.

@@ -6,8 +6,8 @@ FOLDER holds ROBOT/POSITION/hole_0.csv, hole_1.csv (or is one robot's folder): j
 row for each posture with its ball in one of two sockets 50 mm apart; their plate stands elsewhere at each position.
 
 Each position is held out in turn and looked at once, at the end. The others alone tell the sizes of priors and errors
-(marginal likelihood), which mechanics the model has (score of positions left out among them), and by which factor such
-predictions missed, which widens the bands. An error is the distance of a posture's predicted ball from the mean of its
+(marginal likelihood), by which factor predictions of positions left out among them missed, which widens the bands, and
+which mechanics the model has (score of those predictions, so widened). An error is the distance of a posture's predicted ball from the mean of its
 socket.
 """
 
@@ -41,7 +41,7 @@ class Missed(NamedTuple):
 
     error: Floats  # distance of each posture's ball from its socket's mean, in um, shape (n,)
     chi_square: Floats  # the same in units of the prediction, three degrees of freedom, shape (n,)
-    score: float  # mean logarithm of the postures' normal density, up to a constant
+    volume: float  # mean logarithm of the determinant of the predicted covariances
     radius: Floats  # root mean square of the standard deviations of each posture, in um, shape (n,)
     pair: float  # distance of the first two sockets less the known one, in um; NaN of one socket
     pair_sd: float  # of what is predicted and of the distance as made
@@ -54,7 +54,7 @@ def judge(fit: Fit, held: Postures) -> Missed:
     off, change = point - means[held.socket], slope - slopes[held.socket]
     spread = noise + np.einsum("nij,jk,nlk->nil", change, fit.covariance, change, optimize=True)
     chi_square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off)
-    score = float(np.mean(-0.5 * chi_square - 0.5 * np.linalg.slogdet(spread)[1]))
+    volume = float(np.mean(np.linalg.slogdet(spread)[1]))
     radius = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3.0)
     pair = pair_sd = np.nan
     if len(held.places) > 1:
@@ -63,7 +63,7 @@ def judge(fit: Fit, held: Postures) -> Missed:
         own = sum(along @ noise[held.socket == i].mean(axis=0) @ along / np.sum(held.socket == i) for i in (0, 1))
         pair = float(along @ (means[1] - means[0]) - PAIR)
         pair_sd = float(np.sqrt(row @ fit.covariance @ row + own + (PAIR_SD * np.exp(fit.factors[-3])) ** 2))
-    return Missed(np.linalg.norm(off, axis=1), chi_square, score, radius, pair, pair_sd)
+    return Missed(np.linalg.norm(off, axis=1), chi_square, volume, radius, pair, pair_sd)
 
 
 class Held(NamedTuple):
@@ -94,10 +94,7 @@ def hold_out(arm: Arm, robot: str, postures: Postures, position: str) -> Held:
     if np.delete(geometry.factors, -3).max() > _FARTHEST:
         raise InputError(f"the chain of cell {arm.cell.name!r} does not explain its postures")
     fits = {kinds: Fit(arm, training, kinds) if kinds else geometry for kinds in CHOICES}
-    inner = {kinds: _left_out(fit, training) for kinds, fit in fits.items()}
-    scores = {kinds: np.mean([m.score for m in inner[kinds]] or fits[kinds].log_evidence) for kinds in CHOICES}
-    chosen = max(scores, key=lambda kinds: scores[kinds])
-    factor = max(1.0, float(np.mean([m.chi_square.mean() / 3.0 for m in inner[chosen]] or 1.0)))
+    (_, factor), chosen = max((_left_out(fits[kinds], training), kinds) for kinds in CHOICES)
     found, plain = judge(fits[chosen], held), judge(geometry, held)
     # The factor is a mean over few sockets: its own spread makes the normal an F distribution.
     limit = factor * stats.f.ppf(LEVEL, 3, len(training.places))
@@ -108,10 +105,18 @@ def hold_out(arm: Arm, robot: str, postures: Postures, position: str) -> Held:
     return Held(robot, position, len(held.q), error, geometry, inside, band, factor, pair, pair_band, words)
 
 
-def _left_out(fit: Fit, training: Postures) -> list[Missed]:
-    """How the fit's mechanics and sizes predict each training position from the others, if there are others."""
-    again = [one for one in training.positions if len(training.positions) > 1]
-    return [judge(Fit(fit.arm, others(training, one), fit.kinds, fit.factors), training.at(one)) for one in again]
+def _left_out(fit: Fit, training: Postures) -> tuple[float, float]:
+    """How a fit's mechanics and sizes predict each training position from the others: score and widening factor.
+
+    The score is the mean logarithm of the normal density after widening; of one position alone it is the evidence.
+    """
+    if len(training.positions) < 2:
+        return fit.log_evidence, 1.0
+    every = ((others(training, one), training.at(one)) for one in training.positions)
+    missed = [judge(Fit(fit.arm, rest, fit.kinds, fit.factors), held) for rest, held in every]
+    ratio = float(np.mean([m.chi_square.mean() for m in missed])) / 3.0
+    factor = max(1.0, ratio)
+    return -0.5 * float(np.mean([m.volume for m in missed])) - 1.5 * (np.log(factor) + ratio / factor), factor
 
 
 def pooled(rows: Sequence[Held], seed: int = 0) -> dict[str, list[float]]:

@@ -20,10 +20,8 @@ PAIR, PAIR_SD = 50_000.0, 100.0
 BALL, JOINT = 300.0, 5e-4
 #: Factors that are no group's of parameters or weights, in their order behind those.
 ERRORS = ("distance", "ball", "joint")
-_FACTOR_SD = 2.5  # of the logarithm of each factor on a stated size
-_SOCKET_SD = 1e6
-_TAIL = 5.0
-_ROUNDS = 3
+_FACTOR_SD, _SOCKET_SD = 2.5, 1e6  # of the logarithm of each factor on a stated size; of a socket's place in um
+_TAIL, _ROUNDS = 5.0, 3
 STEMS = {"alpha": "angles", "theta": "angles", "d": "lengths", "r": "lengths", "gain": "gains"}
 
 

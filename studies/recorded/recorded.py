@@ -7,8 +7,8 @@ row for each posture with its ball in one of two sockets 50 mm apart; their plat
 
 Each position is held out in turn and looked at once, at the end. The others alone tell the sizes of priors and errors
 (marginal likelihood), by which factor predictions of positions left out among them missed, which widens the bands, and
-which mechanics the model has (score of those predictions, so widened). An error is the distance of a posture's predicted ball from the mean of its
-socket.
+which mechanics the model has (score of such predictions). An error is the distance of a posture's predicted ball from
+the mean of its socket.
 """
 
 import argparse
@@ -27,10 +27,8 @@ from scipy import stats
 from fpcal_bayes import InputError
 
 #: What the arm may do beside its geometry: nothing, or gains of the joints with any mechanics.
-CHOICES: tuple[tuple[str, ...], ...] = (
-    (),
-    *(("gains", *some) for n in range(len(MECHANICS) + 1) for some in combinations(MECHANICS, n)),
-)
+_ANY = [("gains", *some) for n in range(len(MECHANICS) + 1) for some in combinations(MECHANICS, n)]
+CHOICES: tuple[tuple[str, ...], ...] = ((), *_ANY)
 LEVEL = 0.95
 _DRAWS = 4000
 _FARTHEST = 3.0  # logarithm of the largest factor on a stated size that is believed
@@ -114,9 +112,9 @@ def _left_out(fit: Fit, training: Postures) -> tuple[float, float]:
         return fit.log_evidence, 1.0
     every = ((others(training, one), training.at(one)) for one in training.positions)
     missed = [judge(Fit(fit.arm, rest, fit.kinds, fit.factors), held) for rest, held in every]
-    ratio = float(np.mean([m.chi_square.mean() for m in missed])) / 3.0
+    ratio, volume = np.mean([(m.chi_square.mean() / 3.0, m.volume) for m in missed], axis=0).tolist()
     factor = max(1.0, ratio)
-    return -0.5 * float(np.mean([m.volume for m in missed])) - 1.5 * (np.log(factor) + ratio / factor), factor
+    return -0.5 * volume - 1.5 * (np.log(factor) + ratio / factor), factor
 
 
 def pooled(rows: Sequence[Held], seed: int = 0) -> dict[str, list[float]]:

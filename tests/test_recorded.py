@@ -78,7 +78,7 @@ def make(folder, masses, seed=1, postures=20):
 
 
 def test_a_generated_robot_is_predicted_to_its_noise_and_its_bands_hold(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(study, "CHOICES", ((), ("gains", "compliance")))
+    monkeypatch.setattr(study, "CHOICES", ("geometry", "gains+compliance"))
     make(tmp_path / "made", sys.modules["arm"].MASSES)
     assert study.main([str(tmp_path), "--json", str(tmp_path / "out.json")]) == 0
     rows = json.loads((tmp_path / "out.json").read_text())["positions"]
@@ -135,7 +135,7 @@ def test_a_robot_that_cannot_be_read_is_named_and_the_others_go_on(study, tmp_pa
 
 
 def test_postures_of_another_chain_are_refused(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(study, "CHOICES", ((),))
+    monkeypatch.setattr(study, "CHOICES", ("geometry",))
     rng = np.random.default_rng(0)
     for place in ("a/hole_0", "a/hole_1", "b/hole_0"):
         (tmp_path / place).parent.mkdir(exist_ok=True)

@@ -27,8 +27,8 @@ from scipy import stats
 from fpcal_bayes import InputError
 
 #: What the arm may do beside its geometry: nothing, or gains of the joints with any mechanics.
-_ANY = [("gains", *some) for n in range(len(MECHANICS) + 1) for some in combinations(MECHANICS, n)]
-CHOICES: tuple[tuple[str, ...], ...] = ((), *_ANY)
+_ANY = ["+".join(("gains", *some)) for n in range(len(MECHANICS) + 1) for some in combinations(MECHANICS, n)]
+CHOICES = ("geometry", *_ANY)
 LEVEL = 0.95
 _DRAWS = 4000
 _FARTHEST = 3.0  # logarithm of the largest factor on a stated size that is believed
@@ -78,6 +78,7 @@ class Held(NamedTuple):
     pair: float  # predicted distance of two sockets less the known one
     pair_band: float
     chosen: str
+    scores: dict[str, float]  # of each choice within training, over that of geometry alone
 
 
 def others(postures: Postures, position: str) -> Postures:
@@ -88,19 +89,20 @@ def others(postures: Postures, position: str) -> Postures:
 def hold_out(arm: Arm, robot: str, postures: Postures, position: str) -> Held:
     """Choose and fit on all other positions, then look at this one."""
     training, held = others(postures, position), postures.at(position)
-    geometry = Fit(arm, training, ())
-    if np.delete(geometry.factors, -3).max() > _FARTHEST:
+    fits = {name: Fit(arm, training, name.split("+")) for name in CHOICES}
+    if np.delete(fits["geometry"].factors, -3).max() > _FARTHEST:
         raise InputError(f"the chain of cell {arm.cell.name!r} does not explain its postures")
-    fits = {kinds: Fit(arm, training, kinds) if kinds else geometry for kinds in CHOICES}
-    (_, factor), chosen = max((_left_out(fits[kinds], training), kinds) for kinds in CHOICES)
-    found, plain = judge(fits[chosen], held), judge(geometry, held)
+    inner = {name: _left_out(fit, training) for name, fit in fits.items()}
+    (_, factor), chosen = max((found, name) for name, found in inner.items())
+    found, plain = judge(fits[chosen], held), judge(fits["geometry"], held)
     # The factor is a mean over few sockets: its own spread makes the normal an F distribution.
     limit = factor * stats.f.ppf(LEVEL, 3, len(training.places))
     tail = np.sqrt(factor) * stats.t.ppf(0.5 + 0.5 * LEVEL, len(training.places))
-    means = (found.error.mean(), plain.error.mean(), tail * np.median(found.radius), found.pair, tail * found.pair_sd)
-    error, geometry, band, pair, pair_band = (1e-3 * float(mean) for mean in means)
-    inside, words = float(np.mean(found.chi_square / 3.0 <= limit)), "+".join(chosen) or "geometry"
-    return Held(robot, position, len(held.q), error, geometry, inside, band, factor, pair, pair_band, words)
+    inside = float(np.mean(found.chi_square / 3.0 <= limit))
+    lengths = (found.error.mean(), plain.error.mean(), tail * np.median(found.radius), found.pair, tail * found.pair_sd)
+    error, bare, band, pair, pair_band = (1e-3 * float(length) for length in lengths)
+    scores = {name: score - inner["geometry"][0] for name, (score, _) in inner.items()}
+    return Held(robot, position, len(held.q), error, bare, inside, band, factor, pair, pair_band, chosen, scores)
 
 
 def _left_out(fit: Fit, training: Postures) -> tuple[float, float]:
@@ -121,9 +123,10 @@ def pooled(rows: Sequence[Held], seed: int = 0) -> dict[str, list[float]]:
     """Means over postures with their 95 % interval when positions are drawn anew with replacement."""
     weight = np.array([row.postures for row in rows], dtype=float)
     drawn = np.random.default_rng(seed).integers(len(rows), size=(_DRAWS, len(rows)))
+    told = {name: [getattr(row, name) for row in rows] for name in ("error", "geometry", "inside")}
+    told |= {f"score {name}": [row.scores[name] for row in rows] for name in CHOICES[1:]}
     made = {}
-    for name in ("error", "geometry", "inside"):
-        values = np.array([getattr(row, name) for row in rows])
+    for name, values in told.items():
         anew = (weight * values)[drawn].sum(axis=1) / weight[drawn].sum(axis=1)
         made[name] = [float(np.average(values, weights=weight)), *np.quantile(anew, [0.025, 0.975]).tolist()]
     return made
@@ -139,30 +142,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="of the recorded postures")
     parser.add_argument("--json", type=Path, help="write every number of the table")
     options = parser.parse_args(argv)
-    rows: list[Held] = []
-    refused = False
+    rows, refused = [], False
     try:
         arm, folders = Arm(), find_robots(options.folder)
     except InputError as error:
         print(f"recorded: error: {error}", file=sys.stderr)
         return 2
-    print(line(Held._fields), flush=True)
+    print(line(Held._fields[:-1]), flush=True)
     for folder in folders:
         name = folder.resolve().name
         try:
             postures = read_robot(folder, len(arm.cell.joints))
             for position in postures.positions:
                 rows.append(hold_out(arm, name, postures, position))
-                print(line(rows[-1]), flush=True)
+                print(line(rows[-1][:-1]), flush=True)
         except InputError as error:
             print(f"{name} refused: {error}", flush=True)
             refused = True
-    robots = dict.fromkeys(row.robot for row in rows)
-    summary = {name: pooled([row for row in rows if row.robot == name]) for name in robots}
-    summary |= {"all": pooled(rows)} if rows else {}
+    groups = {name: [row for row in rows if row.robot == name] for name in dict.fromkeys(row.robot for row in rows)}
+    summary = {name: pooled(own) for name, own in (groups | ({"all": rows} if rows else {})).items()}
     for name, means in summary.items():
-        words = [f"{key} {value:.3f} ({low:.3f} to {high:.3f})" for key, (value, low, high) in means.items()]
-        print(f"{name:10s} {', '.join(words)}")
+        print("\n".join(line([name, *values, key]) for key, values in means.items()))
     if options.json:
         options.json.write_text(json.dumps({"positions": [r._asdict() for r in rows], "pooled": summary}, indent=1))
     return 2 if refused else 0

@@ -20,6 +20,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, read_often, seen_by_all
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model import chain
@@ -28,6 +29,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics
 from fpcal_bayes.model.mechanics import Terms, design
 from fpcal_bayes.model.mechanics.response import directions, responses
+from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import machine_of, simulate_um
 
 CUBES = """
@@ -439,3 +441,87 @@ def test_one_beam_has_its_hash_and_no_names() -> None:
     assert load_cell().sha256 == "9ef957ab3e19a2274c93e5dc74c7a785bf393946d661f5a2885b7060c2ec5fce"
     assert load_cell("three-beams").sha256 != load_cell().sha256
     assert "x_wf@left" in load_cell("three-beams").free.names
+
+
+SOCKETS = """
+[[beam]]
+name = "a-x"
+target = "corner-cube"
+[beam.extrinsic]
+x_et = { prior_sd_um = 500.0 }
+y_et = { prior_sd_um = 500.0 }
+z_et = { nominal_um = 50000.0, prior_sd_um = 500.0 }
+theta_wf = { nominal_deg = 90.0 }
+x_wf = { prior_sd_um = 2000.0 }
+y_wf = { nominal_um = 50000.0, prior_sd_um = 2000.0 }
+z_wf = { prior_sd_um = 2000.0 }
+[[beam]]
+name = "a-y"
+shares = "a-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 } }
+[[beam]]
+name = "a-z"
+shares = "a-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 }, beta_wf = { nominal_deg = 90.0 } }
+[[beam]]
+name = "b-x"
+shares = "a-x"
+[beam.extrinsic]
+x_wf = { nominal_um = 100.0, prior_sd_um = 2000.0 }
+y_wf = { nominal_um = 50000.0, prior_sd_um = 2000.0 }
+z_wf = { nominal_um = 80.0, prior_sd_um = 2000.0 }
+[[beam]]
+name = "b-y"
+shares = "b-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 } }
+[[beam]]
+name = "b-z"
+shares = "b-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 }, beta_wf = { nominal_deg = 90.0 } }
+[[beam]]
+name = "a-b"
+shares = "a-x"
+opd = "distance"
+"""
+
+
+def test_a_ball_in_two_sockets_at_a_known_distance(tmp_path: Path) -> None:
+    """Poses by the readable chain that put the ball where the sockets are; the fit knows neither."""
+    text = _text("")
+    (tmp_path / "sockets.toml").write_text(text[: text.index("[extrinsic]")] + SOCKETS)
+    cell, rng = load_cell(tmp_path / "sockets.toml", mechanics="none"), np.random.default_rng(3)
+    joints = tuple(replace(j, low=-1e4, high=1e4) if j.kind == "prismatic" else j for j in cell.joints)
+    cell = replace(cell, joints=joints)
+    model = CavityModel.of(cell)
+    truth = cell.free.nominal + 0.3 * cell.free.prior_sd * rng.standard_normal(len(cell.free))
+    vector = model.vector(truth)
+    sockets = {name: vector[cell.views[cell.beams.index(f"{name}-x")].slots][-3:] for name in "ab"}
+
+    def ball(q: np.ndarray) -> np.ndarray:
+        return chain.mirror_pose(cell, vector, q)[:3, 3]
+
+    poses, beams, shots, dl = [], [], [], []
+    for name, socket in sockets.items():
+        for number in range(14):
+            q = np.concatenate([np.zeros(3), rng.uniform(-0.08, 0.08, 2), rng.uniform(-3.0, 3.0, 1)])
+            moves = np.column_stack([ball(q + np.eye(6)[j]) - ball(q) for j in range(3)])
+            q[:3] = np.linalg.solve(moves, socket - ball(q))
+            read = [f"{name}-{axis}" for axis in "xyz"] + ["a-b"] * (name == "b")
+            poses += [q] * len(read)
+            beams += read
+            shots += [f"{name}{number}"] * len(read)
+            dl += [0.0] * 3 + [float(np.linalg.norm(sockets["b"] - sockets["a"]))] * (name == "b")
+    q, true = np.array(poses), np.array(dl)
+    sweeps = Sweeps.of_um_rad(q, q, kind="absolute", beam=beams, shot=shots, label=shots)
+    assert model.predict(truth, sweeps.laid_out(model)) == pytest.approx(true, abs=1e-6)
+    sweeps = sweeps.with_measurement(true + 0.05 * rng.standard_normal(len(true)), 0.05)
+    check_sweeps(sweeps, cell)
+    found = identify(cell, sweeps)
+    assert found.converged
+    assert found.fit.p_value > 1e-3
+    # Unseen: the world's shift by d_4, one turn counted twice, q6 with the ball about the tool's axis.
+    assert found.spectrum.rank == len(cell.free) - 3
+    deviation = found.estimate.values - truth
+    assert deviation @ np.linalg.solve(found.estimate.covariance, deviation) < 48.0
+    with pytest.raises(InputError, match="tasks hold a mirror before the first beam"):
+        task_path(cell, vector, "circle")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics.drive import Drive
@@ -191,6 +192,16 @@ class Machine:
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
         changed: Floats = lengths[1:] - lengths[0]
         return changed
+
+    def poses(self, start: Floats, q: Floats, minutes: float) -> Floats:
+        """True poses fX of the mirror frame, its origin as in the cell, along the same: shape (1 + n_points, 4, 4)."""
+        joints = np.vstack([start, q])
+        side = np.asarray(self.rng.choice([-1.0, 1.0], len(start)), dtype=np.float64)
+        turn, at = _chain(self.cell, self.vector, joints, self.reach(joints, side), self.motions, self.lever)
+        tools = np.tile(np.eye(4), (len(joints), 1, 1))
+        tools[:, :3, :3], tools[:, :3, 3] = turn, at - self.drift * minutes
+        made: Floats = np.linalg.inv(chain.fibre_in_world(self.vector)) @ tools @ chain.mirror_in_tool(self.vector)
+        return made
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.

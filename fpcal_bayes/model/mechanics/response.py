@@ -106,6 +106,29 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Respon
     )
 
 
+def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
+    """Derivatives of place and direction of the mirror point in the fibre frame: x, z, then turns about x, y, z.
+
+    As `responses`, in um and rad; the mirror point is the one that reflects at joint zero. They have no length.
+    """
+    zero = np.zeros(len(cell.joints))
+    in_tool = chain.mirror_in_tool(vector).real @ np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)
+    frames, fibre = _frames(cell, vector, q), chain.fibre_in_world(vector)[:3, :3].real
+    points = (frames.origin + frames.tool @ in_tool[:3])[:, None]
+    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
+    centres = frames.carried - (frames.base @ told.lever[None, :, :, None])[..., 0]
+    levers = np.repeat((points - centres)[:, :, None], 3, axis=2)
+    revolute = cell.revolute
+    levers[:, revolute, 0] = (points - frames.pivot)[:, revolute]
+    moved = np.concatenate([axes, np.cross(axes, levers)], axis=2) @ fibre
+    turned = np.concatenate([np.zeros_like(axes), axes], axis=2) @ fibre
+    made = []
+    for motion, of_fibre in [(moved[..., i], -fibre[:, i]) for i in (0, 2)] + [(turned[..., i], 0.0) for i in range(3)]:
+        drive = np.where(revolute, motion[..., ROLL], motion[..., OWN])
+        made.append(Responses(motion, drive, np.broadcast_to(of_fibre, (len(q), 3)), np.zeros(len(q))))
+    return made
+
+
 @dataclass(frozen=True)
 class _Frames:
     """Base frames (n, n_joints, 3, 3), their origins and those of what is carried (n, n_joints, 3), and the tool's."""

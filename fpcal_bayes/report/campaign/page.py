@@ -18,6 +18,7 @@ from fpcal_bayes.report.campaign import charts as data
 from fpcal_bayes.report.campaign import figures, words
 from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
+from fpcal_bayes.report.tasks import freedom_table, not_evaluated_line
 from fpcal_bayes.report.track import sweep_table
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
@@ -101,6 +102,8 @@ def campaign_html(facts: CampaignFacts) -> str:
         level=f"{100 * facts.goal.level:g} %",
         warnings=_warnings(facts),
         tasks=words.task_table(facts),
+        freedoms=freedom_table([each.prediction for each in facts.tasks if each.prediction is not None]),
+        not_evaluated=not_evaluated_line(facts.cell),
         measured=words.measured_sentence(facts),
         sessions=words.session_table(facts),
         track_reason=facts.track_reason,

@@ -83,7 +83,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
     """Where a task stands against the tolerance, in words, and the class of the style sheet."""
     if not facts.trust.usable:
         return "not known", "bad"
-    risk = None if outlook.numbers is None else outlook.numbers.exceeds
+    risk = outlook.risk
     if risk is None:
         return "cannot be driven", "bad"
     if risk <= facts.goal.level:

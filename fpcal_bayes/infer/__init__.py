@@ -41,6 +41,7 @@ _PLACES = {
     "observe": "observability.observe",
     "parse_models": "posterior.compare",
     "peak_to_peak": "tasks.error",
+    "pose_errors": "tasks.pose",
     "predict_from_covariance": "tasks.prediction",
     "predict_from_draws": "tasks.prediction",
     "prior_ground": "design.problem",

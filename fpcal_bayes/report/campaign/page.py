@@ -6,7 +6,7 @@ from typing import Any
 from markupsafe import Markup
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, gather
-from fpcal_bayes.analysis.history import history, outlooks, residuals
+from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
 from fpcal_bayes.decision.forecast import Goal
@@ -74,6 +74,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
     seen = facts.observability
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
+    since = since_calibration(facts)
     alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
     drawn = {
         "tasks": figures.task_figure(facts),
@@ -107,6 +108,8 @@ def campaign_html(facts: CampaignFacts) -> str:
         measured=words.measured_sentence(facts),
         sessions=words.session_table(facts),
         track_reason=facts.track_reason,
+        since=words.since_tables(since),
+        since_sentence=words.since_sentence(since),
         decision_reason=facts.decision_reason,
         log=log_table(facts),
         parameters=words.parameter_table(facts),

@@ -32,6 +32,7 @@ class Directions:
     in_base: Floats  # columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3)
     along_beam: NDArray[np.int64]  # which of the three is nearest to the optical axis at nominal, shape (n_joints,)
     lever: Floats  # from the point of the data sheet to the mirror, in the base frame, in um, shape (n_joints, 3)
+    in_world: Floats  # the same columns in the world at joint zero of the nominal cell, shape (n_joints, 3, 3)
 
 
 def directions(cell: Cell, levers_mm: Floats) -> Directions:
@@ -42,17 +43,18 @@ def directions(cell: Cell, levers_mm: Floats) -> Directions:
     vector = cell.parameters.nominal
     beam = chain.optical_axis(cell, vector).real
     bases = _frames(cell, vector, np.zeros((1, len(cell.joints)))).base[0]
-    in_base, along, lever = [], [], []
+    in_base, along, lever, in_world = [], [], [], []
     for base, arm in zip(bases, levers_mm, strict=True):
         own = base[:, 2]
         upward = np.array([0.0, 1.0, 0.0]) if abs(own[2]) > _STEEP else np.array([0.0, 0.0, 1.0])
         up = upward - own * (own @ upward)
         up /= np.linalg.norm(up)
         axes = np.column_stack([own, up, np.cross(own, up)])
+        in_world.append(axes)
         in_base.append(base.T @ axes)
         along.append(int(np.argmax(np.abs(beam @ axes))))
         lever.append(base.T @ arm * 1e3)
-    return Directions(np.array(in_base), np.array(along), np.array(lever))
+    return Directions(np.array(in_base), np.array(along), np.array(lever), np.array(in_world))
 
 
 @dataclass(frozen=True)

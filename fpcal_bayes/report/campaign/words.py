@@ -219,9 +219,7 @@ def since_sentence(since: SinceCalibration | None) -> str:
         return "There are no two sessions to compare."
     told = f"chi-square {since.chi2:.1f} in {since.dof} directions, p = {since.p_value:.2g}"
     word = "the stated drift explains it" if since.explained else "more than the stated drift explains"
-    advice = (
-        "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
-    )
+    advice = "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
     return f"From {since.session} to the last session, {since.hours:.1f} h: {told}: {word}.{advice}"
 
 

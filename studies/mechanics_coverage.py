@@ -234,9 +234,9 @@ def summary(results: list[dict[str, object]]) -> str:
         for freedom in FREEDOMS:
             true, low, high = np.array([r[name]["freedoms"][freedom] for r in results if name in r]).T  # type: ignore[index]
             scale = 1e3 if freedom in "xz" else np.degrees(1.0)
-            held, below = 100 * ((true >= low) & (true <= high)).mean(), 100 * (true <= high).mean()
+            held, under = 100 * ((true >= low) & (true <= high)).mean(), 100 * (true <= high).mean()
             lines.append(
-                f"{name} {freedom} {held:.0f}/{below:.0f} "
+                f"{name} {freedom} {held:.0f}/{under:.0f} "
                 f"({scale * np.median(true):.2g} in {scale * np.median(low):.2g} .. {scale * np.median(high):.2g})"
             )
     z = np.array([r["z"] for r in results])

@@ -61,41 +61,43 @@ def with_likely_priors(problem: Problem, solution: Solution) -> tuple[Problem, d
 def _likely(problem: Problem, at: Floats, blocks: list[tuple[str, NDArray[np.int64]]], already: Floats) -> Floats:
     """Logarithms of the factors on the stated priors, which the problem has made `already`; zero where these stand."""
     jacobian = problem.data_jacobian(at)
-    told, seen = jacobian.T @ (jacobian @ at - problem.data_residuals(at)), jacobian.T @ jacobian
+    seen = jacobian.T @ jacobian
+    members = np.array([np.isin(np.arange(problem.n_free), each) for _, each in blocks], dtype=float)
+    told, stated = jacobian.T @ (jacobian @ at - problem.data_residuals(at)), -already @ members
 
-    def cost(log: Floats) -> float:
-        sizes = np.ones(problem.n_free)
-        for (_, members), value in zip(blocks, log - already, strict=True):
-            sizes[members] = np.exp(value)
+    def cost(log: Floats, directions: Floats) -> float:
+        """Of factors, by logarithm, on parameters as `directions` (n_factors, n_free) have them."""
+        sizes = np.exp(stated + log @ directions)
         inner = np.eye(problem.n_free) + sizes[:, None] * seen * sizes
         fit = (sizes * told) @ np.linalg.solve(inner, sizes * told)
         return 0.5 * (float(np.linalg.slogdet(inner)[1]) - float(fit) + float((log / _LOG_SD) @ (log / _LOG_SD)))
 
-    def best(free: list[int]) -> tuple[float, Floats]:
-        """Least cost with the factors of all other kinds at one, and the logarithms."""
-        chosen = np.eye(len(blocks))[free]
-        if not free:
-            return cost(np.zeros(len(blocks))), np.zeros(len(blocks))
-        ends = [(-_FARTHEST, _FARTHEST)] * len(free)
+    def best(directions: Floats, first: Floats) -> tuple[float, Floats]:
+        """Least cost, with the factors of all others at one, and the logarithms."""
+        if not len(first):
+            return cost(first, directions), first
+        ends = [(-_FARTHEST, _FARTHEST)] * len(first)
+        found = optimize.minimize(cost, first, args=(directions,), bounds=ends)
+        return float(found.fun), found.x
 
-        def moved(part: Floats) -> float:
-            return cost(part @ chosen)
-
-        found = optimize.minimize(moved, already[free], bounds=ends)
-        return float(found.fun), found.x @ chosen
-
-    chosen = list(range(len(blocks)))
-    whole, log = best(chosen)
-    if best([])[0] - whole < _LEAST_GAIN:
-        return np.zeros(len(blocks))
+    chosen, log = list(range(len(blocks))), np.zeros(len(blocks))
+    whole, found = best(members, already)
+    if cost(log, members) - whole < _LEAST_GAIN:
+        return log
     # Kinds that gain too little go, the least first.
     while chosen:
-        costs = {i: best([j for j in chosen if j != i])[0] - whole for i in chosen}
-        least = min(costs, key=lambda i: costs[i])
-        if costs[least] >= _LEAST_GAIN:
+        others = [[j for j in chosen if j != i] for i in chosen]
+        costs = [best(members[rest], already[rest])[0] - whole for rest in others]
+        if min(costs) >= _LEAST_GAIN:
             break
-        chosen.remove(least)
-        whole, log = best(chosen)
+        chosen = others[int(np.argmin(costs))]
+        whole, found = best(members[chosen], already[chosen])
+    # One parameter far out is no prior of a kind that is too small, but something that the model leaves out.
+    if (found > 0).any():
+        alone = min(best(one[None], np.zeros(1))[0] for one in np.eye(problem.n_free))
+        if alone - whole < _LEAST_GAIN:
+            return log
+    log[chosen] = found
     return log
 
 

@@ -188,6 +188,17 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
     return result
 
 
+def true_poses(machine: Machine, start: np.ndarray, q: np.ndarray, minutes: float) -> np.ndarray:
+    """Poses fX of the mirror frame along a path that is driven point by point, shape (1 + n_points, 4, 4)."""
+    joints = np.vstack([start, q])
+    side = machine.rng.choice([-1.0, 1.0], len(start))
+    tools = np.tile(np.eye(4), (len(joints), 1, 1))
+    tools[:, :3, :3], at = machine.tools(joints, machine.reach(joints, side))
+    tools[:, :3, 3] = at - machine.drift * minutes
+    back = np.linalg.inv(chain.fibre_in_world(machine.vector))
+    return back @ tools @ chain.mirror_in_tool(machine.cell, machine.vector)
+
+
 def freedoms(fit: MechanicsFit, machine: Machine, task: Task, when: float, seed: int) -> dict[str, tuple[float, ...]]:
     """True peak to peak of each degree of freedom but the beam's, and its band, by 4 x 4 products, in um and rad."""
     cell, free = machine.cell, machine.cell.free
@@ -198,7 +209,7 @@ def freedoms(fit: MechanicsFit, machine: Machine, task: Task, when: float, seed:
     vector, joints = estimate.vector(), np.vstack([task.start, task.q])
     expected = [np.linalg.inv(chain.fibre_in_world(vector)) @ chain.mirror_pose(cell, vector, q) for q in joints]
     moves, turned = [], []
-    for owner, poses in ((vector, np.array(expected)), (machine.vector, machine.poses(task.start, task.q, when))):
+    for owner, poses in ((vector, np.array(expected)), (machine.vector, true_poses(machine, task.start, task.q, when))):
         _, point = chain.reflection_point(cell, owner, np.zeros(len(task.start)))
         places = poses[:, :3, :3] @ point + poses[:, :3, 3]
         moves.append((places - places[0])[1:, [0, 2]])

@@ -11,6 +11,7 @@ from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -77,6 +78,12 @@ def test_responses_of_the_pose_are_exact_to_first_order():
     machine = Machine.draw(cell, sizes, vector, rng)
     _, point = chain.reflection_point(cell, vector, np.zeros(6))
 
+    def poses(at: np.ndarray, minutes: float = 0.0) -> np.ndarray:
+        tools = np.tile(np.eye(4), (len(at), 1, 1))
+        tools[:, :3, :3], origin = machine.tools(at, machine.periodic(at))
+        tools[:, :3, 3] = origin - machine.drift * minutes
+        return np.linalg.inv(chain.fibre_in_world(vector)) @ tools @ chain.mirror_in_tool(cell, vector)
+
     def slope(ahead: np.ndarray, behind: np.ndarray, size: float) -> np.ndarray:
         places = [(poses[:, :3, :3] @ point + poses[:, :3, 3])[:, [0, 2]] for poses in (ahead, behind)]
         turned = Rotation.from_matrix(ahead[:, :3, :3] @ behind[:, :3, :3].swapaxes(1, 2)).as_rotvec()
@@ -88,21 +95,19 @@ def test_responses_of_the_pose_are_exact_to_first_order():
             size, moved = 1e-2 if direction < 3 else 1e-6, []
             for sign in (1.0, -1.0):
                 machine.motions[joint][direction] = lambda x, shift=sign * size: np.full_like(x, shift)
-                moved.append(machine.poses(q[0], q[1:], 0.0))
+                moved.append(poses(q))
             machine.motions[joint][direction] = np.zeros_like
             expected = slope(moved[0], moved[1], size)
             responses_ = np.stack([at.motion[:, joint, direction] for at in found], axis=-1)
             np.testing.assert_allclose(responses_, expected, atol=1e-5 * np.abs(expected).max())
     machine.drift[:] = [0.0, 0.0, 1.0]
-    expected = slope(machine.poses(q[0], q[1:], 1e-2), machine.poses(q[0], q[1:], -1e-2), 1e-2)
+    expected = slope(poses(q, 1e-2), poses(q, -1e-2), 1e-2)
     np.testing.assert_allclose(np.stack([at.fibre[:, 2] for at in found], axis=-1), expected, atol=1e-7)
     # A joint's own travel, as reversal and return errors move it.
     for joint in range(6):
         step = np.zeros(6)
         step[joint] = 1e-6 if cell.revolute[joint] else 1e-2
-        expected = slope(
-            machine.poses(q[0] + step, q[1:] + step, 0.0), machine.poses(q[0] - step, q[1:] - step, 0.0), step[joint]
-        )
+        expected = slope(poses(q + step), poses(q - step), step[joint])
         drive = np.stack([at.drive[:, joint] for at in found], axis=-1)
         np.testing.assert_allclose(drive, expected, atol=1e-5 * np.abs(expected).max())
 
@@ -320,7 +325,11 @@ def _chained(cell):
 def _covariance(made, blocks):
     """Of the rows, by the shared weights and by what is new in each sweep, at noise-free readings."""
     columns = made.matrix[:, [name.startswith(("return of", "position of")) for name in made.names]]
-    noise = RowNoise(np.zeros(len(made.matrix)), tuple(blocks), made)
+    rows = np.arange(len(made.matrix))
+    first = rows.copy()
+    for block in blocks:
+        first[block] = block[0]
+    noise = RowNoise(np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), Sharing(first, first, rows), made)
     return columns @ columns.T + noise.dense()[1]
 
 

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
     since = since_content(since_calibration(facts))
     write_result(options.json, "report", facts.estimate.content() | {"report": content | {"since_calibration": since}})
-    for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
+    for sentence in (f"{said.title}. {said.meaning}", *said.sentences, f"-> {options.output}"):
         out.say(sentence)
     warn([reason.text for reason in facts.trust.reasons])
     # The reason why numbers are not to be used stands in the page; a fit that failed is an exit status too.

@@ -22,6 +22,8 @@ from fpcal_bayes.model.trust import Reason
 _LOG_SD, _LEAST_GAIN = float(np.log(3.0)), 6.0
 #: The farthest that is looked for, how often rows are linearised anew, and what is no change of a factor's logarithm.
 _FARTHEST, _ROUNDS, _CLOSE = float(np.log(100.0)), 6, 0.05
+#: Of an angle, in rad: a robot whose angles were thought to be as far off is wired another way.
+_WIDEST = float(np.radians(10.0 + 1e-6))
 
 
 def kinds(parameters: ParameterSet) -> list[tuple[str, NDArray[np.int64]]]:
@@ -45,7 +47,7 @@ def with_likely_priors(problem: Problem, solution: Solution) -> tuple[Problem, d
     if problem.prior.factor is not None or problem.prior.others or problem.considered is not None:
         return problem, {}
     stated, blocks = problem.prior, kinds(problem.model.free)
-    log = np.zeros(len(blocks))
+    log, angles = np.zeros(len(blocks)), np.array([p.unit == "deg" for p in problem.model.free])
     for _ in range(_ROUNDS):
         before, log = log, _likely(problem, solution.unknowns, blocks, log)
         if np.abs(log - before).max() < _CLOSE:
@@ -53,6 +55,8 @@ def with_likely_priors(problem: Problem, solution: Solution) -> tuple[Problem, d
         values, sd = problem.values(solution.unknowns), stated.sd.copy()
         for (_, members), value in zip(blocks, log, strict=True):
             sd[members] *= np.exp(value)
+        if (sd[angles] > _WIDEST).any() and log.max() > 0:
+            return problem, {}
         problem = replace(problem, prior=replace(stated, sd=sd))
         solution = minimise(problem, problem.unknowns(values))
     return problem, {name: float(np.exp(value)) for (name, _), value in zip(blocks, log, strict=True) if value}

@@ -13,7 +13,7 @@ from filterpy.kalman import KalmanFilter
 from fpcal_bayes.core.linalg import covariance_root, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
+from fpcal_bayes.tracking.measurement import LinearMeasurement, Measurement, equivalent_rows
 
 #: The iteration ends when a step is shorter than this, in standard deviations of the prediction.
 _STEP_TOLERANCE = 1e-3
@@ -113,8 +113,9 @@ def update(state: State, measurement: Measurement) -> Update:
     innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
     mean, pull = prior, np.zeros_like(prior)
     cost = float(misfit @ misfit)
-    converged, last = False, np.inf
-    for number in range(_MAX_STEPS):
+    # Linear rows need no step: the exact update below is all there is.
+    converged, last = isinstance(measurement, LinearMeasurement), np.inf
+    for number in range(0 if converged else _MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
         rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
         total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))

@@ -133,7 +133,7 @@ class Machine:
                 lengths[seen] = alone.lengths(q[seen], reached[seen], minutes[seen])
             return lengths
         fibre_at = self.vector[-3:] + self.drift * minutes[:, None]
-        turn, at = _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
+        turn, at = self.tools(q, reached)
         beta_et, theta_et, beta_wf, theta_wf, z_et = self.vector[-8:-3]
         light, scale = _beam(self.cell, beta_wf, theta_wf), 1.0 + 1e-6 * self.settings.scale_ppm
         if self.cell.target == "corner-cube":
@@ -212,6 +212,10 @@ class Machine:
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
         changed: Floats = lengths[1:] - lengths[0]
         return changed
+
+    def tools(self, q: Floats, reached: Floats) -> tuple[Floats, Floats]:
+        """Orientation (n, 3, 3) and origin (n, 3) of the tool, as in `lengths`."""
+        return _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.

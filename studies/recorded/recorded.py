@@ -143,6 +143,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="write every number of the table")
     options = parser.parse_args(argv)
     rows, refused = [], False
+    if options.json and not options.json.parent.is_dir():
+        print(f"recorded: error: {options.json}: expected a file in a folder that is there", file=sys.stderr)
+        return 2
     try:
         arm, folders = Arm(), find_robots(options.folder)
     except InputError as error:
@@ -164,7 +167,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, means in summary.items():
         print("\n".join(line([name, *values, key]) for key, values in means.items()))
     if options.json:
-        options.json.write_text(json.dumps({"positions": [r._asdict() for r in rows], "pooled": summary}, indent=1))
+        text = json.dumps({"positions": [r._asdict() for r in rows], "pooled": summary}, indent=1)
+        options.json.write_text(text.replace("NaN", "null"))
     return 2 if refused else 0
 
 

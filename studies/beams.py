@@ -12,9 +12,8 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes import Estimate, InputError, Sweeps, load_cell, observe, paper_protocol
-from fpcal_bayes.infer import whitened_jacobian
-from fpcal_bayes.infer.tasks.prediction import covariance_sd
+from fpcal_bayes import InputError, Sweeps, load_cell, observe, paper_protocol
+from fpcal_bayes.infer import linear_task_sd, task_jacobian, whitened_jacobian
 from fpcal_bayes.measure import Truth
 from fpcal_bayes.model import CavityModel, Cell
 from fpcal_bayes.motion import task_path
@@ -58,9 +57,9 @@ def task_sd(cell: Cell, plan: Sweeps, truths: list[Truth], sigma_nm: float) -> n
         jacobian = whitened_jacobian(model, measured, values)
         left = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(cell.free)))
         covariance = left * np.outer(cell.free.prior_sd, cell.free.prior_sd)
-        estimate = Estimate(cell, cell.free, values, covariance, ("identified",) * len(cell.free), 0.0)
-        tasks = [task_path(cell, estimate.vector(), name, n_points=9) for name in TASKS]
-        found.append([1e3 * covariance_sd(estimate, task).max() for task in tasks])
+        tasks = [task_path(cell, model.vector(values), name, n_points=9) for name in TASKS]
+        sd = [linear_task_sd(task_jacobian(model, values, task), covariance).max() for task in tasks]
+        found.append([1e3 * each for each in sd])
     return np.median(found, axis=0)
 
 

@@ -121,10 +121,7 @@ class Machine:
         )
 
     def lengths(self, q: Floats, reached: Floats, minutes: Floats, beam: Ints | None = None) -> Floats:
-        """Cavity lengths at commanded poses `q`, own-axis errors `reached` and times, in um; shape (n,).
-
-        `beam` (n,) is the number of the beam that reads each, by default the first.
-        """
+        """Cavity lengths at commanded poses `q`, own-axis errors `reached`, times and beams, in um; shape (n,)."""
         if self.cell.further:
             lengths = np.empty(len(q))
             for number, (view, index) in enumerate(self.cell.views):
@@ -139,10 +136,8 @@ class Machine:
         if self.cell.target == "corner-cube":
             point = at + turn @ np.array([beta_et, theta_et, z_et]) - fibre_at
             return np.asarray(scale * (np.linalg.norm(point, axis=1) if self.cell.opd == "distance" else point @ light))
-        normal_in_tool = np.array(
-            [np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)]
-        )
-        normal, origin = turn @ normal_in_tool, at + z_et * turn[:, :, 2]
+        in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
+        normal, origin = turn @ in_tool, at + z_et * turn[:, :, 2]
         away = ((origin - fibre_at) * normal).sum(axis=1)
         facing = normal @ light if self.cell.opd == "axis" else np.ones(len(q))
         length = away / facing

@@ -127,6 +127,21 @@ def test_motion_is_held_to_the_envelope(campaign, tmp_path):
         assert ask(url, "POST", "/joints", {"poses": [[0, 0, 0, 1, 0, 0]]})[0] == 200
 
 
+def test_the_mirror_is_kept_off_the_fibre(campaign, tmp_path):
+    """The least gap, for one pose and for a path; the reference is the gap that the cell states at joint zero."""
+    assert CELL.envelope is not None
+    gap, sd = CELL.envelope.gap, CELL.envelope.gap_sd
+    near = replace(CELL, envelope=replace(CELL.envelope, least_gap=gap - 4.0 * sd - 50.0))
+    write_estimate(tmp_path / "now.json", replace(estimate_of_now(), cell=near))
+    with serving(near, campaign, tmp_path / "now.json") as url:
+        for way, refused in ((100.0, True), (25.0, False), (-100.0, False)):
+            pose = [0, way, 0, 0, 0, 0]
+            for poses in ([pose], [[0] * 6, pose]):
+                status, _, said = ask(url, "POST", "/joints", {"poses": poses})
+                assert (status == 422) is refused, said
+                assert not refused or "um from the fibre at 4 sd" in said["error"]["message"]
+
+
 REFUSED = {
     "unusable": (lambda e: replace(e, trust=e.trust.because(Reason("poor-fit", "it does not fit"))), "it does not fit"),
     "expired": (lambda e: replace(e, valid_until_h=-1.0), "which has passed"),
@@ -193,14 +208,23 @@ def test_sweeps_are_appended_as_append_does(tmp_path):
 
 
 def test_the_page_is_live(url, monkeypatch):
-    """The page itself is held by the tests of `fpcal report`; it takes seconds."""
-    asked = []
-    monkeypatch.setattr(state, "gather", lambda file, cell, **how: asked.append((file.name, how["now"])))
-    monkeypatch.setattr(state, "campaign_html", lambda _: f"<!DOCTYPE html>{len(asked)}")
-    for _ in range(2):
-        status, headers, page = ask(url, "GET", "/report")
-        assert (status, headers["Refresh"], page) == (200, "60", "<!DOCTYPE html>1")
-    assert asked == [("campaign.csv", "0.000000")]
+    """The report of the campaign as of now; it is worked out once for all who ask within half a minute."""
+    asked, gather = [], state.gather
+
+    def counted(file, cell, **how):
+        asked.append((file.name, how["now"]))
+        return gather(file, cell, **how)
+
+    monkeypatch.setattr(state, "gather", counted)
+    pages = [ask(url, "GET", "/report") for _ in range(2)]
+    for status, headers, page in pages:
+        assert (status, headers["Refresh"], headers["Content-Type"]) == (200, "60", "text/html; charset=utf-8")
+        assert page.startswith("<!DOCTYPE html>")
+        assert page.rstrip().endswith("</html>")
+        for text in ("<svg", "full-0", "circle"):
+            assert text in page
+    assert set(asked) == {("campaign.csv", "0.000000")}
+    assert len(asked) == len({page for _, _, page in pages})
 
 
 WRONG = [

@@ -3,13 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import Any, Literal
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
@@ -50,7 +50,7 @@ _RELINEARISATIONS = 100
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Result):
     """Result of `identify`."""
 
     estimate: Estimate  # maximum of the posterior with its Laplace covariance
@@ -75,9 +75,6 @@ class Identification:
             f"p = {self.fit.p_value:.2g})"
         )
 
-    def _repr_html_(self) -> str:
-        return f"<p><code>{escape(repr(self))}</code></p>{self.estimate._repr_html_()}"
-
     @property
     def converged(self) -> bool:
         """Whether the minimum was reached."""
@@ -101,7 +98,7 @@ class Identification:
 
     def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
         """Labels of the rows with the largest standardised residuals, largest first."""
-        return self.fit.largest(self.problem.sweeps.label.tolist(), n)
+        return self.fit.largest(self.problem.sweeps.names, n)
 
     def content(self) -> dict[str, Any]:
         """What ``identify --json`` writes, without schema and command."""
@@ -231,7 +228,7 @@ def identify(
         sum_of_squares=solution.sum_of_squares,
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
-        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.label.tolist(), 3)),
+        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.names, 3)),
         chi2_noise=noise_only.chi2_data,
         expected_noise=noise_only.expected,
         p_noise=noise_only.p_value,
@@ -388,4 +385,4 @@ def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, flo
     if signs is None:
         return []
     rows = [int(i) for i in np.argsort(-signs.doubt, kind="stable") if signs.doubt[i] > DOUBTFUL]
-    return [(str(sweeps.label[i]), float(signs.doubt[i])) for i in rows]
+    return [(sweeps.names[i], float(signs.doubt[i])) for i in rows]

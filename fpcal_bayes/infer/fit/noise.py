@@ -7,8 +7,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve_triangular
 
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.infer.fit.kernels import whiten_groups
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 
@@ -160,28 +161,27 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
     readings a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
-    # Of a group's rows: half of the reading's variance and the joints at the start are common.
-    own, common = sweeps.sigma**2 / 2.0, sweeps.sigma[:, None] / np.sqrt(2.0)
-    variance = sweeps.sigma**2
+    starts = ends = np.zeros((len(sweeps), 0))
     if repeatability.any():
-        ends = model.joint_jacobian(values, sweeps.q_end) * repeatability
-        starts = model.joint_jacobian(values, sweeps.q_start) * repeatability
+        beam = model.cell.beam_numbers(sweeps.beam)
+        ends = model.joint_jacobian(values, sweeps.q_end, beam) * repeatability
+        starts = model.joint_jacobian(values, sweeps.q_start, beam) * repeatability
         starts[sweeps.absolute] = 0.0
-        own = own + (ends**2).sum(axis=1)
-        common = np.hstack([common, starts])
-        variance = variance + (ends**2).sum(axis=1) + (starts**2).sum(axis=1)
+    return shared_whitening(Sharing.of(sweeps), sweeps.sigma, sweeps.absolute, starts, ends)
+
+
+def shared_whitening(sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats) -> Whitening:
+    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each."""
+    missed = (ends**2).sum(axis=1)
+    variance = sigma**2 + missed + (starts**2).sum(axis=1)
+    # Of a group's rows: half of the reading's variance and the joints at the start are common.
+    own, reading = sigma**2 / 2.0, sigma / np.sqrt(2.0)
+    if sharing.several:
+        # The ends are shared too; a length that stands alone has no reading at a start.
+        own, reading, missed = np.where(absolute, sigma**2, own), np.where(absolute, 0.0, reading), 0.0 * missed
+    common = sharing.columns(reading, starts[:, starts.any(axis=0)], ends)
     by_size: dict[int, list[Ints]] = {}
-    for members in group_blocks(sweeps):
+    for members in sharing.blocks:
         by_size.setdefault(len(members), []).append(members)
-    batches = tuple(Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
+    batches = tuple(Batch.of(np.array(rows), np.sqrt(own + missed), common) for rows in by_size.values())
     return Whitening(1.0 / np.sqrt(variance), batches)
-
-
-def group_blocks(sweeps: Sweeps) -> list[Ints]:
-    """Positions of the rows of each group with more than one row."""
-    grouped = np.flatnonzero(sweeps.group != "")
-    members: dict[tuple[str, str], list[int]] = {}
-    names = zip(sweeps.session[grouped].tolist(), sweeps.group[grouped].tolist(), strict=True)
-    for i, name in zip(grouped.tolist(), names, strict=True):
-        members.setdefault(name, []).append(i)
-    return [np.array(rows) for rows in members.values() if len(rows) > 1]

@@ -127,8 +127,9 @@ def _alternatives(fit: MechanicsFit) -> list[tuple[str, Floats]]:
     """Columns of terms that the fit does not hold, by name."""
     cell, drive = fit.terms.cell, fit.drive
     vector = fit.problem.model.vector(fit.values)
-    end = responses(cell, vector, fit.terms.told, drive.q_end)
-    start = responses(cell, vector, fit.terms.told, drive.q_start)
+    beam = cell.beam_numbers(drive.beam)
+    end = responses(cell, vector, fit.terms.told, drive.q_end, beam)
+    start = responses(cell, vector, fit.terms.told, drive.q_start, beam)
     begun = (~drive.absolute).astype(float)[:, None]
     found = []
     for i in range(len(cell.joints)):

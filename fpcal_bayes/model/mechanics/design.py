@@ -166,8 +166,9 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
 def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     """The design matrix of the rows of one session."""
     cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
-    end = responses(cell, vector, terms.told, drive.q_end)
-    start = responses(cell, vector, terms.told, drive.q_start)
+    beam = cell.beam_numbers(drive.beam)
+    end = responses(cell, vector, terms.told, drive.q_end, beam)
+    start = responses(cell, vector, terms.told, drive.q_start, beam)
     begun = (~drive.absolute).astype(float)[:, None]
     names, scales = _names(terms)
     parts = [at_poses(terms, drive.q_end, end) - begun * at_poses(terms, drive.q_start, start)]
@@ -184,13 +185,21 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
         scales += [index["approach"]] * (2 * len(reversing))
 
     drifting, drift_names = _drift(terms, drive, start, end, begun)
-    parts.append(drifting)
-    names += drift_names
-    scales += [index["drift"]] * drifting.shape[1]
-    slow = _slow(terms, len(drive), sigma)
-    parts.append(slow)
-    names += ["slow reading error"] * slow.shape[1]
-    scales += [index["slow noise"]] * slow.shape[1]
+    for number in range(len(cell.beams)):
+        # Each beam starts from a mount of its own, and is read by itself.
+        seen = beam == number
+        of = f" of beam {cell.beams[number]}" if number else ""
+        parts.append(drifting * seen[:, None])
+        names += [f"drift{of}{name.removeprefix('drift')}" for name in drift_names]
+        scales += [index["drift"]] * drifting.shape[1]
+        slow = np.zeros((len(drive), 0))
+        if seen.any():
+            errors = _slow(terms, int(seen.sum()), sigma[seen])
+            slow = np.zeros((len(drive), errors.shape[1]))
+            slow[seen] = errors
+        parts.append(slow)
+        names += ["slow reading error"] * slow.shape[1]
+        scales += [index["slow noise"]] * slow.shape[1]
 
     travel = np.stack([-begun * start.drive, end.drive])
     values = np.stack([drive.q_start, drive.q_end])

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 
@@ -31,6 +32,7 @@ class Drive:
     # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
     # from an unknown side
     session: Ints
+    beam: NDArray[np.str_]  # name of the beam that read each row, or empty: the first, shape (n,)
 
     def __len__(self) -> int:
         return len(self.q_end)
@@ -47,8 +49,8 @@ class Drive:
         """How long the last session took, in minutes."""
         return float(self.end_min[self.session == self.session.max(initial=0)].max())
 
-    def take(self, rows: Bools) -> "Drive":
-        """The rows picked by a mask (n,)."""
+    def take(self, rows: Bools | Ints) -> "Drive":
+        """The rows picked by a mask (n,) or by positions."""
         return Drive(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
@@ -87,7 +89,7 @@ def drive_of(
         span = np.where(known, 0.0, span)
     session = np.zeros(len(q_end), dtype=np.int64)
     sides = (start_side, end_side, start_reach, end_reach)
-    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session)
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, np.full(len(q_end), ""))
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -208,23 +209,14 @@ def test_sweeps_are_appended_as_append_does(tmp_path):
 
 
 def test_the_page_is_live(url, monkeypatch):
-    """The report of the campaign as of now; it is worked out once for all who ask within half a minute."""
-    asked, gather = [], state.gather
-
-    def counted(file, cell, **how):
-        asked.append((file.name, how["now"]))
-        return gather(file, cell, **how)
-
-    monkeypatch.setattr(state, "gather", counted)
-    pages = [ask(url, "GET", "/report") for _ in range(2)]
-    for status, headers, page in pages:
-        assert (status, headers["Refresh"], headers["Content-Type"]) == (200, "60", "text/html; charset=utf-8")
-        assert page.startswith("<!DOCTYPE html>")
-        assert page.rstrip().endswith("</html>")
-        for text in ("<svg", "full-0", "circle"):
-            assert text in page
-    assert set(asked) == {("campaign.csv", "0.000000")}
-    assert len(asked) == len({page for _, _, page in pages})
+    """The page itself takes seconds: tests of `fpcal report` hold it, and robustness/serve_load.py asks for it."""
+    asked = []
+    monkeypatch.setattr(state, "gather", lambda file, cell, **how: asked.append((file.name, how["now"])))
+    monkeypatch.setattr(state, "campaign_html", lambda _: f"<!DOCTYPE html>{len(asked)}")
+    for _ in range(2):
+        status, headers, page = ask(url, "GET", "/report")
+        assert (status, headers["Refresh"], page) == (200, "60", "<!DOCTYPE html>1")
+    assert asked == [("campaign.csv", "0.000000")]
 
 
 WRONG = [
@@ -319,7 +311,9 @@ def test_an_estimate_that_is_replaced_is_never_half_or_old(campaign, tmp_path):
     with serving(CELL, campaign, path) as url:
         writer.start()
         try:
-            for _ in range(12):
+            reads = 0
+            while reads < 12 or len(wrote) < 4:
+                reads += 1
                 asked = time.monotonic()
                 said = ask(url, "GET", "/estimate")[2]
                 assert (
@@ -331,10 +325,15 @@ def test_an_estimate_that_is_replaced_is_never_half_or_old(campaign, tmp_path):
         finally:
             done.set()
             writer.join()
-    assert len(wrote) > 1
 
 
-def test_rubbish_slow_and_half_requests_end(url, monkeypatch):
+def resident_mb():
+    with open("/proc/self/status") as file:
+        return int(next(line for line in file if line.startswith("VmRSS")).split()[1]) / 1024.0
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+def test_a_hundred_connections_of_rubbish_end_in_bounded_memory(url, monkeypatch):
     monkeypatch.setattr(guard, "_SECONDS", 1.0)
     host, port = url.removeprefix("http://").split(":")
     sent = [
@@ -347,8 +346,8 @@ def test_rubbish_slow_and_half_requests_end(url, monkeypatch):
         b"POST /joints HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\n{",
         b"POST /joints HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 99999999\r\n\r\n" + b"[" * 3_000_000,
     ]
-    open_ones = []
-    for data in sent * 3:
+    open_ones, before = [], resident_mb()
+    for data in sent * 13:
         connection = socket.create_connection((host, int(port)), timeout=20)
         open_ones.append(connection)
         try:
@@ -356,7 +355,8 @@ def test_rubbish_slow_and_half_requests_end(url, monkeypatch):
         except OSError:
             assert len(data) > 1_000_000
         assert ask(url, "GET", "/health")[0] == 200
-    for data, connection in zip(sent * 3, open_ones, strict=True):
+    assert resident_mb() - before < 100.0
+    for data, connection in zip(sent * 13, open_ones, strict=True):
         answer = b""
         with connection, contextlib.suppress(ConnectionResetError):
             while part := connection.recv(1 << 16):

@@ -130,8 +130,8 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
         pose = box[worst]
         away = pose != at
         # A little of the way to joint zero; or where that gains nothing all of it, also of a joint inside its range.
-        for most, able in ((_CUT * width, away & ((pose == low) | (pose == high))), (width, away)):
-            back, step = np.tile(pose, (len(pose), 1)), np.minimum(most, np.abs(pose - at))
+        for reach, able in ((_CUT * width, away & ((pose == low) | (pose == high))), (width, away)):
+            back, step = np.tile(pose, (len(pose), 1)), np.minimum(reach, np.abs(pose - at))
             np.fill_diagonal(back, pose - np.sign(pose - at) * step)
             gains = np.where(able, (over[worst] - excess(back)) / np.where(able, step, 1.0) * width, -np.inf)
             if gains.max() > 0:

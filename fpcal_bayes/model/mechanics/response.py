@@ -89,12 +89,12 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
     normal = frames.tool @ in_tool
     origin = frames.origin + z_et * frames.tool[:, :, 2]
-    beam = chain.optical_axis(cell, vector).real
+    light = np.asarray(chain.optical_axis(cell, vector).real, dtype=np.float64)
     distance = ((origin - fibre) * normal).sum(axis=1)
     if cell.opd == "axis":
-        facing = normal @ beam
+        facing = normal @ light
         length, inverse = distance / facing, 1.0 / facing
-        turned_beam = _cross(normal, beam) * length[:, None]
+        turned_beam = _cross(normal, light) * length[:, None]
     else:
         length, inverse = np.abs(distance), np.sign(distance)
         turned_beam = np.zeros_like(normal)

@@ -256,6 +256,11 @@ def test_errors_have_one_form(url, method, path, body, code, why):
     assert (status, again) == (200, said)
 
 
+def test_another_method_is_told_which_there_is(url):
+    status, headers, _ = ask(url, "DELETE", "/joints")
+    assert (status, headers["Allow"]) == (405, "POST")
+
+
 def test_an_estimate_that_is_not_there_is_an_error_of_this_side(campaign, tmp_path):
     with serving(CELL, campaign, tmp_path / "none.json") as url:
         assert ask(url, "GET", "/health")[2]["status"] == "no estimate"

@@ -25,7 +25,7 @@ from fpcal_bayes.report.verification import verification_lines
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    sweeps = read_sweeps(options.file, cell).of_session(options.session)
+    sweeps = rows_of(options, cell)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     cell.select(options.free)
@@ -53,6 +53,19 @@ def run(options: argparse.Namespace) -> int:
         out.say(line)
     warn(result.warnings)
     return 0 if result.converged else 1
+
+
+def rows_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
+    """The rows of the session that is asked for; with ``--traces`` what its recordings say."""
+    if not options.traces:
+        return read_sweeps(options.file, cell).of_session(options.session)
+    from fpcal_bayes.analysis.traces import trace_rows
+    from fpcal_bayes.io.recordings import read_recordings
+
+    warm_up(cell)
+    found = trace_rows(cell, read_recordings(options.file, cell), session=options.session)
+    warn(found.warnings)
+    return found.rows
 
 
 def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:

@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow, hidden_start
+from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden_start
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -113,7 +113,7 @@ def _followed(
 ) -> Followed | None:
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
-    if smooth is not None and smooth.errors.probability > UNLIKELY and not each.errs:
+    if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
         hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
         fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
         return replace(smooth, solution=replace(smooth.solution, fits=fits))
@@ -249,7 +249,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
     if density < SPARSE or least < SPARSEST:
         seen = f"{min(density, least):.2g} samples a fringe"
         return replace(known, refused=f"sparse: {seen}, expected {SPARSE:g} or more")
-    sigma = float(np.hypot(sd, each.wavelength_share * dl))
+    sigma = sd if verdict.signed else float(np.hypot(sd, each.wavelength_share * dl))
     return replace(
         known,
         dl=sign * dl,

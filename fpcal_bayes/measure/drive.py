@@ -35,6 +35,7 @@ def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
         t_start_h=sweeps.t_start_h,
         t_end_h=sweeps.t_end_h,
         approach=sweeps.approach_signs(),
+        scaled=sweeps.scaled,
     )
 
 

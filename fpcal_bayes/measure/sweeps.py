@@ -57,6 +57,12 @@ class Sweeps:
         Direction in which each joint reached the end, one of ``+-0`` per joint, or empty, shape (n,).
     shot
         Rows of one session with the same non-empty shot were read at one moment, shape (n,).
+    scale_ppm
+        Standard deviation of one scale of all lengths, the laser's wavelength over the index of the air, that `sigma`
+        does not hold, or NaN, shape (n,).
+    common
+        What independent errors of unit variance that the rows of a group share add to each beside `sigma`, in um, shape
+        (n, n_common); rows that have none share half of their variance. Files do not hold it.
     file, rows
         Where the sweeps were read: file name and line of each, shape (n,); used in messages.
     """
@@ -78,6 +84,8 @@ class Sweeps:
     t_end_h: Floats
     approach: Texts
     shot: Texts
+    scale_ppm: Floats
+    common: Floats
     file: str
     rows: NDArray[np.int64]
 
@@ -126,6 +134,8 @@ class Sweeps:
         t_end_h: float | Floats = np.nan,
         approach: str | Sequence[str] = "",
         shot: str | Sequence[str] = "",
+        scale_ppm: float | Floats = np.nan,
+        common: Floats | None = None,
         file: str = "sweeps",
         rows: NDArray[np.int64] | None = None,
     ) -> "Sweeps":
@@ -157,6 +167,8 @@ class Sweeps:
             t_end_h=numbers(t_end_h),
             approach=texts(approach),
             shot=texts(shot),
+            scale_ppm=numbers(scale_ppm),
+            common=np.zeros((n, 0)) if common is None else common,
             file=file,
             rows=np.arange(2, n + 2) if rows is None else rows,
         )
@@ -184,6 +196,11 @@ class Sweeps:
     def absolute(self) -> NDArray[np.bool_]:
         """Rows whose `dl` is the cavity length at `q_end`, shape (n,)."""
         return np.asarray(self.kind == "absolute")
+
+    @property
+    def scaled(self) -> Floats:
+        """What one standard deviation of the common scale adds to each row, in um, shape (n,)."""
+        return np.nan_to_num(1e-6 * self.scale_ppm * self.dl)
 
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
@@ -231,6 +248,8 @@ class Sweeps:
 def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
     """Sweeps of several sets, one after the other, counted anew as rows of `file`."""
     names = [f.name for f in fields(Sweeps) if f.name not in ("file", "rows")]
+    most = max(part.common.shape[1] for part in parts)
+    parts = [replace(part, common=np.pad(part.common, ((0, 0), (0, most - part.common.shape[1])))) for part in parts]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Sweeps(**joined, file=file, rows=np.arange(2, sum(map(len, parts)) + 2))
 

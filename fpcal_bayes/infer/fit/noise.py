@@ -160,9 +160,8 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
     readings a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
-    # Of a group's rows: half of the reading's variance and the joints at the start are common.
-    own, common = sweeps.sigma**2 / 2.0, sweeps.sigma[:, None] / np.sqrt(2.0)
-    variance = sweeps.sigma**2
+    own, common = reading_errors(sweeps)
+    variance = sweeps.sigma**2 + (sweeps.common**2).sum(axis=1)
     if repeatability.any():
         ends = model.joint_jacobian(values, sweeps.q_end) * repeatability
         starts = model.joint_jacobian(values, sweeps.q_start) * repeatability
@@ -175,6 +174,14 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
         by_size.setdefault(len(members), []).append(members)
     batches = tuple(Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
     return Whitening(1.0 / np.sqrt(variance), batches)
+
+
+def reading_errors(sweeps: Sweeps) -> tuple[Floats, Floats]:
+    """Variance (n,) of what each row's reading has alone, and what it shares with its group, (n, 1 + n_common)."""
+    # Half of the variance is that of the reading at the start, unless the rows say what they share.
+    stated = sweeps.common.any(axis=1)
+    own = np.where(stated, sweeps.sigma**2, sweeps.sigma**2 / 2.0)
+    return own, np.column_stack([np.where(stated, 0.0, sweeps.sigma / np.sqrt(2.0)), sweeps.common])
 
 
 def group_blocks(sweeps: Sweeps) -> list[Ints]:

@@ -31,6 +31,8 @@ class Drive:
     # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
     # from an unknown side
     session: Ints
+    # what one standard deviation of a scale that all rows share adds to each, in um, shape (n,)
+    scaled: Floats
 
     def __len__(self) -> int:
         return len(self.q_end)
@@ -63,12 +65,14 @@ def drive_of(
     t_start_h: Floats | None = None,
     t_end_h: Floats | None = None,
     approach: Floats | None = None,
+    scaled: Floats | None = None,
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
     sweep: number of each row's sweep, rising by one, shape (n,).
     time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
     t_start_h, t_end_h: when start and end were read, shape (n,), or None.
+    scaled: see `Drive`, or None.
     approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
@@ -87,7 +91,8 @@ def drive_of(
         span = np.where(known, 0.0, span)
     session = np.zeros(len(q_end), dtype=np.int64)
     sides = (start_side, end_side, start_reach, end_reach)
-    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session)
+    scaled = np.zeros(len(q_end)) if scaled is None else scaled
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, scaled)
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -35,6 +35,8 @@ _LATE_ODDS = 0.01
 _IMAGES = np.linspace(0.5, 2.0, 13)
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
+#: Share of the evidence by which one uneven course is told from another.
+_CLEARLY = 0.5
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
 _AVERAGED, _BINS = 0.4, 16
 #: Below these probabilities noise alone does not explain what a fit leaves, and may not.
@@ -144,9 +146,10 @@ def follow(
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
     best = max(weighed, key=lambda each: each.evidence)
-    # Courses that do about as well may end elsewhere.
+    # Courses that do about as well may end elsewhere. None of those that are uneven is as rough as the stage's own, so
+    # that they are told apart less clearly than their evidence says.
     chosen = best.solution.best
-    share = np.exp(np.array([each.evidence for each in weighed]) - best.evidence)
+    share = np.exp((_CLEARLY if best.uneven else 1.0) * np.array([each.evidence - best.evidence for each in weighed]))
     apart = np.array([each.solution.best.change[0] - chosen.change[0] for each in weighed])
     wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
     return replace(best, solution=replace(best.solution, fits=(wide,)))

@@ -20,6 +20,7 @@ from fpcal_bayes.measure.traces import WavelengthScan
 from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics import Terms
 
 #: Share of the full scale below which a higher gain is proposed.
 _LITTLE = 0.25
@@ -161,6 +162,8 @@ class _IndexReader:
         profiles, fading = prior_profiles(self.cell, sweeps), fading_priors(self.cell, sweeps)
         expected = None if estimate is None else estimated_profiles(estimate, sweeps)
         made: list[Recorded | None] = []
+        sizes = self.cell.mechanics
+        ripples = np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder / np.sqrt(2.0)
         for i, trace in enumerate(self.index.traces):
             if sweeps.kind[i] == "absolute":
                 made.append(None)
@@ -193,6 +196,7 @@ class _IndexReader:
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
                     errs=self.cell.mechanics is not None,
+                    ripple=float(ripples[joint]),
                     sign_sources=tuple(sign_sources),
                 )
             )

@@ -51,8 +51,9 @@ def trace_rows(
     """All samples of a session's traces as rows for `identify` and `sample`, near what ends and middles identify.
 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
-    of that course is taken off again: the rows hold what the signal says. Error motions of a cell that states them
-    leave the joint's course, so that its traces are read by their fringes. Traces that are doubtful, or whose mirror
+    of that course is taken off again: the rows hold what the signal says. Error motions leave the joint's course and say
+    more than noise does: of a cell that states them the traces are read by their fringes, at their middle and their end,
+    beyond which the stated functions are not known well enough to tell more. Traces that are doubtful, or whose mirror
     sets out late, are left out and named.
     """
     sessions = index.sweeps.of_session(session).sessions
@@ -76,7 +77,7 @@ def trace_rows(
         if reading is None or samples is None or reading.fit is None:
             raise ValueError(f"row {i} has no trace")
         if errs:
-            places = _places(DEGREE)
+            places = np.array([0.0, 1.0])
             changes, covariance = reading.changes(places)
             common = covariance_root(covariance)
             changes = np.copysign(1.0, changes @ (lengths_at(near, places) - lengths_at(near, _START))) * changes
@@ -98,7 +99,9 @@ def trace_rows(
     said = []
     if len(used) < len(told):
         names = ", ".join(np.delete(sweeps.label, used)[:5])
-        said = [f"{len(told) - len(used)} traces are left out, doubtful or of a mirror off its joint's course ({names})"]
+        said = [
+            f"{len(told) - len(used)} traces are left out, doubtful or of a mirror off its joint's course ({names})"
+        ]
     return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used.tolist()), tuple(said))
 
 

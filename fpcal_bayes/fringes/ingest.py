@@ -163,7 +163,9 @@ class _IndexReader:
         expected = None if estimate is None else estimated_profiles(estimate, sweeps)
         made: list[Recorded | None] = []
         sizes = self.cell.mechanics
-        ripples = np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder / np.sqrt(2.0)
+        ripples = (
+            np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder / np.sqrt(2.0)
+        )
         for i, trace in enumerate(self.index.traces):
             if sweeps.kind[i] == "absolute":
                 made.append(None)

@@ -47,7 +47,8 @@ class PhaseErrors:
         sizes, total = np.diff(edges), np.zeros(len(edges) - 1)
         for _ in range(_ROUNDS):
             before, here, after = (
-                fit.signal(samples.s, samples.time, phase_per_um, turn + d, samples.spread) * root for d in (-1e-3, 0.0, 1e-3)
+                fit.signal(samples.s, samples.time, phase_per_um, turn + d, samples.spread) * root
+                for d in (-1e-3, 0.0, 1e-3)
             )
             left, slope = samples.signal * root - here, (after - before) / 2e-3
             weight = np.add.reduceat(slope**2, edges[:-1]) + 1e-12

@@ -48,7 +48,7 @@ class TestFigures:
         plt.switch_backend("svg")
         own = plt.figure()
         before, styles = matplotlib.get_backend(), dict(matplotlib.rcParams)
-        with figures._off_screen():
+        with figures.off_screen():
             assert matplotlib.get_backend() == "agg"
             plt.figure()
             assert dict(matplotlib.rcParams) != styles
@@ -59,29 +59,29 @@ class TestFigures:
 
     def test_units_on_every_panel(self, drawn):
         tree, _ = drawn
-        with figures._off_screen():
+        with figures.off_screen():
             labels = [axis.get_xlabel() for axis in figures.prior_posterior_figure(tree).axes]
             corner = [axis.get_xlabel() for axis in figures.pair_figure(tree, ["z_et", "theta_wf"]).axes]
         assert {"z_et [um]", "x_wf [um]", "theta_wf [deg]"} <= set(labels)
         assert {"z_et [um]", "theta_wf [deg]"} <= set(corner)
 
     def test_posterior_line_is_the_posterior(self, drawn):
-        """The solid line of a panel rises to one half at the median of the draws, the dashed one at the prior's."""
+        """The median of the draws halves what is under the solid line of a panel, the prior's under the dashed."""
         tree, _ = drawn
-        with figures._off_screen():
+        with figures.off_screen():
             figure = figures.prior_posterior_figure(tree)
             axis = next(axis for axis in figure.axes if axis.get_xlabel() == "z_wf [um]")
             for line, group in zip(axis.lines, ("prior", "posterior"), strict=True):
-                x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+                x, y = np.asarray(line.get_xdata()), np.cumsum(np.asarray(line.get_ydata()))
                 draws = tree[group]["z_wf"].values
-                assert x[np.searchsorted(y, 0.5)] == pytest.approx(np.median(draws), abs=0.25 * draws.std())
+                assert x[np.searchsorted(y, 0.5 * y[-1])] == pytest.approx(np.median(draws), abs=0.25 * draws.std())
 
     def test_ensembles_that_disagree_are_seen(self, drawn):
         """Ranks of an ensemble that is moved leave the zero line; those of the sampler stay near it."""
         tree, _ = drawn
         moved = tree.copy(deep=True)
         moved["posterior"]["z_wf"][: moved["posterior"].sizes["chain"] // 4] += 2.0 * moved["posterior"]["z_wf"].std()
-        with figures._off_screen():
+        with figures.off_screen():
             heights = []
             for each in (tree, moved):
                 axis = next(axis for axis in figures.rank_figure(each).axes if axis.get_title() == "z_wf")
@@ -104,7 +104,7 @@ class TestFigures:
         tree, loo = drawn
         k = np.full_like(loo.pareto_k, 0.1)
         k[3] = 0.9
-        with figures._off_screen():
+        with figures.off_screen():
             axis = figures.pareto_k_figure(tree, replace(loo, pareto_k=k)).axes[0]
         assert str(tree["observed_data"]["sweep"].values[3]) in {text.get_text() for text in axis.texts}
         assert len(axis.texts) == 1

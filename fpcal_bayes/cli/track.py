@@ -1,7 +1,6 @@
 """``fpcal track``: follow the parameters of a cell from session to session."""
 
 import argparse
-from typing import Any
 
 from fpcal_bayes.analysis.keep import follow_saved, published
 from fpcal_bayes.analysis.watch import watch
@@ -73,7 +72,7 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
         write_result(options.estimate, "track", content)
     if options.flat is not None:
         write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
-    write_result(options.json, "track", content | _content(found) | drift_fit)
+    write_result(options.json, "track", content | found.content() | drift_fit)
 
     out = console(options)
     out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
@@ -100,13 +99,3 @@ def _valid_until(found: Track, goal: Goal, *, asked: bool) -> tuple[float | None
         if asked:
             raise
         return None, [f"how long the estimate holds cannot be said: {error}"]
-
-
-def _content(found: Track) -> dict[str, Any]:
-    """What ``track --json`` writes beside the estimate."""
-    told = ("session", "time_h", "n_sweeps", "nis", "dof", "verdict")
-    sessions = [
-        {name: getattr(outcome, name) for name in told} | {"evidence": list(outcome.evidence)}
-        for outcome in found.outcomes
-    ]
-    return {"sessions": sessions, "calibration_due": found.calibration_due is not None}

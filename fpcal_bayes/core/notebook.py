@@ -1,7 +1,59 @@
-"""Tables by which objects show themselves in a notebook."""
+"""How results show themselves in a notebook."""
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
+from typing import Any
+
+from fpcal_bayes.core.lazy import lazy
+
+_load = lazy("fpcal_bayes.report", dict.fromkeys(("shown", "write", "arviz_tree"), "notebook"))[1]
+
+
+class Result:
+    """A result that tells, tabulates, draws and writes itself.
+
+    What each kind shows stands in `fpcal_bayes.report.notebook`, far above; it is loaded when it is first asked.
+    """
+
+    def _view(self) -> Any:
+        """All that is shown of it."""
+        return _load("shown")(self)
+
+    def summary(self) -> str:
+        """The tables and sentences that the command of the same kind prints."""
+        return str(self._view().summary())
+
+    def to_dataframe(self) -> Any:
+        """The numbers as a pandas DataFrame, in the units a person reads; columns say other ones."""
+        return self._view().frame
+
+    def plot(self) -> Any:
+        """A matplotlib Figure of it."""
+        return self._view().draw()
+
+    def write(self, path: str | Path) -> None:
+        """Write the file that the command of the same kind writes: JSON, or netCDF where `path` ends in ``.nc``.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or the result has no such file.
+        """
+        _load("write")(self, Path(path))
+
+    def to_arviz(self) -> Any:
+        """The draws of a posterior as an ArviZ DataTree.
+
+        Raises
+        ------
+        InputError
+            If the result has no draws.
+        """
+        return _load("arviz_tree")(self)
+
+    def _repr_html_(self) -> str:
+        return str(self._view().html())
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -107,6 +107,10 @@ class Decision:
     #: calibration of a robot that moved; else None.
     attainable_nm: float | None = None
 
+    def __repr__(self) -> str:
+        sweeps = "" if self.sweeps is None else f", {len(self.sweeps)} sweeps"
+        return f"Decision({self.action}{sweeps}, look again in {self.hold_hours:.3g} h: {self.reason})"
+
 
 @dataclass(frozen=True)
 class _Session:

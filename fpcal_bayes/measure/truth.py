@@ -54,6 +54,9 @@ class Truth:
     times_h: Floats  # epochs in hours, increasing, shape (t,)
     values: Floats  # in um and rad, shape (t, n)
 
+    def __repr__(self) -> str:
+        return f"Truth({len(self.parameters)} parameters at {len(self.times_h)} times)"
+
     def at(self, time_h: ArrayLike) -> Floats:
         """Values in um and rad at one time, shape (n,), or at m times, shape (m, n)."""
         times = np.asarray(time_h, dtype=float)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.notebook import html_table
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell, describe
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
@@ -20,7 +20,7 @@ STATUSES = ("identified", "weak", "gauge", "fixed")
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Result):
     """Values and covariance of a cell's parameters at a time.
 
     Attributes
@@ -66,15 +66,18 @@ class Estimate:
     def __repr__(self) -> str:
         return f"Estimate({len(self.parameters)} parameters of {self.cell.name!r} at {self.time_h:g} h)"
 
-    def _repr_html_(self) -> str:
-        shown = self.shown()
-        rows = [
-            (p.name, p.unit, f"{shown[p.name]['value']:.6g}", f"{shown[p.name]['sd']:.2g}", status)
-            for p, status in zip(self.parameters, self.status, strict=True)
-        ]
-        return html_table(
-            f"{self.cell.name} at {self.time_h:g} h", ["parameter", "unit", "value", "sd", "status"], rows
-        )
+    def __getitem__(self, name: str) -> dict[str, Any]:
+        """Value, standard deviation, unit, prior and status of one parameter, in the units a person reads.
+
+        Raises
+        ------
+        InputError
+            If no parameter of the estimate has that name.
+        """
+        at = self.parameters.position(name)
+        p = self.parameters[at]
+        told = {"unit": p.unit, "prior_sd": p.shown(p.prior_sd), "status": self.status[at]}
+        return {"value": p.shown(float(self.values[at])), "sd": p.shown(float(self.sd[at])), **told}
 
     def vector(self) -> Floats:
         """Model vector (model size,) with these values, the rest nominal."""

@@ -59,6 +59,9 @@ class Task:
     def __len__(self) -> int:
         return len(self.q)
 
+    def __repr__(self) -> str:
+        return f"Task({self.name}, {self.ok.sum()} of {len(self)} points can be driven to)"
+
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each point can be driven to, shape (n_points,)."""

@@ -52,7 +52,7 @@ def write_posterior_figures(
     """
     make_folder(folder)
     names = most_correlated(tree, _CHOSEN_PAIRS) if pairs is None else list(pairs)
-    with _off_screen():
+    with off_screen():
         drawn = {
             "ranks": rank_figure(tree),
             "prior-posterior": prior_posterior_figure(tree),
@@ -95,7 +95,7 @@ def rank_figure(tree: Any) -> Figure:
 
 
 def prior_posterior_figure(tree: Any) -> Figure:
-    """Distribution functions of prior and posterior, which stay legible where one is far narrower than the other."""
+    """Densities of prior and posterior over what the posterior covers; a far wider prior lies flat."""
     import arviz as az
     import arviz_plots as azp
 
@@ -110,7 +110,7 @@ def prior_posterior_figure(tree: Any) -> Figure:
     plot = azp.plot_prior_posterior(
         az.from_dict(groups),
         var_names=names,
-        kind="ecdf",
+        kind="kde",
         backend="matplotlib",
         visuals={"title": False, "remove_axis": False},
         **_layout(len(names)),
@@ -120,10 +120,13 @@ def prior_posterior_figure(tree: Any) -> Figure:
         axis = plot.get_viz("plot", name)
         for line, (colour, style) in zip(axis.lines, styles.values(), strict=True):
             line.set(color=colour, linestyle=style, linewidth=1.4)
+        low, high = np.quantile(groups["posterior"][name], [0.002, 0.998])
+        axis.set_xlim(low - 0.2 * (high - low), high + 0.2 * (high - low))
         axis.set_xlabel(_label(tree, name))
+        axis.set_yticks([])
         axis.grid(alpha=0.3)
         if i % _N_COLUMNS == 0:
-            axis.set_ylabel("probability [1]")
+            axis.set_ylabel("density")
     # The legend of arviz-plots knows one colour a group only, and takes a column of the page.
     for legend in list(figure.legends):
         legend.remove()
@@ -236,7 +239,7 @@ def _label_rows(axis: Any, labels: list[str]) -> None:
 
 
 @contextmanager
-def _off_screen() -> Iterator[None]:
+def off_screen() -> Iterator[None]:
     """Draw into memory, with settings that end with the block: arviz-plots draws through pyplot."""
     import matplotlib.pyplot as plt
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import symmetric
-from fpcal_bayes.core.notebook import html_table
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
@@ -37,7 +38,7 @@ _CALIBRATED = 0.6
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Result):
     """What following a campaign gave."""
 
     # cell, drift: what was followed, and how it drifts
@@ -54,13 +55,11 @@ class Track:
             f"Track({len(self.outcomes)} sessions of {self.cell.name!r}, last {self.last.session} {self.last.verdict})"
         )
 
-    def _repr_html_(self) -> str:
-        rows = [
-            (o.session, f"{o.time_h:.2f}", o.n_sweeps, f"{o.nis:.1f}" if o.dof else "", o.dof, o.verdict)
-            for o in self.outcomes
-        ]
-        heads = ["session", "time [h]", "sweeps", "innovation", "expected", "verdict"]
-        return html_table(f"track of {self.cell.name}", heads, rows)
+    def content(self) -> dict[str, Any]:
+        """What ``track --json`` writes beside the estimate."""
+        told = ("session", "time_h", "n_sweeps", "nis", "dof", "verdict")
+        sessions = [{name: getattr(o, name) for name in told} | {"evidence": list(o.evidence)} for o in self.outcomes]
+        return {"sessions": sessions, "calibration_due": self.calibration_due is not None}
 
     @property
     def last(self) -> SessionOutcome:

@@ -3,13 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import Any, Literal
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
     DECREMENT_TOLERANCE,
@@ -50,7 +50,7 @@ _RELINEARISATIONS = 100
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Result):
     """Result of `identify`."""
 
     estimate: Estimate  # maximum of the posterior with its Laplace covariance
@@ -74,9 +74,6 @@ class Identification:
             f"Identification({state}, {len(self.problem.sweeps)} rows, rank {self.spectrum.rank} of {len(self.free)}, "
             f"p = {self.fit.p_value:.2g})"
         )
-
-    def _repr_html_(self) -> str:
-        return f"<p><code>{escape(repr(self))}</code></p>{self.estimate._repr_html_()}"
 
     @property
     def converged(self) -> bool:

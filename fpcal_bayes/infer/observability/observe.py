@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.prior import Prior
@@ -58,7 +59,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Observability:
+class Observability(Result):
     """Result of `observe`."""
 
     # cell, sweeps, parameters: what was analysed
@@ -84,6 +85,10 @@ class Observability:
     candidates: tuple[tuple[str, float], ...]  # worth in bits of one more row: (label, bits), best first
     profiles: tuple[Profile, ...]  # of the parameters that were asked for
     warnings: tuple[str, ...]  # sentences about what is not to be trusted
+
+    def __repr__(self) -> str:
+        n = len(self.parameters)
+        return f"Observability({len(self.sweeps)} rows, rank {self.spectrum.rank} of {n}, {len(self.gauges)} gauges)"
 
     @cached_property
     def mechanics(self) -> dict[str, Any] | None:

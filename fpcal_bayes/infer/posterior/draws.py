@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
@@ -31,7 +32,7 @@ _DIGITS = 10
 
 
 @dataclass(frozen=True)
-class Posterior:
+class Posterior(Result):
     """Draws of a posterior."""
 
     identification: Identification  # where the charts come from
@@ -47,6 +48,10 @@ class Posterior:
     seconds: float  # sampling time
     # of rows that may slip, have heavy tails or a noise of unknown size: how many repeats of them are less likely
     predictive_p: float | None = None
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else "NOT CONVERGED"
+        return f"Posterior({state}, {self.log_density.size} draws of {len(self.identification.free)} parameters)"
 
     @property
     def converged(self) -> bool:

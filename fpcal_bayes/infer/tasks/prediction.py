@@ -12,6 +12,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
+from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import (
     AngularErrors,
@@ -39,7 +40,7 @@ _ANGLE_DRAWS = 2000
 
 
 @dataclass(frozen=True)
-class TaskPrediction:
+class TaskPrediction(Result):
     """What an estimate leaves unknown of a task, as draws."""
 
     task: Task  # as the controller drives it

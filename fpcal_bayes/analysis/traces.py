@@ -1,4 +1,4 @@
-"""What is made of recorded light: rows that hold whole traces, a path that checks a calibration, a sweep that was read."""
+"""What is made of recorded light: rows of whole traces, a path that checks a calibration, a sweep that was read."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,6 @@ from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-
 
 #: What the polynomials leave of a sweep, in um.
 _LEFT = 2e-5
@@ -51,9 +50,9 @@ def trace_rows(
     """All samples of a session's traces as rows for `identify` and `sample`, near what ends and middles identify.
 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
-    of that course is taken off again: the rows hold what the signal says. Error motions leave the joint's course and say
-    more than noise does: of a cell that states them the traces are read by their fringes, at their middle and their end,
-    beyond which the stated functions are not known well enough to tell more. Traces that are doubtful, or whose mirror
+    of that course is taken off again: the rows hold what the signal says. Of a cell that states error motions the traces
+    are read by their fringes, at their middle and their end: at more places the errors that grow on the way from one end
+    to the other (lost motion, return) are not those that the mechanics know. Traces that are doubtful, or whose mirror
     sets out late, are left out and named.
     """
     sessions = index.sweeps.of_session(session).sessions
@@ -100,7 +99,7 @@ def trace_rows(
     if len(used) < len(told):
         names = ", ".join(np.delete(sweeps.label, used)[:5])
         said = [
-            f"{len(told) - len(used)} traces are left out, doubtful or of a mirror off its joint's course ({names})"
+            f"{len(told) - len(used)} traces are left out: doubtful, or the mirror is off its joint's course ({names})"
         ]
     return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used.tolist()), tuple(said))
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from fpcal_bayes import plan
-from fpcal_bayes.analysis.traces import trace_rows
+from fpcal_bayes.analysis import trace_rows
 from fpcal_bayes.infer import identify, linear_task_sd, task_jacobian
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, Truth, paper_protocol, paper_truth

@@ -61,7 +61,7 @@ def test_what_a_signal_tells_does_not_depend_on_its_prior() -> None:
     signal = 2.0 + np.cos(PHASE * lengths_at(course, s) + 0.3) + 0.01 * random.standard_normal(1500)
     samples, places = Samples(s, s, signal, np.ones(1500)), np.array([-0.2, 1.0])
     told = []
-    for mean in (course, course + [0.01, -0.01, 0, 0, 0, 0]):
+    for mean in (course, course + np.array([0.01, -0.01, 0, 0, 0, 0])):
         prior = DisplacementProfile(mean, np.diag([1e-6, 1e-6, 0, 0, 0, 0]))
         fit = fit_course(samples, prior, mean, PHASE, nuisance=CALM, noise=0.01)
         changes, root = fit.told(places)

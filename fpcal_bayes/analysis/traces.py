@@ -50,10 +50,10 @@ def trace_rows(
     """All samples of a session's traces as rows for `identify` and `sample`, near what ends and middles identify.
 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
-    of that course is taken off again: the rows hold what the signal says. Of a cell that states error motions the traces
-    are read by their fringes, at their middle and their end: at more places the errors that grow on the way from one end
-    to the other (lost motion, return) are not those that the mechanics know. Traces that are doubtful, or whose mirror
-    sets out late, are left out and named.
+    of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
+    their fringes, at their middle and their end: at more places the errors that grow on the way between the ends (lost
+    motion, return) are not those that the mechanics know. Traces that are doubtful, or whose mirror sets out late, are
+    left out and named.
     """
     sessions = index.sweeps.of_session(session).sessions
     of = np.isin(index.sweeps.session, sessions) & (index.sweeps.kind == "sweep")

@@ -4,6 +4,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+import fpcal_bayes.analysis as analysis
+import fpcal_bayes.io as io
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
@@ -59,13 +61,12 @@ def rows_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
     """The rows of the session that is asked for; with ``--traces`` what its recordings say."""
     if not options.traces:
         return read_sweeps(options.file, cell).of_session(options.session)
-    from fpcal_bayes.analysis.traces import trace_rows
-    from fpcal_bayes.io.recordings import read_recordings
-
     warm_up(cell)
-    found = trace_rows(cell, read_recordings(options.file, cell), session=options.session)
+    # What reads traces loads much that rows do without, when it is first called.
+    found = analysis.trace_rows(cell, io.read_recordings(options.file, cell), session=options.session)
     warn(found.warnings)
-    return found.rows
+    rows: Sweeps = found.rows
+    return rows
 
 
 def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:

@@ -163,9 +163,7 @@ class _IndexReader:
         expected = None if estimate is None else estimated_profiles(estimate, sweeps)
         made: list[Recorded | None] = []
         sizes = self.cell.mechanics
-        ripples = (
-            np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder / np.sqrt(2.0)
-        )
+        encoder = np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder
         for i, trace in enumerate(self.index.traces):
             if sweeps.kind[i] == "absolute":
                 made.append(None)
@@ -198,7 +196,7 @@ class _IndexReader:
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
                     errs=self.cell.mechanics is not None,
-                    ripple=float(ripples[joint]),
+                    ripple=float(encoder[joint] / np.sqrt(2.0)),
                     sign_sources=tuple(sign_sources),
                 )
             )

@@ -8,7 +8,7 @@ and Learning Algorithms, chapter 28) weighs profiles and envelopes of different 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Legendre
+from numpy.polynomial.legendre import legder
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
@@ -104,36 +104,44 @@ class Fit:
         at = sum(self.nuisance.counts) + 1 + HARMONICS
         return np.asarray(self.unknowns[at] + phase_per_um * lengths_at(self.profile, s))
 
-    def signal(
-        self, s: Floats, time: Floats, phase_per_um: float, turn: Floats | float = 0.0, spread: Floats | float = 0.0
-    ) -> Floats:
+    def signal(self, s: Floats, time: Floats, phase_per_um: float, spread: Floats | float = 0.0) -> Floats:
         """The fitted signal in V at places `s` and times `time` from -1 to 1, (n,), or its average around them.
 
-        `turn` is added to its phase; `spread` is the variance of the places that are averaged.
+        `spread` is the variance of the places that are averaged.
         """
+        level, height = self.levels(s, time)
+        return (
+            level + height * damping(self.profile, s, spread, phase_per_um) * self.wave(self.phase(s, phase_per_um))[0]
+        )
+
+    def levels(self, s: Floats, time: Floats) -> tuple[Floats, Floats]:
+        """Mean of the signal and height of its fringes in V, (n,) each."""
         n_offset, n_gain, n_fade = self.nuisance.counts
-        u = self.unknowns
-        over_time, over_place = legendre(time), legendre(s)
-        offset = over_time[:, :n_offset] @ u[:n_offset]
-        logarithm = over_time[:, :n_gain] @ u[n_offset : n_offset + n_gain]
-        at = n_offset + n_gain
-        envelope = np.exp(logarithm + over_place[:, 1 : n_fade + 1] @ u[at : at + n_fade])
-        at += n_fade
-        f = self.phase(s, phase_per_um) + turn
-        cyclic = np.stack([np.cos(2 * f), np.sin(2 * f), np.cos(3 * f), np.sin(3 * f)], axis=1)
-        wave = np.cos(f) + cyclic @ u[at + 1 : at + 1 + HARMONICS]
-        damped = envelope * damping(self.profile, s, spread, phase_per_um)
-        return np.asarray(offset + u[at] * envelope**2 + damped * wave)
+        u, at = self.unknowns, n_offset + n_gain
+        over_time = legendre(time, max(n_offset, n_gain) - 1)
+        logarithm = over_time[:, :n_gain] @ u[n_offset:at] + legendre(s, n_fade)[:, 1:] @ u[at : at + n_fade]
+        height = np.exp(logarithm)
+        return over_time[:, :n_offset] @ u[:n_offset] + u[at + n_fade] * height**2, height
+
+    def wave(self, phase: Floats) -> tuple[Floats, Floats]:
+        """Fringes of unit height with their harmonics at phases in rad, and their derivatives, (n,) each."""
+        at = sum(self.nuisance.counts) + 1
+        h1, h2, h3, h4 = self.unknowns[at : at + HARMONICS]
+        turned = np.exp(1j * phase)
+        second, third = (h1 - 1j * h2) * turned**2, (h3 - 1j * h4) * turned**3
+        return (turned + second + third).real, -(turned + 2.0 * second + 3.0 * third).imag
 
     def misses(self, samples: Samples, phase_per_um: float) -> float:
         """Sum over readings of the squared residuals of averages, times their count, in V^2."""
-        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um, 0.0, samples.spread)
+        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um, samples.spread)
         return float(samples.count @ left**2)
 
 
 def damping(profile: Floats, s: Floats, spread: Floats | float, phase_per_um: float) -> Floats:
     """What averages over places of a `spread` (n,) around `s` (n,) leave of the height of the fringes, (n,)."""
-    slope = phase_per_um * Legendre([0.0, *profile]).deriv()(s)
+    if not np.any(spread):
+        return np.ones(len(s))
+    slope = phase_per_um * (legendre(s, len(profile) - 1) @ legder([0.0, *profile]))
     return np.asarray(np.exp(-0.5 * slope**2 * spread))
 
 

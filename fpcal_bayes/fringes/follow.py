@@ -166,15 +166,18 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
     extreme = np.pi * np.ceil(first / np.pi)
     # A start that explains hardly more than the fit is left to the fit.
     least, found = -2.0 * fit.noise**2, first
-    for image in (extreme + (extreme - first) * _IMAGES).tolist():
-        early = np.cumsum(ahead * phase > image) == 0
-        few = samples.part(early)
-        stands, moves = (
-            few.count @ (few.signal - fit.signal(few.s, few.time, phase_per_um, turn)) ** 2
-            for turn in (ahead * image - phase[early], 0.0)
-        )
-        if stands - moves < least:
-            least, found = float(stands - moves), image
+    images = extreme + (extreme - first) * _IMAGES
+    few = samples.part(np.cumsum(ahead * phase > images[-1]) == 0)
+    level, height = fit.levels(few.s, few.time)
+    if not len(few):
+        return 0.0
+    phase, signal = ahead * phase[: len(few)], few.signal - level
+    moves = few.count * (signal - height * fit.wave(ahead * phase)[0]) ** 2
+    for image, still in zip(images.tolist(), fit.wave(ahead * images)[0].tolist(), strict=True):
+        early = slice(len(few) if phase.max() <= image else int(np.argmax(phase > image)))
+        more = few.count[early] @ (signal[early] - height[early] * still) ** 2 - moves[early].sum()
+        if more < least:
+            least, found = float(more), image
     odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
     return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
 

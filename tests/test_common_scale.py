@@ -50,7 +50,7 @@ def test_files_keep_it(femto: Cell, tmp_path: Path) -> None:
 
 
 def test_what_is_identified_is_as_uncertain_as_it_says(femto: Cell) -> None:
-    """Errors of 69 changes in 10 calibrations whose laser is off: 17 directions each, mean square 1 +- 0.11 (one sd)."""
+    """Errors of 69 changes in 10 calibrations with a laser that is off: mean square 1 +- 0.11 (one sd)."""
     paper, plan = paper_truth(femto), paper_protocol(femto, midpoints=True)
     sds = np.array([p.prior_sd for p in paper.parameters])
     model, shared, alone = CavityModel.of(femto), [], []

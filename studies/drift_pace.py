@@ -9,9 +9,9 @@ pace of mirror and fibre that was learnt, and in how many campaigns drift is nam
 """
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
+from tracking import taken_in
 
 from fpcal_bayes import Goal, load_cell, paper_protocol, paper_truth, simulate
 from fpcal_bayes.decision import valid_until
@@ -19,7 +19,7 @@ from fpcal_bayes.infer import peak_to_peak, task_errors
 from fpcal_bayes.measure import Sweeps, Truth, join
 from fpcal_bayes.model import CavityModel
 from fpcal_bayes.motion import task_path
-from fpcal_bayes.tracking import DriftModel, track, with_learnt_pace
+from fpcal_bayes.tracking import DriftModel
 
 HOURS, COUNT = 8.0, 6
 
@@ -56,15 +56,7 @@ def main() -> None:
             plans = [plan(cell, random, f"s{i}", times[i]) for i in range(1, last + 1)]
             sweeps = join([paper_protocol(cell), *plans])
             measured = simulate(cell, Truth(cell.free, times, values), sweeps, sigma_nm=5, seed=seed)
-            parts = [measured.of_session(name) for name in measured.sessions]
-            found = track(cell, parts[0])
-            for k in range(1, last + 1):
-                known = join(parts[: k + 1])
-
-                def taken(before, known=known):
-                    return track(cell, known, drift=replace(drift, pace=before.drift.pace), known=before)
-
-                found = with_learnt_pace(taken(found), parts[: k + 1], taken)
+            for k, found in enumerate(taken_in(cell, measured), 1):
                 if k not in told:
                     continue
                 until = valid_until(found, goal)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from mechanics_coverage import REALISTIC, reachable
 from mechanics_coverage import protocol as calibration_plan
-from tracking import change_of, diagnosis_plan, session_plan
+from tracking import change_of, diagnosis_plan, session_plan, told_in_time
 
 from fpcal_bayes import InputError
 from fpcal_bayes.io import load_cell
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> None:
     for seed in range(options.first, options.first + options.weeks):
         sweeps, changed = simulate_week(cell, options, seed)
         began = time.process_time()
-        found: Track = track(cell, sweeps)
+        found: Track = (told_in_time if options.pace else track)(cell, sweeps)
         seconds += time.process_time() - began
         sessions += len(found.outcomes)
         verdicts = [o.verdict for o in found.outcomes]
@@ -124,6 +124,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--noise", choices=("gaussian", "student"), default="gaussian")
     made.add_argument("--protocol", choices=("ends", "mid", "four"), default="mid", help="of the calibration")
     made.add_argument("--change", choices=("none", "beta_4", "knock", "motions"), default="none")
+    made.add_argument("--pace", action="store_true", help="session by session, the pace of drift learnt")
     made.add_argument("--verbose", action="store_true")
     return made
 

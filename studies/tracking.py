@@ -7,6 +7,7 @@ calibration comes first, then sessions of few sweeps. `--change` adds a step of 
 import argparse
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -20,7 +21,7 @@ from fpcal_bayes.measure import PROTOCOLS, Sweeps, Truth, join, paper_truth
 from fpcal_bayes.model import CavityModel, Cell
 from fpcal_bayes.motion import task_path
 from fpcal_bayes.simulator import simulate_um
-from fpcal_bayes.tracking import DriftModel, State, Track, calibrate, predict, smooth, track
+from fpcal_bayes.tracking import DriftModel, State, Track, calibrate, predict, smooth, track, with_learnt_pace
 
 HOURS = 192.0
 #: What a reference that judges all tasks together may err by, in um.
@@ -116,6 +117,26 @@ def simulate_week(cell: Cell, options: argparse.Namespace, seed: int) -> Simulat
     truth = Truth(cell.free, times, values)
     sweeps = simulate_um(cell, truth, join(parts), sigma=0.005, seed=int(random.integers(2**31)))
     return SimulatedWeek(truth, sweeps, changed)
+
+
+def taken_in(cell: Cell, sweeps: Sweeps) -> Iterator[Track]:
+    """The track after each session but the first, with the pace that its sessions support, as `fpcal track` has it."""
+    parts = [sweeps.of_session(name) for name in sweeps.sessions]
+    drift, found = DriftModel.of(cell), track(cell, parts[0])
+    for k in range(2, len(parts) + 1):
+        known = join(parts[:k])
+
+        def taken(before: Track, known: Sweeps = known) -> Track:
+            return track(cell, known, drift=replace(drift, pace=before.drift.pace), known=before)
+
+        found = with_learnt_pace(taken(found), parts[:k], taken)
+        yield found
+
+
+def told_in_time(cell: Cell, sweeps: Sweeps) -> Track:
+    """The whole track, each session as it was told when it was the last."""
+    tracks = list(taken_in(cell, sweeps))
+    return replace(tracks[-1], outcomes=(tracks[-1].outcomes[0], *(found.last for found in tracks)))
 
 
 class TaskSpace:
@@ -242,7 +263,7 @@ def run(options: argparse.Namespace) -> Tally:
     for seed in range(options.weeks):
         week = simulate_week(cell, options, seed)
         began = time.perf_counter()
-        found = track(cell, week.sweeps)
+        found = (told_in_time if options.pace else track)(cell, week.sweeps)
         tally.seconds += time.perf_counter() - began
         tally.sessions += len(found.outcomes)
         tally.add(week, found, space)
@@ -262,6 +283,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--start", choices=("paper", "prior"), default="paper", help="truth at the calibration")
     made.add_argument("--protocol", choices=tuple(PROTOCOLS), default="paper", help="of the calibration")
     made.add_argument("--change", choices=("none", "beta_4", "knock"), default="none")
+    made.add_argument("--pace", action="store_true", help="session by session, the pace of drift learnt")
     return made
 
 

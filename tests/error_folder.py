@@ -58,7 +58,7 @@ def _damaged_sweeps(folder: Path, text: str) -> None:
     (folder / "header.csv").write_text(lines[0])
     (folder / "semicolons.csv").write_text(text.replace(",", ";"))
     (folder / "misnamed.csv").write_text(text.replace("dl_um", "dL", 1))
-    (folder / "reserved.csv").write_text(text.replace(",signed", ",signed,beam", 1))
+    (folder / "beam.csv").write_text(text.replace(",signed\n", ",signed,beam\n", 1).replace(",1\n", ",1,left\n"))
     (folder / "binary.csv").write_bytes(b"session,\xff\xfe\n")
     (folder / "short.csv").write_text("".join([*lines[:4], "full-T0,0\n", *lines[4:]]))
     put("word.csv", 5, "dl_um", "x")

@@ -63,7 +63,7 @@ q6 = {{ speed_deg_s = 100.0, tolerance_deg = 0.0001, settle_s = 0.05 }}
 
 
 #: A device is looked at so often while it moves, in s of a stepped clock.
-POLL_S = 0.1
+POLL_S = 0.5
 
 
 class SteppedClock(Clock):

@@ -222,7 +222,7 @@ def _attribute(name, value):
         (_external_data, "/sweeps/dl_um: the data lie in another file"),
         (_virtual_data, "/sweeps/dl_um: the data lie in another file"),
         (lambda root: root["sweeps"].create_dataset("note", data=[1.0]), "/sweeps: unknown column 'note'"),
-        (lambda root: root["sweeps"].create_dataset("beam", data=[1.0]), "/sweeps: the column beam is reserved"),
+        (lambda root: root["sweeps"].create_dataset("beam", data=[1.0]), "/sweeps/beam: expected text"),
         (_first("sweeps/dl_um", np.nan), "row 1, column dl_um: expected a finite number"),
         (_first("sweeps/time_h", np.inf), "row 1, column time_h: expected a finite number"),
         (_first("sweeps/sigma_um", 0.0), "row 1, column sigma_um: expected a standard deviation above zero"),

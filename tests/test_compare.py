@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 from test_cli import error_lines, refused
 
 from fpcal_bayes.cli.main import main
@@ -13,9 +13,18 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit import minimise as least_squares
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.posterior import compare as compare_module
+from fpcal_bayes.infer.posterior import draws as draws_module
 from fpcal_bayes.infer.posterior import leave_out
 from fpcal_bayes.infer.posterior.compare import Comparison, Difference, ModelResult, ModelSpec, compare, parse_models
-from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, rows_given_others, without_row
+from fpcal_bayes.infer.posterior.draws import charted_draws, make_target
+from fpcal_bayes.infer.posterior.leave_out import (
+    LeaveOneOut,
+    leave_one_out,
+    left_out_each,
+    rows_given_others,
+    without_row,
+)
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -68,7 +77,8 @@ class TestLeaveOneOut:
         good = np.flatnonzero((weighted.pareto_k > 0.3) & (weighted.pareto_k < 0.5))[:10]
         whole = rows_given_others(case.target, case.points.reshape(-1, case.points.shape[-1])[::4])
         rng = np.random.default_rng(0)
-        refitted = [leave_out._left_out(case, "gaussian", row, whole[:, row], rng) for row in good.tolist()]
+        known = case.identification, case.target
+        refitted = [leave_out._left_out(*known, "gaussian", row, whole[:, row], rng) for row in good.tolist()]
         assert len(refitted) == 10
         assert refitted == pytest.approx(weighted.elpd_rows[good].tolist(), abs=0.15)
         assert np.mean(refitted) == pytest.approx(weighted.elpd_rows[good].mean(), abs=0.05)
@@ -110,10 +120,56 @@ class TestLeaveOneOut:
 
 def test_weights_that_cannot_be_smoothed():
     """One draw outweighs all others: not to be trusted. All weigh the same: nothing to smooth."""
-    row = np.random.default_rng(1).normal(-1e5, 1e4, (4, 100))
-    row[2, 5] = -1e7
-    assert leave_out._smoothed(row, 1.0)[1] == np.inf
-    assert leave_out._smoothed(np.full((4, 100), -3.0), 1.0) == (-3.0, 0.0)
+    row, same = np.random.default_rng(1).normal(-1e5, 1e4, 400), np.full(400, -np.log(400.0))
+    row[205] = -1e7
+    assert leave_out._smoothed(row, same, 1.0)[1] == np.inf
+    assert leave_out._smoothed(np.full(400, -3.0), same, 1.0) == pytest.approx((-3.0, 0.0))
+
+
+class TestChartedDraws:
+    """Independent draws with weights, which take the place of a run where the charts tell enough."""
+
+    def test_agree_with_the_sampler(self, case):
+        found = case.identification
+        known = charted_draws(found, "gaussian", 1000, np.random.default_rng(4))
+        assert known.worth >= 1000
+        by_weights = left_out_each(found, known, "gaussian", most_refits=10)
+        sampled = leave_one_out(case, "gaussian", most_refits=10)
+        assert by_weights.elpd_rows == pytest.approx(sampled.elpd_rows, abs=0.3)
+        assert by_weights.elpd == pytest.approx(sampled.elpd, abs=0.5)
+
+    def test_few_sweeps_by_the_ratio_of_evidences(self, femto):
+        """Twelve sweeps leave a long bent posterior: a row given the others is the ratio of two normalising constants.
+
+        The elpd of a row whose weights fail is that of the posterior without it.
+        """
+        few = read_sweeps(CASE_A, femto).take(np.arange(69) % 6 == 0)
+        found = identify(femto, few)
+        known = charted_draws(found, "gaussian", 300, np.random.default_rng(0))
+        result = left_out_each(found, known, "gaussian", most_refits=12)
+        assert result.refitted.any()
+        assert not result.open.any()
+        evidence = log_evidence(found)
+        for row in (int(np.argmax(result.pareto_k)), int(np.argmin(result.pareto_k))):
+            exact = evidence - log_evidence(without_row(found, row))
+            assert result.elpd_rows[row] == pytest.approx(exact, abs=0.4)
+
+    def test_none_where_the_charts_tell_too_little(self, case, monkeypatch):
+        monkeypatch.setattr(draws_module, "_MOST_CHARTED", 1)
+        assert charted_draws(case.identification, "gaussian", 100, np.random.default_rng(0)) is not None
+        monkeypatch.setattr(draws_module, "MOST_K", -1.0)
+        assert charted_draws(case.identification, "gaussian", 100, np.random.default_rng(0)) is None
+
+
+def log_evidence(identification, proposals: int = 6000) -> float:
+    """Log normalising constant of a posterior by plain importance sampling."""
+    target, references = make_target(identification, "gaussian")
+    rng = np.random.default_rng(9)
+    solved = ProposalMixture(target, references).propose(
+        rng.standard_normal((proposals, target.n_unknowns)), rng.random(proposals)
+    )
+    weights = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
+    return float(special.logsumexp(weights) - np.log(proposals) + target.log_scale.sum())
 
 
 @pytest.mark.parametrize("y", [0.5, 6.0, 9.0])
@@ -233,8 +289,8 @@ class TestData:
     """Both paths on data of either."""
 
     def test_perpendicular_data(self, femto, monkeypatch):
-        """The axis path is rejected by its own fit; the study compare_models samples it too."""
-        monkeypatch.setattr(compare_module, "_POOR_STEPS", 20)
+        """The axis path is rejected by its own fit."""
+        monkeypatch.setattr(compare_module, "_POOR_REFITS", 0)
         cell = femto.with_opd("perpendicular")
         values = cell.free.nominal + 0.5 * cell.free.prior_sd
         truth = Truth(cell.free, np.zeros(1), values[None])
@@ -245,9 +301,9 @@ class TestData:
         assert axis.identification.fit.p_value < 1e-3
         assert perpendicular.fits
         assert "the axis path does not fit" in found.verdict
-        assert axis.state == "not sampled"
         assert found.sound
-        assert found.verdict.startswith("the data favour the perpendicular path, the only model")
+        assert found.differences[0].better.opd == "perpendicular"
+        assert found.verdict.startswith("the data favour the perpendicular path by ")
         assert len(compare_table(found, "t").rows) == 2
 
     def test_grouped_rows_need_gaussian_noise(self, femto, grouped):
@@ -257,6 +313,7 @@ class TestData:
 
     def test_sampling_that_fails_is_said(self, femto, monkeypatch, case):
         failed = replace(case, failures=("nested R-hat 1.2",))
+        monkeypatch.setattr(compare_module, "charted_draws", lambda *_: None)
         monkeypatch.setattr(compare_module, "sample", lambda *_, **__: failed)
         found = compare(femto, read_sweeps(CASE_A, femto), parse_models(BOTH, femto))
         assert not found.sound
@@ -265,7 +322,7 @@ class TestData:
 
 class TestCommand:
     def test_axis_data(self, capsys, tmp_path, monkeypatch):
-        monkeypatch.setattr(compare_module, "_POOR_STEPS", 20)
+        monkeypatch.setattr(compare_module, "_POOR_REFITS", 0)
         out = tmp_path / "out.json"
         assert main(["compare", str(CASE_A), "--models", BOTH, "--draws", "100", "--json", str(out)]) == 0
         text, err = capsys.readouterr()
@@ -275,7 +332,8 @@ class TestCommand:
         assert axis["fits"]
         assert axis["elpd"] == pytest.approx(252.5, abs=1.5)
         assert axis["bad_k"] == axis["refitted"]
-        assert (perpendicular["state"], perpendicular["elpd"]) == ("not sampled", None)
+        assert not perpendicular["fits"]
+        assert perpendicular["elpd"] < -500.0
         assert written["verdict"].startswith("the data favour the axis path")
         assert f"verdict: {written['verdict']}" in text
         assert all(line.startswith("fpcal: warning: ") for line in error_lines(err))

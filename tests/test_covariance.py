@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from path_length import path_length
 
-from fpcal_bayes.infer.fit.noise import group_blocks, whitening_of
+from fpcal_bayes.infer.fit.noise import whitening_of
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -125,7 +126,7 @@ def test_groups_of_other_sessions_and_single_rows_are_no_blocks():
     plan = replace(
         plan, group=np.array(["a", "", "a", "a", "b", "a"]), session=np.array(["1", "1", "1", "2", "2", "2"])
     )
-    assert [block.tolist() for block in group_blocks(plan)] == [[0, 2], [3, 5]]
+    assert [block.tolist() for block in Sharing.of(plan).read_alike] == [[0, 2], [3, 5]]
 
 
 @pytest.mark.parametrize("repeats", [False, True])

@@ -11,7 +11,7 @@ from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
-from fpcal_bayes.model import chain
+from fpcal_bayes.model import chain, envelope
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.envelope import Envelope
@@ -57,6 +57,34 @@ def test_the_paper_fits_the_built_in_envelope(femto):
     plan = paper_protocol(femto)
     model, draws = prior_draws(femto)
     require_within_envelope(model, draws, plan.q_start, plan.q_end, file="plan", rows=plan.rows)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boxes_around_many_poses_refuse_the_same(femto, seed, monkeypatch):
+    """Against a look at every pose, with limits that cut through the path or lie just beyond it."""
+    rng = np.random.default_rng(seed)
+    turns, phase = rng.integers(1, 3, 6), rng.uniform(0, 6, 6)
+    share, span = np.linspace(0, 2 * np.pi, 24)[:, None], np.where(np.isfinite(femto.high), femto.high, 2.0)
+    q = rng.uniform(0.05, 0.6, 6) * span * np.cos(turns * share + phase)
+    model, draws = prior_draws(femto, 60)
+    draws = femto.free.nominal + rng.choice([0.005, 0.05]) * (draws - femto.free.nominal)
+    path = task_path(femto, q)
+    free = with_envelope(femto, max_tilt=1.5, mirror_radius=2e4, max_fringe_rate=1e12)
+    found = margin(replace(model, cell=free), draws, path, rows=len(q))
+    beyond = rng.uniform(0.9, 1.5, 3)
+    narrow = with_envelope(
+        free,
+        max_tilt=found.most_tilt.max() * beyond[0],
+        mirror_radius=found.most_aside.max() * beyond[1],
+        least_gap=max(found.gap.min() - (found.gap - found.least_gap).max() * beyond[2], 0.1),
+    )
+    model = replace(model, cell=narrow)
+    monkeypatch.setattr("fpcal_bayes.model.margin._WORTH", 1)
+    boxes = margin(model, draws, path, rows=len(q), boxes=True)
+    refused = breaches(model, draws, path)
+    monkeypatch.setattr(envelope, "margin", lambda *given, boxes, **more: margin(*given, **more))
+    assert refused == breaches(model, draws, path)
+    assert np.isnan(boxes.gap).sum() > 0 or refused
 
 
 def test_the_envelope_is_no_part_of_the_hash(femto):

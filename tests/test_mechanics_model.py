@@ -10,6 +10,7 @@ from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import (
@@ -279,7 +280,11 @@ def _chained(cell):
 def _covariance(made, blocks):
     """Of the rows, by the shared weights and by what is new in each sweep, at noise-free readings."""
     columns = made.matrix[:, [name.startswith(("return of", "position of")) for name in made.names]]
-    noise = RowNoise(np.zeros(len(made.matrix)), tuple(blocks), made)
+    rows = np.arange(len(made.matrix))
+    first = rows.copy()
+    for block in blocks:
+        first[block] = block[0]
+    noise = RowNoise(np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), Sharing(first, first, rows), made)
     return columns @ columns.T + noise.dense()[1]
 
 

@@ -265,6 +265,15 @@ def test_a_look_without_power_is_not_planned():
     assert len(found.sweeps) <= Costs().most_sweeps
 
 
+def test_a_look_of_too_few_sweeps_is_not_planned():
+    few = replace(POLICY, costs=Costs(diagnosis_h=10.0, most_sweeps=1, diagnosis_sweeps=1))
+    found = few.decide(FORECAST, FORECAST.ahead(CALIBRATED, 0.2), None, CALIBRATED.time_h - 9.9)
+    assert found.action == "hold"
+    assert "1 sweeps would show a change of the robot with probability 0." in found.reason
+    # It is not tried again at once.
+    assert few.hold_hours(FORECAST, FORECAST.ahead(CALIBRATED, 0.2), CALIBRATED.time_h - 9.9) > 0.5
+
+
 def test_which_session_could_last_see_the_robot():
     _, varied = campaign(3, sessions=2)
     assert last_diagnosis(track(CELL, varied), varied, Limits()) == 16.0

@@ -10,12 +10,12 @@ from test_slips import slipped_sweeps
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, find_slips
 from fpcal_bayes.infer.posterior.netcdf import slip_probabilities, summarise
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target_slip import LOGIT_MEAN, LOGIT_SD, SlipTarget
 from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import simulate_um
@@ -113,7 +113,7 @@ def test_rows_that_share_a_reading_are_summed_over_together(femto: Cell, grouped
         total, per_row, slipped = stats.norm.logpdf(point).sum(), [], []
         weight = np.where(counts, np.log(eps / (2 * MOST_HALF_WAVES)), np.log1p(-eps))
         cov = (factor * 0.005) ** 2 * np.array([[1.0, 0.5], [0.5, 1.0]])
-        for members in group_blocks(sweeps):
+        for members in Sharing.of(sweeps).read_alike:
             levels = np.stack(np.broadcast_arrays(counts[:, None], counts[:, None] + counts), axis=-1)
             pairs = (sweeps.dl - predicted)[members] - levels * 0.5 * femto.wavelength
             terms = stats.multivariate_normal([0.0, 0.0], cov).logpdf(pairs) + weight[:, None] + weight

@@ -17,11 +17,15 @@ from test_rig_files import with_columns
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign
-from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps, write_csv
 from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
+from fpcal_bayes.rig.bench import Bench
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers.interface import DeviceError
 from fpcal_bayes.rig.reader import read_rig
@@ -159,6 +163,64 @@ def test_a_kill_loses_no_drive_that_is_done(cell_live, femto, tmp_path):
         cell_live.measure(ticket, tmp_path / "s.h5")
 
 
+def test_axes_that_a_kill_left_on_their_way_are_stopped_first(cell_live, femto, tmp_path):
+    """The program is gone in the middle of a move, and the axis goes on: where it is read to be it would not stand."""
+    ticket, lab, done = write_ticket(tmp_path / "t.csv", femto, [0, 45]), cell_live.lab, []
+    cell_live.measure(ticket, tmp_path / "first.h5")
+    lab.axes[0].speed = 0.001
+    lab.move(0, 140.0)
+    stop, move = lab.stop, lab.move
+
+    def stopped(joint):
+        done.append((joint, lab.axes[joint].moving(lab.clock.now())))
+        stop(joint)
+
+    def moved(joint, target):
+        done.append("move")
+        return move(joint, target)
+
+    lab.stop, lab.move = stopped, moved
+    _, summary = cell_live.measure(ticket, tmp_path / "second.h5")
+    assert done.index((0, True)) < done.index("move")
+    assert summary.rows == 2
+    assert np.abs(normalised(cell_live, read_sweeps(tmp_path / "second.h5", femto))).max() < 5.0
+
+
+def test_starts_are_reached_from_the_side_that_the_rows_say(tmp_path, monkeypatch):
+    """A start between the ends of the sweep before is reached from that sweep's end, to which rows say it stood."""
+    cell = load_cell()
+    plan = paper_protocol(cell, session="s1").take(np.arange(5))
+    q1 = np.array([[0, 100], [60, 20], [40, 120], [120, 40], [80, 0]], dtype=float)
+    start = np.zeros((5, 6))
+    start[:, 0] = q1[:, 0]
+    end = np.zeros((5, 6))
+    end[:, 0] = q1[:, 1]
+    write_csv(tmp_path / "t.csv", replace(plan, q_start=start, q_end=end), cell)
+    sides, read, halt = [], Bench.read, Halt()
+
+    def tell(progress):
+        if progress.done == 3:
+            halt.request("enough")
+
+    with live(cell, tmp_path, truth=constant(cell), speedup=1000.0) as found:
+
+        def noted(bench, target):
+            sides.append(found.lab.axes[0].approach)
+            return read(bench, target)
+
+        monkeypatch.setattr(Bench, "read", noted)
+        # What goes on after a kill comes from the last row's end as well.
+        with pytest.raises(Failed):
+            found.measure(tmp_path / "t.csv", tmp_path / "s.h5", halt=halt, tell=tell)
+        halt.close()
+        found.measure(tmp_path / "t.csv", tmp_path / "s.h5")
+    told = drive_of_sweeps(read_sweeps(tmp_path / "s.h5", cell), 1.0)
+    # Of each sweep the start, the end and the return to the start are read.
+    driven = np.array(sides).reshape(5, 3)
+    assert (told.start_side[1:, 0] == driven[1:, 0]).all()
+    assert (told.end_side[:, 0] == driven[:, 1]).all()
+
+
 def test_a_journal_of_another_ticket_is_refused(cell_live, femto, tmp_path):
     (tmp_path / "s.h5.journal").write_text(json.dumps({"schema": "fpcal-measure/1", "ticket_sha256": "0"}) + "\n")
     with pytest.raises(InputError, match="left by another ticket, cell or rig: remove it to begin anew"):
@@ -202,8 +264,9 @@ def test_a_lost_device_stops_all_axes_and_the_next_run_goes_on(cell_live, femto,
     assert isinstance(caught.value.__cause__, DeviceError)
     assert f"{device} at 127.0.0.1:" in str(caught.value.__cause__)
     assert len(caught.value.unsure) == (device != "IDS3010")
+    began = max(axis.began for axis in cell_live.lab.axes)
     for name, stage in cell_live.emulated.stages.items():
-        assert stage.stops or name == device
+        assert stage.stops[-1] >= began or name == device
     now = cell_live.rig.clock.now()
     assert not any(axis.moving(now) for axis in cell_live.lab.axes)
     cell_live.emulated.server.mend(device)
@@ -234,8 +297,8 @@ def test_ctrl_c_stops_the_axes_within_50_ms(femto, tmp_path):
         thread.join()
         halt.close()
         assert str(caught.value) == "interrupted by SIGINT"
-        latency = [stage.stops[0] - sent[0] for stage in found.emulated.stages.values()]
-        assert max(latency) < 0.05
+        stops = [[stop - sent[0] for stop in stage.stops] for stage in found.emulated.stages.values()]
+        assert max(min(stop for stop in each if stop > -0.05) for each in stops) < 0.05
         assert caught.value.unsure == []
         assert not any(axis.moving(time.time()) for axis in found.lab.axes)
         assert not (tmp_path / "s.h5").exists()

@@ -48,7 +48,9 @@ def good(found, output) -> int:
 
 def stand(found) -> bool:
     now = found.rig.clock.now()
-    return not any(axis.moving(now) for axis in found.lab.axes) and all(s.stops for s in found.emulated.stages.values())
+    began = max(axis.began for axis in found.lab.axes)
+    stopped = all(stage.stops[-1] >= began for stage in found.emulated.stages.values())
+    return stopped and not any(axis.moving(now) for axis in found.lab.axes)
 
 
 def test_a_log_that_cannot_be_written_stops_the_axes(cell_live, tmp_path):

@@ -205,11 +205,11 @@ def test_refuses_another_layout(tmp_path, text, expected):
     assert expected in refusal(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("column", ["beam"])
 @pytest.mark.parametrize("plan", [False, True])
-def test_refuses_columns_that_this_version_does_not_read(tmp_path, column, plan):
-    path = write(tmp_path, with_option(column, ""))
-    assert refusal(path, plan=plan) == f"row 1: the column {column} is reserved and not read by this version of fpcal"
+def test_refuses_a_beam_that_the_cell_does_not_have(tmp_path, plan):
+    path = write(tmp_path, with_option("beam", "left"))
+    expected = "row 3, column beam: cell 'femto-st' names no beam, see [[beam]] of the cell"
+    assert refusal(path, plan=plan) == expected
 
 
 @pytest.mark.parametrize("column", ["readings", "expires_h", "expires_utc", "ticket"])

@@ -139,9 +139,11 @@ def test_a_matlab_file_is_read(tmp_path: Path, femto: Cell, index: TraceIndex, s
     assert back.temperature_c[1] == 20.5
 
 
-def test_a_matlab_file_with_a_reserved_column_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
+def test_a_matlab_file_of_beams_that_the_cell_does_not_have_is_refused(
+    tmp_path: Path, femto: Cell, index: TraceIndex
+) -> None:
     savemat(tmp_path / "index.mat", variables(femto, index) | {"beam": np.array(["a", "a", "a"], dtype=object)})
-    with pytest.raises(InputError, match="variables: the column beam is reserved and not read by this version"):
+    with pytest.raises(InputError, match="column beam: cell 'femto-st' names no beam"):
         read_recordings(tmp_path / "index.mat", femto)
 
 
@@ -186,7 +188,6 @@ def edit(path: Path, old: str, new: str) -> None:
         ("index_traces/1.csv", "C:\\\\traces\\\\1.csv", "expected a path inside"),
         ("index_traces/1.csv", "", "expected the file of a trace, found none"),
         (",trace", ",tracks", "unknown column 'tracks'"),
-        (",trace", ",beam,trace", "row 1: the column beam is reserved and not read by this version"),
         ("trace,wavelength_nm", "trace,dl_um", "these are sweeps, not traces"),
         (",1550,", ",-1550,", "row 3, column wavelength_nm: expected a wavelength in nm, 200 to 20000"),
         (",1013,", ",lots,", "row 3, column pressure_hpa: expected a number, found 'lots'"),

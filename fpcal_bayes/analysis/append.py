@@ -110,7 +110,7 @@ def _refuse_early(sweeps: Sweeps, before: Sweeps) -> None:
 def _refuse_impossible(sweeps: Sweeps, cell: Cell) -> None:
     """Refuse a session most of whose telling rows are far from what the cell's prior allows, as in another unit."""
     model, draws = prior_draws(cell)
-    lengths = model.predict(draws, model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute))
+    lengths = model.predict(draws, sweeps.laid_out(model))
     measured = np.where(sweeps.signed, sweeps.dl, np.abs(sweeps.dl))
     lengths = np.where(sweeps.signed, lengths, np.abs(lengths))
     middle, spread = lengths.mean(axis=0), _FAR_SD * lengths.std(axis=0) + _FAR_UM

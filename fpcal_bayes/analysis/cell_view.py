@@ -151,11 +151,12 @@ def _odd(cell: Cell, axes: tuple[AxisView, ...], seen: Sight) -> list[str]:
     moving = [axis.direction for axis in axes if axis.kind == "prismatic"]
     if moving and not any(abs(float(along @ seen.light)) > 0.5 for along in moving):
         found.append("no axis moves along the beam")
-    if np.isfinite(seen.length) and _ODD_TILT < seen.tilt < np.pi / 2:
+    mirror = cell.target == "plane-mirror"
+    if mirror and np.isfinite(seen.length) and _ODD_TILT < seen.tilt < np.pi / 2:
         found.append(f"the mirror stands {np.degrees(seen.tilt):.3g} deg off the light")
     away = float(np.linalg.norm(seen.point_on_mirror[:2]))
     radius = _ODD_DISTANCE if cell.envelope is None else cell.envelope.mirror_radius
-    if away > radius:
+    if mirror and away > radius:
         found.append(f"the light meets the mirror's plane {away:.4g} um from the mirror's origin")
     outside = [f"q{i + 1}" for i in range(len(axes)) if not cell.low[i] <= 0.0 <= cell.high[i]]
     if outside:

@@ -150,7 +150,8 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         part = sweeps.of_session(name)
         part = part.take((part.kind == "sweep") & part.signed & (part.group == ""))
         places: dict[tuple[float, ...], list[int]] = {}
-        for i, key in enumerate(map(tuple, np.hstack([part.q_start, part.q_end]).tolist())):
+        beam = cell.beam_numbers(part.beam)
+        for i, key in enumerate(map(tuple, np.column_stack([part.q_start, part.q_end, beam]).tolist())):
             places.setdefault(key, []).append(i)
         squares, free = 0.0, 0
         for rows in places.values():
@@ -183,11 +184,12 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
 
 def _still_readings(name: str, part: Sweeps) -> Iterator[Finding]:
     """The noise that readings repeated without motion show: neighbours of one group at one pose."""
+    part = part.take(np.argsort(part.beam, kind="stable"))
     again = (
         (part.group[1:] == part.group[:-1]) & (part.group[1:] != "") & (part.q_end[1:] == part.q_end[:-1]).all(axis=1)
     )
     again |= (part.absolute[1:] & part.absolute[:-1]) & (part.q_end[1:] == part.q_end[:-1]).all(axis=1)
-    again &= part.signed[1:] & part.signed[:-1]
+    again &= part.signed[1:] & part.signed[:-1] & (part.beam[1:] == part.beam[:-1])
     # Both rows share the reading at their start, so that their difference has the variance of one.
     sd = np.where(part.absolute[1:], np.sqrt(2.0), 1.0) * part.sigma[1:]
     squares, free = float(((np.diff(part.dl) / sd)[again] ** 2).sum()), int(again.sum())

@@ -143,7 +143,7 @@ def residuals(facts: CampaignFacts) -> list[SessionResiduals]:
         found = facts.calibration
         sweeps, parameters = found.problem.sweeps, found.estimate.parameters
         model = CavityModel.of(facts.cell, parameters, found.estimate.vector())
-        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        rows = sweeps.laid_out(model)
         return [_residuals(sweeps, model.predict(found.estimate.values, rows), sweeps.sigma)]
     model = CavityModel.of(facts.cell, followed.drift.parameters)
     parts = []

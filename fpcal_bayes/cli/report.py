@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
     write_result(options.json, "report", facts.estimate.content() | {"report": content})
-    for sentence in (f"{said.word}. {said.meaning}", *said.sentences, f"-> {options.output}"):
+    for sentence in (f"{said.title}. {said.meaning}", *said.sentences, f"-> {options.output}"):
         out.say(sentence)
     warn([reason.text for reason in facts.trust.reasons])
     # The reason why numbers are not to be used stands in the page; a fit that failed is an exit status too.

@@ -31,6 +31,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     _check_options(options)
+    if options.traces and options.path is None:
+        cell.require_one_beam("a recording of sweeps (--traces)")
     protocol = options.protocol or "paper"
     planned = protocol not in _PROTOCOLS
     plan = None

@@ -56,6 +56,7 @@ _DRAWS = 1000
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
+    cell.require_one_beam("the paper's week")
     make_folder(options.output)
     with exclusive(options.output):
         return _run(options, cell)

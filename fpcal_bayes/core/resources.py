@@ -18,7 +18,7 @@ def data_file(name: str) -> Path:
 
 def built_in_cells() -> list[str]:
     """Names of the cells that come with the program."""
-    return ["femto-st"]
+    return ["femto-st", "three-beams"]
 
 
 def paper_tables() -> dict[str, Any]:

@@ -225,7 +225,11 @@ class Policy:
     def hold_hours(self, forecast: Forecaster, state: State, diagnosed_h: float) -> float:
         """Hours from `state` until something is to be measured, at most the horizon; see `decide`."""
         hold = forecast.hold_hours(state, self.costs.horizon_h)
-        return min(hold, max(0.0, self._look_in(forecast, state, diagnosed_h)))
+        left = self._look_in(forecast, state, diagnosed_h)
+        # A session that was too weak to show a change is not repeated at once.
+        if left < -1e-6:
+            left = self.costs.diagnosis_h or 0.0
+        return min(hold, max(0.0, left))
 
     def _decide(
         self, forecast: Forecaster, state: State, calibration_due: str | None, *, measure: bool = False
@@ -252,6 +256,10 @@ class Policy:
         hours = state.time_h - diagnosed_h
         at = watched(self.drift, self.limits)
         found = self._power(state, sweeps, hours)
+        if found < LEAST_POWER:
+            # Such a look would cost time and show nothing.
+            said = f"{len(sweeps)} sweeps would show a change of the robot with probability {found:.2f}: not made"
+            return replace(decision, reason=f"{decision.reason}; {said}")
         most = most_power(self.drift, state, hours, self.limits)[at]
         parameter = self.drift.parameters[at]
         size = parameter.shown(self.limits.jump(self.drift)[at] * parameter.prior_sd)

@@ -16,7 +16,8 @@ from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
 from fpcal_bayes.measure.truth import TruthRecord
-from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.cell.beams import Opd
+from fpcal_bayes.model.cell.cell import Cell
 
 SCHEMA = "fpcal-campaign"
 SCHEMA_VERSION = 1

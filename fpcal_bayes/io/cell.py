@@ -9,11 +9,13 @@ from typing import Any, Literal, get_args
 from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import read_text, require_line_end, write_text
 from fpcal_bayes.core.resources import built_in_cells, data_file
+from fpcal_bayes.io.cell_beams import read_beams, refuse_envelope
 from fpcal_bayes.io.cell_envelope import read_envelope
 from fpcal_bayes.io.cell_tasks import read_tasks
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.io.validate import Tables, is_number, literal
-from fpcal_bayes.model.cell.cell import Cell, Opd, OpticalAxis, ParameterEntry, make_parameters
+from fpcal_bayes.model.cell.beams import AT, Opd, OpticalAxis
+from fpcal_bayes.model.cell.cell import Cell, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
@@ -127,12 +129,13 @@ def write_resized_cell(source: str | Path, robot: float, mirror: float, output: 
     def resized(found: re.Match[str]) -> str:
         nonlocal table
         table = found[2] or table
-        factor = mirror if table == "extrinsic" else robot
+        factor = mirror if table in ("extrinsic", "beam") else robot
         return f"{found[3]}{float(found[4]) * factor:.4g}" if found[3] else found[0]
 
     text = _WALKS.sub(resized, read_text(path))
-    for now, before in zip(_Reader(source).cell(tomllib.loads(text)).drift, load_cell(source).drift, strict=True):
-        wanted = before.walk * (mirror if now.name in EXTRINSICS else robot)
+    cell = load_cell(source)
+    for now, before in zip(_Reader(source).cell(tomllib.loads(text)).drift, cell.drift, strict=True):
+        wanted = before.walk * (mirror if cell.parameters[now.name].kind == "extrinsic" else robot)
         if not math.isclose(now.walk, wanted, rel_tol=1e-3):
             raise InputError(f"{source}: the drift of {now.name} stands in a way that is not understood")
     write_text(output, text)
@@ -149,7 +152,7 @@ class _Reader(Tables):
         self.keys(
             table,
             "",
-            {"schema", "name", "optics", "joint", "extrinsic", "envelope", "mechanics", "task", "handedness_checked"},
+            {"schema", "name", "optics", "joint", "beam", "extrinsic", "envelope", "mechanics", "task", _CHECKED},
         )
         if not isinstance(table.get(_CHECKED, False), bool):
             raise self.error(_CHECKED, f"expected true or false, found {literal(table[_CHECKED])}")
@@ -159,7 +162,7 @@ class _Reader(Tables):
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
         wavelength = self.number(optics, "optics", "wavelength_nm", low=1e-3, high=20_000.0) * 1e-3
-        opd = self.choice(optics, "optics", "opd", get_args(Opd), "axis")
+        opd = self.choice(optics, "optics", "opd", ("axis", "perpendicular"), "axis")
         optical_axis = self.choice(optics, "optics", "optical_axis", get_args(OpticalAxis), "minus-y")
 
         joints, entries = [], {}
@@ -178,22 +181,31 @@ class _Reader(Tables):
                     entries[f"{stem}_{number}"] = entry
                     if stem.startswith("runout") and joints[-1].kind == "prismatic":
                         raise self.error(f"{place}.{stem}", "a prismatic joint has no runout")
-        extrinsic = self.table(table, "", "extrinsic")
-        self.keys(extrinsic, "extrinsic", {"drift", *EXTRINSICS})
-        for stem in EXTRINSICS:
-            if stem in extrinsic:
-                entries[stem] = self.parameter(extrinsic, "extrinsic", stem, optional=False)
-        parameters = make_parameters(entries, len(joints))
+        named = table.get("beam", [])
+        stated = self.table(table, "", "extrinsic") if "extrinsic" in table or not named else None
+        light = {"target": "plane-mirror", "opd": opd, "optical_axis": optical_axis, "wavelength": wavelength}
+        beams, parts = read_beams(self, named, light, stated)
+        for place, extrinsic, suffix in parts:
+            for stem in extrinsic:
+                if stem != "drift":
+                    entries[f"{stem}{suffix}"] = self.parameter(extrinsic, place, stem, optional=False)
+        own = [name for beam in beams[1:] for name in beam.parameters if name.endswith(f"{AT}{beam.name}")]
+        parameters = make_parameters(entries, len(joints), beams[0].target, own)
+        if "envelope" in table:
+            refuse_envelope(self, beams)
         cell = Cell(
             name=name,
             joints=tuple(joints),
             parameters=parameters,
-            wavelength=wavelength,
-            opd=opd,
-            optical_axis=optical_axis,
+            wavelength=beams[0].wavelength,
+            opd=beams[0].opd,
+            optical_axis=beams[0].optical_axis,
+            target=beams[0].target,
+            beam=beams[0].name,
+            further=tuple(beams[1:]),
             handedness_checked=table.get(_CHECKED, False),
-            drift=self.drifts(joint_tables, extrinsic, parameters),
-            optics=self.interferometer(optics, wavelength),
+            drift=self.drifts(joint_tables, parts, parameters),
+            optics=self.interferometer(optics, beams[0].wavelength),
             mechanics=self.mechanics(table, joint_tables, joints),
             envelope=read_envelope(self, table.get("envelope"), len(joints)),
             tasks=read_tasks(self, table.get("task", [])),
@@ -313,17 +325,19 @@ class _Reader(Tables):
         return ParameterEntry(nominal, prior.sd, flag, prior)
 
     def drifts(
-        self, joints: list[dict[str, Any]], extrinsic: dict[str, Any], parameters: ParameterSet
+        self, joints: list[dict[str, Any]], beams: list[tuple[str, dict[str, Any], str]], parameters: ParameterSet
     ) -> tuple[DriftSize, ...]:
         """Drift of the parameters that name one, in the cell's order."""
-        parts = [(table, f"joint {number}", f"_{number}") for number, table in enumerate(joints, 1)]
         found: dict[str, DriftSize] = {}
-        for table, place, suffix in [*parts, (extrinsic, "extrinsic", "")]:
+        links = [(f"joint {number}", table, f"_{number}") for number, table in enumerate(joints, 1)]
+        for place, table, suffix in [*links, *beams]:
             if "drift" not in table:
                 continue
             drift = self.table(table, place, "drift")
-            stems = {stem: f"{stem}{suffix}" for stem in (LINK_SLOTS if suffix else EXTRINSICS)}
-            free = {stem: name for stem, name in stems.items() if parameters[name].prior_sd > 0}
+            stems = {stem: f"{stem}{suffix}" for stem in (*LINK_SLOTS, *EXTRINSICS, "x_et", "y_et")}
+            free = {
+                stem: name for stem, name in stems.items() if name in parameters.names and parameters[name].prior_sd > 0
+            }
             self.keys(drift, f"{place}.drift", set(free))
             for stem, name in free.items():
                 if stem in drift:

@@ -1,7 +1,6 @@
 """The columns of sweep, plan and index files: one table of what each holds, and sweeps as columns and back.
 
-CSV, HDF5 and MATLAB readers and writers all work from `COLUMNS`. A column that is *reserved* belongs to the contract
-but is not read by this version: a file that has it is refused, never silently read without it.
+CSV, HDF5 and MATLAB readers and writers all work from `COLUMNS`.
 """
 
 import re
@@ -18,7 +17,7 @@ from fpcal_bayes.core.typing import Bools, Ints
 from fpcal_bayes.io.csv import Records
 from fpcal_bayes.io.hdf5 import Reader, put_array
 from fpcal_bayes.io.validate import shown
-from fpcal_bayes.measure.protocol import read_often
+from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps, check_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
@@ -37,7 +36,6 @@ class ColumnSpec:
     text: bool = False
     default: str = ""  # of a text: what an empty field means; a column that says nothing else is not written
     may_be_empty: bool = False  # a number that may be missing, NaN
-    reserved: bool = False
 
 
 COLUMNS = {
@@ -57,7 +55,7 @@ COLUMNS = {
         ColumnSpec("t_start_h", "optional", may_be_empty=True),
         ColumnSpec("t_end_h", "optional", may_be_empty=True),
         ColumnSpec("approach", "optional", text=True),
-        ColumnSpec("beam", "optional", text=True, reserved=True),
+        ColumnSpec("beam", "optional", text=True),
         ColumnSpec("shot", "optional", text=True),
         ColumnSpec("scale_ppm", "optional", may_be_empty=True),
         ColumnSpec("readings", "plan", may_be_empty=True),
@@ -74,7 +72,7 @@ COLUMNS = {
 
 
 def _named(place: str) -> tuple[str, ...]:
-    return tuple(spec.name for spec in COLUMNS.values() if spec.place == place and not spec.reserved)
+    return tuple(spec.name for spec in COLUMNS.values() if spec.place == place)
 
 
 LEADING, MEASUREMENT, OPTIONAL, PLAN, INDEX = map(_named, ("leading", "measurement", "optional", "plan", "index"))
@@ -118,7 +116,7 @@ def check_names(
 ) -> None:
     """Hold the names of a file's columns to those of the cell, and to those that may stand there `also`.
 
-    Raises `InputError` if a column repeats, is unknown, reserved or missing, or belongs to a cell with other joints.
+    Raises `InputError` if a column repeats, is unknown or missing, or belongs to a cell with other joints.
     In a plan, columns other than the joints' may be missing. `file` and `row` are for the message.
     """
     required, joints = required_columns(cell), joint_columns(cell)
@@ -138,9 +136,6 @@ def check_names(
             continue
         if name in PLAN:
             raise located(file, f"the column {name} belongs to a plan, expected measured sweeps", row=row)
-        spec = COLUMNS.get(name)
-        if spec is not None and spec.reserved:
-            raise located(file, f"the column {name} is reserved and not read by this version of fpcal", row=row)
         expected = f"expected {','.join(required)}, then any of {','.join(OPTIONAL)}"
         raise located(file, f"unknown column {shown(name)}, {expected}", row=row)
     for name in joints if plan else required:
@@ -227,7 +222,7 @@ def from_columns(
 
     Raises `InputError`, which names `file` and one of its `rows` (n,), if a value is not what its column holds, or the
     sweeps break a rule of `check_sweeps`. In a plan, columns other than the joints' may be missing, and a sweep becomes
-    as many rows as its `readings` ask for, unless sweeps are wanted `whole`.
+    as many rows as its `readings` ask for, of each beam where it names none, unless sweeps are wanted `whole`.
     """
     if len(rows) == 0:
         raise InputError(f"{file}: no rows, expected at least one sweep")
@@ -279,14 +274,14 @@ def from_columns(
         rows=rows,
         **others,
     )
-    check_sweeps(sweeps, cell)
+    check_sweeps(seen_by_all(sweeps, cell) if plan else sweeps, cell)
     readings = readings_of(table, file, rows)
     if whole:
         return sweeps
     refuse(
         readings == 0, "readings", "a whole trace is recorded by simulate --traces or measure, expected 1 or more here"
     )
-    return read_often(sweeps, readings)
+    return seen_by_all(read_often(sweeps, readings), cell)
 
 
 def readings_of(table: Mapping[str, Column], file: str, rows: Ints) -> Ints:

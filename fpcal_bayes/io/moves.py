@@ -23,6 +23,7 @@ from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.io.joint_paths import check_suffix
 from fpcal_bayes.io.recordings_mat import load_variables, mat_numbers, mat_texts
 from fpcal_bayes.measure.orders import Order
+from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.model.cell.cell import Cell, check_joints
 
@@ -265,5 +266,6 @@ def _sweeps(path: Path, cell: Cell, poses: Floats, of: Mapping[str, Any], sessio
         file=str(path),
         rows=rows + 1,
     )
+    sweeps = sweeps if sweeps.measured else seen_by_all(sweeps, cell)
     check_sweeps(sweeps, cell)
     return sweeps

@@ -22,6 +22,7 @@ def read_recordings(path: str | Path, cell: Cell, columns: Mapping[str, str] | N
     path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
     columns: what the files of traces call the columns that they call otherwise.
     """
+    cell.require_one_beam("a file of recordings")
     path = Path(path)
     require_readable(path)
     suffix = path.suffix.lower()

@@ -12,7 +12,8 @@ from fpcal_bayes.core.version import __version__
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import TruthRecord
-from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.cell.beams import Opd
+from fpcal_bayes.model.cell.cell import Cell
 
 
 @dataclass(frozen=True)

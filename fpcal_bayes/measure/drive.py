@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Ints
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.mechanics import Drive, drive_of
 
@@ -25,6 +26,17 @@ def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
 
 
 def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
+    end = Sharing.of(sweeps).end
+    moments, place = np.unique(end, return_inverse=True)
+    if len(moments) < len(end):
+        # What several beams read at one moment is one motion.
+        driven = _of_session(sweeps.take(moments), minutes_per_sweep).take(place)
+        return replace(driven, absolute=sweeps.absolute, beam=sweeps.beam, scaled=sweeps.scaled)
+    driven = _of_motions(sweeps, minutes_per_sweep)
+    return replace(driven, beam=sweeps.beam, scaled=sweeps.scaled)
+
+
+def _of_motions(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
     return drive_of(
         sweeps.q_start,
         sweeps.q_end,
@@ -35,7 +47,6 @@ def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
         t_start_h=sweeps.t_start_h,
         t_end_h=sweeps.t_end_h,
         approach=sweeps.approach_signs(),
-        scaled=sweeps.scaled,
     )
 
 

@@ -55,6 +55,7 @@ def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-
     sweeps = Sweeps.of_um_rad(q_start, q_end, session=session, label=labels, time_h=time_h, file="protocol")
     if midpoints:
         sweeps = add_midpoints(sweeps)
+    sweeps = seen_by_all(sweeps, cell)
     check_sweeps(sweeps, cell)
     return sweeps
 
@@ -99,11 +100,12 @@ def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
         return sweeps
     labels, rows = sweeps.label.tolist(), sweeps.rows.tolist()
     # Two sweeps of one label do not share a start.
-    times = Counter(zip(sweeps.session.tolist(), labels, strict=True))
+    sources = list(zip(sweeps.session.tolist(), labels, sweeps.beam.tolist(), strict=True))
+    times = Counter(sources)
     names = np.array(
         [
-            label if label and times[session, label] == 1 else f"{label} row {row}".lstrip()
-            for session, label, row in zip(sweeps.session.tolist(), labels, rows, strict=True)
+            source[1] if source[1] and times[source] == 1 else f"{source[1]} row {row}".lstrip()
+            for source, row in zip(sources, rows, strict=True)
         ]
     )
     order = np.repeat(np.arange(len(sweeps)), often)
@@ -114,12 +116,36 @@ def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
         label if i == n else f"{label}{_MIDPOINT}" if n == 2 else f"{label}-{i}/{n}"
         for label, i, n in zip(expanded.label.tolist(), place.tolist(), of.tolist(), strict=True)
     ]
+    shots = [
+        f"{shot} {i}/{n}" if shot and i < n else shot
+        for shot, i, n in zip(expanded.shot.tolist(), place.tolist(), of.tolist(), strict=True)
+    ]
     return replace(
         expanded,
         label=np.array(named, dtype=np.str_),
+        shot=np.array(shots, dtype=np.str_),
         # A joint that stands still does so exactly: rounding is no motion.
         q_end=np.where(still, expanded.q_end, expanded.q_start * (1.0 - share) + expanded.q_end * share),
         group=np.where(of > 1, names[order], expanded.group),
+    )
+
+
+def seen_by_all(sweeps: Sweeps, cell: Cell) -> Sweeps:
+    """A plan of a cell with several beams in which all of them read each row that names none, at one moment."""
+    alone = sweeps.beam == ""
+    if not cell.further or not alone.any():
+        return sweeps
+    order = np.repeat(np.arange(len(sweeps)), np.where(alone, len(cell.beams), 1))
+    spread, alone = sweeps.take(order), alone[order]
+    place = np.arange(len(order)) - np.searchsorted(order, order)
+    taken, shots = Counter(sweeps.label.tolist()), []
+    for i in order.tolist():
+        label = str(sweeps.label[i])
+        shots.append(label if label and taken[label] == 1 else f"{label} row {sweeps.rows[i]}".lstrip())
+    return replace(
+        spread,
+        beam=np.where(alone, np.array(cell.beams)[place], spread.beam),
+        shot=np.where(alone & (spread.shot == ""), np.array(shots), spread.shot),
     )
 
 
@@ -147,6 +173,7 @@ def single_sweep(
     q[:, joint - 1] = start, end
     label = label or f"q{joint}"
     sweeps = Sweeps.of_um_rad(q[:1], q[1:], session=session, label=label, time_h=time_h, file="single sweep")
+    sweeps = seen_by_all(sweeps, cell)
     check_sweeps(sweeps, cell)
     return sweeps
 

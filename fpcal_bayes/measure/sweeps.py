@@ -11,7 +11,8 @@ from scipy import special
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.notebook import html_table
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.model.cell.cell import Cell, check_joints
 from fpcal_bayes.model.envelope import behind_the_fibre
 
@@ -55,6 +56,8 @@ class Sweeps:
         When start and end were read, hours since the campaign began, or NaN, shape (n,).
     approach
         Direction in which each joint reached the end, one of ``+-0`` per joint, or empty, shape (n,).
+    beam
+        Name of the beam that read each row, shape (n,); empty: the only one.
     shot
         Rows of one session with the same non-empty shot were read at one moment, shape (n,).
     scale_ppm
@@ -83,6 +86,7 @@ class Sweeps:
     t_start_h: Floats
     t_end_h: Floats
     approach: Texts
+    beam: Texts
     shot: Texts
     scale_ppm: Floats
     common: Floats
@@ -133,6 +137,7 @@ class Sweeps:
         t_start_h: float | Floats = np.nan,
         t_end_h: float | Floats = np.nan,
         approach: str | Sequence[str] = "",
+        beam: str | Sequence[str] = "",
         shot: str | Sequence[str] = "",
         scale_ppm: float | Floats = np.nan,
         common: Floats | None = None,
@@ -166,6 +171,7 @@ class Sweeps:
             t_start_h=numbers(t_start_h),
             t_end_h=numbers(t_end_h),
             approach=texts(approach),
+            beam=texts(beam),
             shot=texts(shot),
             scale_ppm=numbers(scale_ppm),
             common=np.zeros((n, 0)) if common is None else common,
@@ -201,6 +207,15 @@ class Sweeps:
     def scaled(self) -> Floats:
         """What one standard deviation of the common scale adds to each row, in um, shape (n,)."""
         return np.nan_to_num(1e-6 * self.scale_ppm * self.dl)
+
+    def laid_out(self, model: CavityModel) -> Rows:
+        """The rows laid out for the kernels of a model."""
+        return model.rows(self.q_start, self.q_end, self.absolute, model.cell.beam_numbers(self.beam))
+
+    @property
+    def names(self) -> list[str]:
+        """Labels for messages, with the beam that read the row where it is named."""
+        return [f"{label} ({beam})" if beam else label for label, beam in zip(self.label, self.beam, strict=True)]
 
     def approach_signs(self) -> Floats:
         """Stated directions of approach as -1, 0 (not stated), +1, shape (n, n_joints)."""
@@ -298,9 +313,10 @@ def _check_distinct(sweeps: Sweeps) -> None:
 
 def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
     """Rows that stand earlier too, poses and dL to the last digit, shape (n,); counts of whole fringes do repeat."""
-    seen: set[tuple[float, ...]] = set()
+    seen: set[tuple[object, ...]] = set()
     again = np.zeros(len(sweeps), dtype=bool)
-    for i, key in enumerate(map(tuple, np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist())):
+    rows = np.column_stack([sweeps.q_start, sweeps.q_end, sweeps.dl]).tolist()
+    for i, key in enumerate(zip(map(tuple, rows), sweeps.beam.tolist(), strict=True)):
         again[i] = key in seen and sweeps.kind[i] == "sweep" and sweeps.sigma[i] < _COUNTED
         seen.add(key)
     return again
@@ -317,6 +333,8 @@ def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") 
         label=sweeps.label.tolist(),
         group=sweeps.group.tolist(),
         kind=sweeps.kind.tolist(),
+        beam=sweeps.beam.tolist(),
+        shot=sweeps.shot.tolist(),
         file=file,
         rows=np.arange(2, n + 2),
     )
@@ -361,7 +379,34 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
         bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}"
     )
 
+    beams = f"expected one of {', '.join(cell.beams)}" if cell.beam else f"cell {cell.name!r} names no beam"
+    refuse(~np.isin(sweeps.beam, ("", *cell.beams)), "beam", f"{beams}, see [[beam]] of the cell")
+    refuse((sweeps.beam == "") & (len(cell.beams) > 1), "beam", f"which beam read the row: {beams}")
+    beam = cell.beam_numbers(sweeps.beam)
+    _check_shots(sweeps, beam)
+
     # Rows that no cell gives. Lengths tell nothing of it: on the perpendicular path they are sizes.
+    for number, (view, _) in enumerate(cell.views):
+        mine = np.flatnonzero(beam == number)
+        if view.target == "plane-mirror" and len(mine):
+            _check_ahead(sweeps.take(mine), view)
+
+    # Rows of a group: compared with the first of them.
+    keys: dict[tuple[str, str, str], int] = {}
+    for i in np.flatnonzero(sweeps.group != ""):
+        first = keys.setdefault((str(sweeps.session[i]), str(sweeps.group[i]), str(sweeps.beam[i])), int(i))
+        same = (sweeps.q_start[first] == sweeps.q_start[i]).all()
+        if not same or (sweeps.measured and not np.isclose(sweeps.sigma[first], sweeps.sigma[i], rtol=1e-9)):
+            raise located(
+                sweeps.file,
+                f"group {str(sweeps.group[i])!r}: expected the start pose and sigma_um of its row {sweeps.rows[first]}",
+                row=int(sweeps.rows[i]),
+                column="group",
+            )
+
+
+def _check_ahead(sweeps: Sweeps, cell: Cell) -> None:
+    """Refuse rows of one beam on which the mirror stands behind the fibre."""
     known = np.flatnonzero(sweeps.absolute & (sweeps.dl > 0) & np.isfinite(sweeps.sigma))[:_SCANS]
     starts = np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start)
     poses = np.vstack([starts, sweeps.q_end])
@@ -374,15 +419,23 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
         )
         raise located(sweeps.file, what, row=int(sweeps.rows[worst % len(sweeps)]))
 
-    # Rows of a group: compared with the first of them.
-    keys: dict[tuple[str, str], int] = {}
-    for i in np.flatnonzero(sweeps.group != ""):
-        first = keys.setdefault((str(sweeps.session[i]), str(sweeps.group[i])), int(i))
-        same = (sweeps.q_start[first] == sweeps.q_start[i]).all()
-        if not same or (sweeps.measured and not np.isclose(sweeps.sigma[first], sweeps.sigma[i], rtol=1e-9)):
-            raise located(
-                sweeps.file,
-                f"group {str(sweeps.group[i])!r}: expected the start pose and sigma_um of its row {sweeps.rows[first]}",
-                row=int(sweeps.rows[i]),
-                column="group",
-            )
+
+def _check_shots(sweeps: Sweeps, beam: Ints) -> None:
+    """Rows of one shot, read at one moment: several beams, each once, at one end of one motion."""
+    if not beam.any():
+        return
+    first: dict[tuple[str, str], int] = {}
+    seen: set[tuple[str, str, int]] = set()
+    for i in np.flatnonzero(sweeps.shot != "").tolist():
+        key = (str(sweeps.session[i]), str(sweeps.shot[i]))
+        other = first.setdefault(key, i)
+        moved = (sweeps.q_end[other] != sweeps.q_end[i]).any()
+        begun = sweeps.absolute[other] or sweeps.absolute[i] or (sweeps.q_start[other] == sweeps.q_start[i]).all()
+        what = ""
+        if moved or not begun or sweeps.time_h[other] != sweeps.time_h[i]:
+            what = f"expected the poses and time_h of its row {sweeps.rows[other]}, read at the same moment"
+        elif (*key, int(beam[i])) in seen:
+            what = f"the beam {str(sweeps.beam[i])!r} stands in it twice, expected each beam once"
+        if what:
+            raise located(sweeps.file, f"shot {key[1]!r:.60}: {what}", row=int(sweeps.rows[i]), column="shot")
+        seen.add((*key, int(beam[i])))

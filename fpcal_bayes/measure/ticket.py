@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.times import clock, iso
 from fpcal_bayes.core.typing import Ints
-from fpcal_bayes.measure.protocol import read_often
+from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
@@ -61,12 +61,13 @@ def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
     Every row must belong to the ticket's session, lie before it expires, and stand within 1 um and 0.05 deg of a row of
     the ticket that no other one stands for.
     """
-    planned = ticket.rows()
+    planned = seen_by_all(ticket.rows(), cell)
     names = set(planned.session.tolist())
     near = np.tile(np.where(cell.joint_scales == 1.0, _NEAR_UM, np.radians(_NEAR_DEG)), 2)
     ends, read = (np.hstack([sweeps.q_start, sweeps.q_end]) for sweeps in (planned, measured))
     off = np.array([(np.abs(ends - q) / near).max(axis=1) for q in read])
-    off += 1e6 * (planned.kind != measured.kind[:, None])
+    beam, read_by = (cell.beam_numbers(sweeps.beam) for sweeps in (planned, measured))
+    off += 1e6 * ((planned.kind != measured.kind[:, None]) | (beam != read_by[:, None]))
     # A ticket may ask for a sweep twice, or for two that are near each other: as many as can be stand for one each.
     rows, columns = linear_sum_assignment(np.minimum(off, 1.0 + len(planned)))
     row_of = {at: i for i, at in zip(rows.tolist(), columns.tolist(), strict=True) if off[i, at] <= 1.0}

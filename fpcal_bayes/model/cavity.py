@@ -8,12 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians, derivative_columns
 from fpcal_bayes.model.kernels.lengths import RUNOUT_COS, STRIDE, THETA, R, batch_lengths
 from fpcal_bayes.model.kernels.mirror import batch_mirrors
+from fpcal_bayes.model.kernels.point import batch_points, point_columns
 from fpcal_bayes.model.parameters import ParameterSet
 
 
@@ -81,6 +83,8 @@ class Rows:
     poses: PoseGroups
     starts: Ints
     ends: Ints
+    #: In a cell with further beams: the rows of each beam, their positions, and number of the beam.
+    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,14 +101,33 @@ class CavityModel:
         return cls(cell, cell.free if free is None else free, cell.parameters.nominal if held is None else held)
 
     side: int = 0  # 1 or -1: perpendicular lengths change sign where the mirror passes the fibre, without a kink
+    sides: tuple[int, ...] = ()  # the same of each beam in a cell with further ones
 
     @cached_property
     def _path(self) -> int:
         return 0 if self.cell.opd == "axis" else 2 * self.side or 1
 
+    @cached_property
+    def views(self) -> tuple[tuple["CavityModel", Ints], ...]:
+        """The model as each beam sees it, with the positions of its free parameters among those of the cell."""
+        made = []
+        for (cell, index), side in zip(self.cell.views, self.sides or (0,) * len(self.cell.views), strict=True):
+            place = {int(slot): i for i, slot in enumerate(self.free.slots)}
+            seen = [(slot, place[int(i)]) for slot, i in enumerate(index) if int(i) in place]
+            free = ParameterSet(cell.parameters[slot] for slot, _ in seen)
+            view = CavityModel(cell, free, self.held[index], side)
+            made.append((view, np.array([i for _, i in seen], dtype=np.int64)))
+        return tuple(made)
+
     def facing(self, values: Floats, rows: Rows) -> "CavityModel":
         """The model whose perpendicular lengths are smooth, the mirror standing as at free parameters `values` (n,)."""
-        if self.cell.opd == "axis":
+        if rows.parts:
+            sides = [0] * len(self.views)
+            for beam, _, part in rows.parts:
+                view, own = self.views[beam]
+                sides[beam] = view.facing(values[own], part).side
+            return replace(self, sides=tuple(sides))
+        if self.cell.opd != "perpendicular":
             return self
         poses = Rows(rows.poses, np.full(len(rows.poses.q), -1, dtype=np.int64), np.arange(len(rows.poses.q)))
         ahead = replace(self, side=1).predict(values, poses) > 0
@@ -116,20 +139,34 @@ class CavityModel:
 
     @cached_property
     def _columns(self) -> Ints:
-        return derivative_columns(self.cell.revolute, self.free.slots)
+        return self._columns_of(self.free.slots)
+
+    def _columns_of(self, slots: Ints) -> Ints:
+        made = derivative_columns if self.cell.target == "plane-mirror" else point_columns
+        return made(self.cell.revolute, slots)
 
     def vector(self, values: Floats) -> Floats:
-        """Model vector (model size,) with the free parameters at `values` (n,)."""
-        vector = self.held.copy()
-        vector[self.free.slots] = values
+        """Model vector (model size,) with the free parameters at `values` (n,); or of many of them, (n_vectors, n)."""
+        vector = np.broadcast_to(self.held, (*np.shape(values)[:-1], len(self.held))).copy()
+        vector[..., self.free.slots] = values
         return vector
 
-    def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None) -> Rows:
+    def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None, beam: Ints | None = None) -> Rows:
         """Lay out sweeps for the kernels.
 
         q_start, q_end: joint vectors, shape (n_rows, n_joints), in um and rad.
         absolute: rows that give L(end) itself, shape (n_rows,).
+        beam: number of the beam that read each row, shape (n_rows,); by default the first.
         """
+        if self.cell.further:
+            beam = np.zeros(len(q_end), dtype=np.int64) if beam is None else beam
+            whole = replace(self, cell=self.views[0][0].cell).rows(q_start, q_end, absolute)
+            parts = []
+            for number in np.unique(beam).tolist() or [0]:
+                at = np.flatnonzero(beam == number)
+                some = None if absolute is None else absolute[at]
+                parts.append((number, at, self.views[number][0].rows(q_start[at], q_end[at], some)))
+            return replace(whole, parts=tuple(parts))
         poses = group_poses(self.cell, np.concatenate([q_start, q_end]))
         starts, ends = np.split(poses.inverse, 2)
         if absolute is not None:
@@ -140,12 +177,22 @@ class CavityModel:
         """The rows with each joint counted the other way where `way`, shape (n_joints,), is -1 in place of 1."""
         poses, along = rows.poses, way[~self.cell.revolute]
         turned = {name: getattr(poses, name) * way for name in ("q", "group_q", "group_sin")}
-        return replace(rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along))
+        parts = tuple((beam, at, self.turned(part, way)) for beam, at, part in rows.parts)
+        return replace(rows, poses=replace(poses, **turned, prismatic_q=poses.prismatic_q * along), parts=parts)
 
-    def pose_rows(self, q: Floats) -> Rows:
-        """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted."""
+    def pose_rows(self, q: Floats, beam: Ints | None = None) -> Rows:
+        """Lay out poses `q` (n, n_joints) whose cavity length itself is wanted; `beam` as in `rows`."""
+        if self.cell.further:
+            return self.rows(q, q, np.ones(len(q), dtype=bool), beam)
         poses = group_poses(self.cell, q)
         return Rows(poses, np.full(len(q), -1, dtype=np.int64), poses.inverse)
+
+    def half_waves(self, rows: Rows) -> Floats:
+        """Half the wavelength of the beam that read each row, in um, shape (n_rows,)."""
+        waves = np.full(len(rows.ends), 0.5 * self.cell.wavelength)
+        for beam, at, _ in rows.parts:
+            waves[at] = 0.5 * self.views[beam][0].cell.wavelength
+        return waves
 
     def predict(self, values: Floats, rows: Rows) -> Floats:
         """Predict rows for one or many parameter vectors.
@@ -155,7 +202,15 @@ class CavityModel:
         Returns shape (n_rows,) or (n_vectors, n_rows), in um.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
-        result = batch_lengths(*self._arguments(many, rows))
+        if rows.parts:
+            result = np.empty((len(many), len(rows.ends)))
+            for beam, at, part in rows.parts:
+                view, own = self.views[beam]
+                result[:, at] = view.predict(many[:, own], part)
+        elif self.cell.target == "plane-mirror":
+            result = batch_lengths(*self._arguments(many, rows))
+        else:
+            result, _ = batch_points(*self._arguments(many, rows), self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
 
     def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
@@ -165,22 +220,39 @@ class CavityModel:
         one; in um, and um per um or rad.
         """
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
-        result, jacobian = batch_jacobians(*self._arguments(many, rows), self._columns)
+        if rows.parts:
+            result = np.empty((len(many), len(rows.ends)))
+            jacobian = np.zeros((*result.shape, len(self.free)))
+            for beam, at, part in rows.parts:
+                view, own = self.views[beam]
+                result[:, at], jacobian[:, at[:, None], own] = view.predict_with_jacobian(many[:, own], part)
+        else:
+            result, jacobian = self._differentiated(many, rows, self._columns)
         return (result[0], jacobian[0]) if np.ndim(values) == 1 else (result, jacobian)
 
-    def joint_jacobian(self, values: Floats, q: Floats) -> Floats:
+    def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
+        kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
+        return kernel(*self._arguments(values, rows), columns)
+
+    def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
         """Derivatives of the cavity length by the joints.
 
         values: free parameters, shape (n,).
         q: joint vectors, shape (n_poses, n_joints).
+        beam: number of the beam of each pose, shape (n_poses,); by default the first.
         Returns shape (n_poses, n_joints), in um per um or rad.
         """
+        if self.cell.further:
+            moves = np.empty(q.shape)
+            for number, (view, own) in enumerate(self.views):
+                at = np.full(len(q), number == 0) if beam is None else beam == number
+                moves[at] = view.joint_jacobian(values[own], q[at])
+            return moves
         n_joints = len(self.cell.joints)
         links = np.arange(n_joints) * STRIDE
         wanted = np.concatenate([links + np.where(self.cell.revolute, THETA, R), links + R]).astype(np.int64)
         many = np.ascontiguousarray(values, dtype=float)[None]
-        asked = derivative_columns(self.cell.revolute, wanted)
-        _, columns = batch_jacobians(*self._arguments(many, self.pose_rows(q)), asked)
+        _, columns = self._differentiated(many, self.pose_rows(q), self._columns_of(wanted))
         moved, along = columns[0][:, :n_joints], columns[0][:, n_joints:]
         link_values = self.vector(values)[: STRIDE * n_joints].reshape(n_joints, STRIDE)
         gain, runout_cos, runout_sin = link_values[:, RUNOUT_COS - 1 :].T
@@ -189,14 +261,20 @@ class CavityModel:
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Mirror normals and origins in the world frame, columns three and four of wTt.
+        """Normals and origins of the first beam's mirror in the world frame, columns three and four of wTt.
 
         values: free parameters, shape (n,) or (n_vectors, n).
         q: joint vectors, shape (n_poses, n_joints).
         Returns normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        Raises InputError if the target is a point, which has no normal.
         """
+        if self.cell.target != "plane-mirror":
+            raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
         many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         joints = np.ascontiguousarray(q, dtype=float)
+        if self.cell.further:
+            view, own = self.views[0]
+            return view.mirrors(values[..., own], q)
         normals, origins = batch_mirrors(self.held, self.free.slots, many, self.cell.revolute, joints)
         return (normals[0], origins[0]) if np.ndim(values) == 1 else (normals, origins)
 

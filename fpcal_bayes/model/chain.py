@@ -61,7 +61,7 @@ def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
 def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
     """DGM: wTe, the end-effector frame in the world frame, paper equation (12).
 
-    vector: model vector, shape (8 n_joints + 8,), in um and rad.
+    vector: model vector, shape (model size,), in um and rad.
     q: joint vector, shape (n_joints,), in um and rad.
     Returns transform, shape (4, 4).
     """
@@ -72,9 +72,11 @@ def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
     return pose
 
 
-def mirror_in_tool(vector: Matrix) -> Matrix:
-    """eTt, the mirror frame in the end-effector frame, paper equation (14)."""
+def mirror_in_tool(cell: Cell, vector: Matrix) -> Matrix:
+    """eTt, the frame of the first beam's target in the end-effector frame: paper equation (14) for a mirror."""
     beta_et, theta_et, _, _, z_et, *_ = _extrinsics(vector)
+    if cell.target == "corner-cube":
+        return translation(beta_et, theta_et, z_et)
     return translation(0, 0, z_et) @ rot_x(beta_et) @ rot_y(theta_et)
 
 
@@ -86,27 +88,32 @@ def fibre_in_world(vector: Matrix) -> Matrix:
 
 def mirror_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
     """wTt, the mirror frame in the world frame, paper equation (19); shape (4, 4)."""
-    return tool_pose(cell, vector, q) @ mirror_in_tool(vector)
+    return tool_pose(cell, vector, q) @ mirror_in_tool(cell, vector)
 
 
 def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
-    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,).
+    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,), or of vectors (n, size), (n, 3).
 
     The paper names Zf, the third column of (13), which stands across the mirror normal; minus the second column
     points from the fibre to the mirror.
     """
-    frame = fibre_in_world(vector)
-    return frame[:3, 2] if cell.optical_axis == "z" else -frame[:3, 1]
+    beta, theta = vector[..., -6], vector[..., -5]
+    if cell.optical_axis == "z":
+        return np.stack([0.0 * beta, -np.sin(beta), np.cos(beta)], axis=-1)
+    return np.stack([np.sin(theta), -np.cos(beta) * np.cos(theta), -np.sin(beta) * np.cos(theta)], axis=-1)
 
 
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:
     """Reflection point in the world frame and in the mirror frame, paper equations (28), (29).
 
-    On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane.
+    On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane; a target that
+    is a point reflects there.
 
     Returns wPr and tPr, each of shape (3,), in um.
     """
     mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
+    if cell.target == "corner-cube":
+        return mirror[:3, 3], np.zeros(3)
     normal, origin = mirror[:3, 2], fibre[:3, 3]
     distance = normal @ (mirror[:3, 3] - origin)
     along = optical_axis(cell, vector) if cell.opd == "axis" else normal

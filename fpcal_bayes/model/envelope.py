@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.joint_path import JointPath, in_turn, sweep_path, task_path
+from fpcal_bayes.model.joint_path import JointPath, in_turn, lattice, sweep_path, task_path
 from fpcal_bayes.model.margin import SIGMAS, Known, gap_is_known, margin, require_envelope
 
 #: Without a measured gap a joint may move along the beam by this share of the nominal gap, to hold a task's plane.
@@ -23,8 +22,8 @@ _ALONG_BEAM = 0.5
 #: Standard deviations by which a length is below zero that no cell can have given.
 _LIKELY = 2.0
 _TOUCHING_UM = 1e-9
-#: Share of a joint's range that gives way at a time; turns of more than this are looked at between their ends, in rad.
-_CUT, _TURN_STEP = 0.02, float(np.radians(30.0))
+#: Share of a joint's range that gives way at a time.
+_CUT = 0.02
 #: Draws that ranges are found with, and rows that share the risk: a plan has fewer, and is looked at again as a whole.
 _FEW, _ROWS = 400, 100
 
@@ -46,7 +45,8 @@ def breaches(
     rows: how many rows the risk is shared by; by default those of the path.
     """
     envelope = require_envelope(model.cell)
-    found = margin(model, draws, path, exact=exact, rows=len(np.unique(path.row)) if rows is None else rows)
+    rows = len(np.unique(path.row)) if rows is None else rows
+    found = margin(model, draws, path, exact=exact, rows=rows, boxes=True)
     seen: dict[int, str] = {}
 
     def note(poses: Bools, text: str, shown: Floats, *, least: bool = False) -> None:
@@ -122,7 +122,7 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
             f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0].what}"
         )
     while True:
-        box = _lattice(cell, low, high)
+        box = lattice(cell, low, high)[0]
         over = excess(box)
         worst = int(np.argmax(over))
         if over[worst] <= 0:
@@ -144,13 +144,6 @@ def _poses(q: Floats) -> JointPath:
     """Poses alone, without steps."""
     n = len(q)
     return JointPath(q, np.arange(n), np.zeros(n, dtype=bool), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
-
-
-def _lattice(cell: Cell, low: Floats, high: Floats) -> Floats:
-    """Poses of a box of joints: its corners, and places between for joints that turn."""
-    ends = zip(low.tolist(), high.tolist(), cell.revolute, strict=True)
-    values = [np.unique(np.linspace(a, b, 3 + 2 * int((b - a) / _TURN_STEP) if turns else 2)) for a, b, turns in ends]
-    return np.array(list(product(*values)))
 
 
 def require_within_envelope(

@@ -49,7 +49,7 @@ class FewJoints:
     def _seen(cls, cell: Cell, vector: Floats, met: Ints) -> "FewJoints":
         home = np.zeros(len(cell.joints))
         _, on_mirror = chain.reflection_point(cell, vector, home)
-        point = chain.mirror_in_tool(vector) @ chain.translation(*on_mirror)
+        point = chain.mirror_in_tool(cell, vector) @ chain.translation(*on_mirror)
         return cls(cell, vector, met, chain.fibre_in_world(vector)[:3, :3], point)
 
     def solve(self, targets: Floats, near: Floats) -> tuple[Floats, Ints, Ints]:

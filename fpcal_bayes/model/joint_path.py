@@ -14,6 +14,8 @@ from fpcal_bayes.model.cell.cell import Cell
 POINTS = 9
 #: Speeds of joints that state none, in um and rad a second.
 TRAVEL_SPEED, TURN_SPEED = 100.0, float(np.radians(2.0))
+#: Turns of more than this are looked at between their ends, in rad.
+_TURN_STEP = float(np.radians(30.0))
 
 
 @dataclass(frozen=True)
@@ -122,3 +124,10 @@ def box(cell: Cell, start: Floats, end: Floats) -> Floats:
         for i, turns in enumerate(cell.revolute)
     ]
     return np.array(list(product(*values)))
+
+
+def lattice(cell: Cell, low: Floats, high: Floats) -> tuple[Floats, tuple[int, ...]]:
+    """Poses of a box of joints, and how many values each joint has there: its ends, and values between if it turns."""
+    ends = zip(low.tolist(), high.tolist(), cell.revolute, strict=True)
+    values = [np.unique(np.linspace(a, b, 3 + 2 * int((b - a) / _TURN_STEP) if turns else 2)) for a, b, turns in ends]
+    return np.array(list(product(*values))), tuple(map(len, values))

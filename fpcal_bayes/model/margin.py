@@ -11,14 +11,14 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.joint_path import JointPath
+from fpcal_bayes.model.joint_path import JointPath, lattice
 
 #: Standard deviations of the estimate that stay inside the envelope over a whole path.
 SIGMAS = 4.0
@@ -28,8 +28,10 @@ N_DRAWS, _SCREEN = 2000, 400
 _MEASURED = 0.5
 #: Stands for a clearance where the mirror faces away.
 _AWAY = -1e6
-#: Draws times poses that are looked at together: what fits a few tens of megabytes.
-_BLOCK = 400_000
+#: Draws times poses that are looked at together: what fits the processor's cache.
+_BLOCK = 40_000
+#: Poses in a box for each that is looked at to know it whole.
+_WORTH = 6
 
 
 @dataclass(frozen=True)
@@ -83,10 +85,8 @@ class Known:
     def of(cls, model: CavityModel, draws: Floats) -> "Known":
         """The same with fibre and light worked out; one draw may come as a vector."""
         draws = np.atleast_2d(draws)
-        vectors = [model.vector(values) for values in draws]
-        fibre = np.array([chain.fibre_in_world(vector)[:3, 3] for vector in vectors])
-        light = np.array([chain.optical_axis(model.cell, vector) for vector in vectors])
-        return cls(model, draws, fibre[:, None], light[:, None])
+        vectors = model.vector(draws)
+        return cls(model, draws, vectors[:, None, -3:], chain.optical_axis(model.cell, vectors)[:, None])
 
     def first(self, n: int) -> "Known":
         """The first `n` draws."""
@@ -113,12 +113,15 @@ class Known:
         return ahead, facing, np.where(facing > 1e-3, aside, 1e9), before
 
 
-def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1) -> Margin:
+def margin(
+    model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1, boxes: bool = False
+) -> Margin:
     """What a path leaves between mirror and fibre.
 
     model, draws: A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
     exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
     rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+    boxes: poses that a box around many of them shows to be inside need no sizes of their own, which are NaN then.
     Raises InputError if the cell has no envelope, or the gap that it states and the one that the draws have measured
     disagree.
     """
@@ -127,16 +130,68 @@ def margin(model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = 
     known = (np.zeros(len(told.draws)), 0.0) if exact else _gap(told, envelope)
     shift, gap_sd = (np.zeros(len(told.draws)), 0.0) if known is None else known
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
-    sizes = _sizes(told.first(_SCREEN), path.q, (envelope, shift[:_SCREEN], gap_sd, sigmas))
-    gap, _, least, tilt, most_tilt, most_aside = sizes
-    # Poses that half as much spread again keeps inside need no finer look.
-    near = (1.5 * least - 0.5 * gap < envelope.least_gap) | (1.5 * most_tilt - 0.5 * tilt > envelope.max_tilt)
-    near |= 1.5 * most_aside > envelope.mirror_radius
+    few, bounds = told.first(_SCREEN), (envelope, shift[:_SCREEN], gap_sd, sigmas)
+    looked = np.ones(len(path.q), dtype=bool)
+    if boxes:
+        looked = _left_by_boxes(few, path.q, bounds, known is not None)
+    sizes = np.full((6, len(path.q)), np.nan)
+    sizes[:, looked] = _sizes(few, path.q[looked], bounds)
+    near = (_room(sizes, envelope) < 0).any(axis=0)
     if len(told.draws) > _SCREEN and near.any():
         sizes[:, near] = _sizes(told, path.q[near], (envelope, shift, gap_sd, sigmas))
     rates = _rates(model, told.draws[:_SCREEN], path, sigmas)
     gap, spread, least, tilt, most_tilt, most_aside = sizes
     return Margin(gap, spread, least, tilt, most_tilt, most_aside, rates, known is not None)
+
+
+def _room(sizes: Floats, envelope: Envelope) -> Floats:
+    """What is left of gap, tilt and offset where half as much spread again is added, shape (3, n_poses)."""
+    gap, _, least, tilt, most_tilt, most_aside = sizes
+    return np.stack(
+        [
+            1.5 * least - 0.5 * gap - envelope.least_gap,
+            envelope.max_tilt - 1.5 * most_tilt + 0.5 * tilt,
+            envelope.mirror_radius - 1.5 * most_aside,
+        ]
+    )
+
+
+def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float], gap: bool) -> Bools:
+    """Which poses (n_poses, n_joints) need a look of their own: no box of joints around many of them stays inside.
+
+    Boxes are halved while that costs less than a look at their poses. Between the values that are looked at, no more is
+    taken for granted than that a quantity bends twice as much as it does on them; `gap` is false where it is not known.
+    """
+    cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
+    groups = [np.arange(len(q))]
+    while groups:
+        boxes: list[tuple[Ints, Floats, Floats, Floats, tuple[int, ...]]] = []
+        for group in groups:
+            low, high = q[group].min(axis=0), q[group].max(axis=0)
+            poses, shape = lattice(cell, low, high)
+            if len(group) > _WORTH * len(poses):
+                boxes.append((group, low, high, poses, shape))
+            else:
+                left[group] = True
+        groups, first = [], 0
+        if boxes:
+            room = _room(_sizes(few, np.vstack([poses for _, _, _, poses, _ in boxes]), bounds), bounds[0])
+        for group, low, high, poses, shape in boxes:
+            own = room[0 if gap else 1 :, first : first + len(poses)]
+            first += len(poses)
+            grid, bent = own.reshape(-1, *shape), np.zeros(len(own))
+            for axis in range(1, grid.ndim):
+                if shape[axis - 1] > 2:
+                    bent += np.abs(np.diff(grid, n=2, axis=axis)).reshape(len(own), -1).max(axis=1)
+            if (own.min(axis=1) > bent / 4.0).all():
+                continue
+            joint = int(np.argmax((high - low) / full))
+            lower = q[group, joint] <= (low[joint] + high[joint]) / 2.0
+            if lower.all():
+                left[group] = True
+            else:
+                groups += [group[lower], group[~lower]]
+    return left
 
 
 def _sizes(known: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float]) -> Floats:

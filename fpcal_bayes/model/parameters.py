@@ -18,9 +18,11 @@ SCALES = {"um": 1.0, "deg": float(np.pi / 180.0), "ppm": 1e-6}
 
 LINK_SLOTS = ("beta", "alpha", "d", "theta", "r", "gain", "runout_cos", "runout_sin")
 EXTRINSICS = ("beta_et", "theta_et", "beta_wf", "theta_wf", "z_et", "x_wf", "y_wf", "z_wf")
+#: Those of a target that is a point, in the same places: where it is in the tool frame in place of how a mirror stands.
+POINT_EXTRINSICS = ("x_et", "y_et", *EXTRINSICS[2:])
 UNITS = {
     **dict.fromkeys(("beta", "alpha", "theta", "beta_et", "theta_et", "beta_wf", "theta_wf"), "deg"),
-    **dict.fromkeys(("d", "r", "runout_cos", "runout_sin", "z_et", "x_wf", "y_wf", "z_wf"), "um"),
+    **dict.fromkeys(("d", "r", "runout_cos", "runout_sin", "x_et", "y_et", "z_et", "x_wf", "y_wf", "z_wf"), "um"),
     "gain": "ppm",
 }
 _LATEX = {
@@ -43,7 +45,9 @@ class Parameter:
     nominal: float
     prior_sd: float
     kind: Kind  # ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit)
-    slot: int  # position in the model vector: `LINK_SLOTS` of each link, then `EXTRINSICS`
+    #: Position in the model vector: `LINK_SLOTS` of each link, what further beams have of their own, then the
+    #: `EXTRINSICS` of the first beam.
+    slot: int
     optional: bool = False  # freed only when it is asked for by name
     prior: Marginal | None = None  # the prior where it is not normal; `prior_sd` is its standard deviation
 

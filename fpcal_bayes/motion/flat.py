@@ -69,7 +69,7 @@ def flat_content(estimate: Estimate) -> dict[str, Any]:
         content[f"{parameter.name}_sd_{parameter.unit}"] = shown[parameter.name]["sd"]
     frames = {
         "fibre_in_world": placement.fibre,
-        "mirror_in_tool": chain.mirror_in_tool(vector),
+        "mirror_in_tool": chain.mirror_in_tool(cell, vector),
         "point_in_tool": np.linalg.inv(placement.tool_in_point),
         "aligned_pose": placement.aligned,
     }

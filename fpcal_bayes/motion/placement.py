@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
@@ -29,10 +30,15 @@ class Placement:
     @classmethod
     def of(cls, cell: Cell, vector: Floats) -> "Placement":
         """Frames of the model vector `vector` (model size,), in um and rad."""
+        if cell.target != "plane-mirror":
+            raise InputError(
+                f"cell {cell.name!r}: tasks hold a mirror before the first beam, which ends on a {cell.target}; put a "
+                "beam on a plane mirror first"
+            )
         home = np.zeros(len(cell.joints))
         world, mirror = chain.reflection_point(cell, vector, home)
         fibre = chain.fibre_in_world(vector)
-        point = chain.mirror_in_tool(vector) @ chain.translation(*mirror)
+        point = chain.mirror_in_tool(cell, vector) @ chain.translation(*mirror)
         aligned = np.eye(4)
         # The light leaves along -Yf, or along Zf in the literal reading of the paper's (13).
         aligned[:3, :3] = chain.rot_x(-np.pi / 2 if cell.optical_axis == "minus-y" else np.pi)[:3, :3]

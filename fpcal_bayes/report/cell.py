@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from fpcal_bayes.analysis.cell_view import AxisView, CellView
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.model.axes import direction_words
+from fpcal_bayes.model.axes import Sight, direction_words, sight
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.pages import BLUE, GREEN, ORANGE, VERMILION, drawable
 
 #: Where x, y and z of the world point on the page: x towards the reader, y to the right, z up.
@@ -28,11 +29,10 @@ def cell_words(view: CellView) -> Iterator[str]:
         beam = abs(float(axis.direction @ seen.light)) > 0.95
         note = (", along the beam" if axis.kind == "prismatic" else ", about the beam") if beam else ""
         yield f"  {axis.name} {axis.words}{note}; {axis.limits}"
-    across = direction_words(seen.across)
-    yield f"mirror: its normal points along {direction_words(seen.normal)}, its x axis along {across}"
-    yield f"fibre: its end stands at {_place(seen.fibre)} um, its light leaves along {direction_words(seen.light)}"
-    yield from _facing(view)
-    yield f"path: {_PATHS[cell.opd]}; wavelength {1e3 * cell.wavelength:g} nm"
+    for part, _ in cell.views:
+        if cell.beam:
+            yield f"beam {part.beam}, on a {part.target}"
+        yield from _beam_words(part, sight(part, part.parameters.nominal, view.q))
     if view.reach.circle is None:
         yield f"reach: no tasks ({view.reach.why_not})"
     else:
@@ -45,11 +45,30 @@ def cell_words(view: CellView) -> Iterator[str]:
         yield f"not stated: {text}"
 
 
-_PATHS = {"axis": "length along the optical axis", "perpendicular": "distance from the fibre to the mirror plane"}
+_PATHS = {
+    "axis": "length along the optical axis",
+    "perpendicular": "distance from the fibre to the mirror plane",
+    "distance": "distance from where the light starts to the point",
+}
 
 
-def _facing(view: CellView) -> Iterator[str]:
-    seen = view.sight
+def _beam_words(cell: Cell, seen: Sight) -> Iterator[str]:
+    """How the target and the light of one beam stand."""
+    start = f"its end stands at {_place(seen.fibre)} um, its light leaves along {direction_words(seen.light)}"
+    if cell.target == "plane-mirror":
+        across = direction_words(seen.across)
+        yield f"mirror: its normal points along {direction_words(seen.normal)}, its x axis along {across}"
+        yield f"fibre: {start}"
+        yield from _facing(seen)
+    else:
+        yield f"point: it stands at {_place(seen.origin)} um"
+        yield "light: " + (
+            start if cell.opd == "axis" else f"it starts at {_place(seen.fibre)} um and follows the point"
+        )
+    yield f"path: {_PATHS[cell.opd]}; wavelength {1e3 * cell.wavelength:g} nm"
+
+
+def _facing(seen: Sight) -> Iterator[str]:
     if not np.isfinite(seen.length):
         yield "gap: none, the light runs along the mirror"
         return

@@ -106,6 +106,12 @@ class Agenda:
         """Orders that are still to be driven."""
         return [number for number in range(len(self.orders)) if number not in self.outcomes]
 
+    @property
+    def last(self) -> Order | None:
+        """The order that was driven and kept last."""
+        kept = [number for number, outcome in self.outcomes.items() if not outcome["doubt"]]
+        return self.orders[kept[-1]] if kept else None
+
     def require_valid(self) -> None:
         """Raise `InputError` if the ticket is out of date."""
         expired = self._expired()
@@ -240,6 +246,7 @@ class Agenda:
                 )
         self.origin = Origin(float(head["origin_s"]), bool(head["origin_known"]))
         for outcome in outcomes:
+            self.outcomes.pop(outcome["_id"], None)
             self.outcomes[outcome["_id"]] = outcome
         # What was in doubt when the run ended gets another chance.
         self.outcomes = {number: outcome for number, outcome in self.outcomes.items() if not outcome["doubt"]}

@@ -90,11 +90,19 @@ class Bench:
         self._folder = folder
         self._commanded = np.full(len(cell.joints), np.nan)
         self._moved = False
+        # The order that was driven and kept last, and whether the joints have returned to its start and stand there.
+        self.before: Order | None = None
+        self._returned = False
 
     def prepare(self) -> None:
-        """Connect to all devices and hold them to what safe moves and good readings need."""
+        """Connect to all devices and hold them to what safe moves and good readings need.
+
+        Axes that an earlier program left on their way are stopped first: where they are read to be they stand.
+        """
         for stage in self.stages:
             stage.prepare()
+        for doubt in self._unsure():
+            raise InputError(doubt)
         if self.instrument is not None:
             try:
                 self.instrument.prepare()
@@ -227,6 +235,7 @@ class Bench:
             else:
                 closing = readings[-1].length - readings[0].length
                 if abs(closing) <= self._rig.close:
+                    self.before, self._returned = order, True
                     return _outcome(number, readings[:-1], closing)
                 doubt = f"does not close: {1e3 * closing:.1f} nm between the start and the return to it"
             self._log.write("measure", "-", f"{order.label}: {doubt} (drive {attempt + 1})")
@@ -235,6 +244,7 @@ class Bench:
     def _sweep(self, order: Order) -> list[Reading]:
         """Start, targets and the return to the start."""
         readings = []
+        self._run_up(order)
         for number, target in enumerate(self._guard.stops(order)):
             what = f"row {order.row}: {order.label!r}"
             # On the way to the start nothing is measured yet.
@@ -243,6 +253,12 @@ class Bench:
         if any(later.moment < earlier.moment for earlier, later in pairwise(readings)):
             raise Disturbed("the computer's clock was set back")
         return readings
+
+    def _run_up(self, order: Order) -> None:
+        """Come to the start of an order from the side that the order of the rows says."""
+        for pose in self._guard.run_up(order, self.before, returned=self._returned):
+            self.go(pose, f"row {order.row}: {order.label!r}, before the start")
+        self._returned = False
 
     def _record(self, number: int, order: Order) -> dict[str, Any]:
         """Record the whole way from the start to the end."""
@@ -256,6 +272,7 @@ class Bench:
             raise InputError(f"{what}: {len(joints)} joints move, expected one: a trace holds one")
         joint = int(joints[0])
         scale = float(self._cell.joint_scales[joint])
+        self._run_up(order)
         self.go(start, what)
         first = self.read(start)
         seconds = self._guard.seconds(start, end) + self._rig.joints[joint].settle_timeout_s
@@ -272,6 +289,7 @@ class Bench:
         path = self._folder / f"{number + 1:04d}_kept.csv"
         write_trace(path, trace, scale)
         self.go(start, what)
+        self.before, self._returned = order, True
         return _outcome(number, [first, last], math.nan) | {"trace": path.name}
 
     def _await_fringes(self) -> None:
@@ -291,6 +309,12 @@ class Bench:
             stage.stop()
         if self.recorder is not None:
             self.recorder.abandon()
+        doubts = self._unsure()
+        self._commanded[:] = np.nan
+        return doubts if self._moved else []
+
+    def _unsure(self) -> list[str]:
+        """Wait until all axes stand; the controllers whose axes may not, and why."""
         for link in self._links:
             link.obeys = False
         doubts = []
@@ -307,10 +331,9 @@ class Bench:
                 time.sleep(_SHORTEST_PAUSE)
             if why:
                 doubts.append(f"{stage.name}: not sure that its axes stand ({why})")
-        self._commanded[:] = np.nan
         for link in self._links:
             link.obeys = True
-        return doubts if self._moved else []
+        return doubts
 
     def close(self) -> None:
         """Let go of all connections."""

@@ -47,6 +47,7 @@ def read_rig(source: str | Path, cell: Cell) -> Rig:
 
     Raises InputError if the file is missing or anything in it is not as documented, or a joint has no controller.
     """
+    cell.require_one_beam("a rig")
     path = Path(source)
     text = read_text(path)
     try:

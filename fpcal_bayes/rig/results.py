@@ -28,12 +28,12 @@ def sweeps_of(
 ) -> Sweeps | None:
     """The rows of all orders that gave reliable numbers; None if there is none.
 
-    outcomes: by the order's place.
+    outcomes: by the order's place, in the order in which they were driven, which is that of the rows.
     sigma: standard deviation of a row, in um.
     origin_s: Unix time of the campaign's beginning.
     """
     rows: list[dict[str, Any]] = []
-    for number, outcome in sorted(outcomes.items()):
+    for number, outcome in outcomes.items():
         if outcome["doubt"]:
             continue
         order, (first, *others) = orders[number], outcome["readings"]
@@ -90,7 +90,7 @@ def recordings_of(
     orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]], cell: Cell, folder: Path, origin_s: float
 ) -> TraceIndex | None:
     """The recorded traces of all orders; None if there is none."""
-    kept = [(orders[number], outcome) for number, outcome in sorted(outcomes.items()) if not outcome["doubt"]]
+    kept = [(orders[number], outcome) for number, outcome in outcomes.items() if not outcome["doubt"]]
     if not kept:
         return None
     ends = [np.array([outcome["readings"][end]["q"] for _, outcome in kept]) for end in (0, -1)]

@@ -59,6 +59,8 @@ class Guard:
         self._model = CavityModel.of(cell, parameters)
         # Moves, either way, that were found to be allowed.
         self._allowed: set[frozenset[bytes]] = set()
+        sizes = () if cell.mechanics is None else cell.mechanics.joints
+        self._reverses = np.array([joint.reversal > 0.0 for joint in sizes] or [False] * len(cell.joints), dtype=bool)
         self.tolerance = np.array([joint.tolerance for joint in rig.joints])
         self.speed = np.array([joint.speed for joint in rig.joints])
 
@@ -154,13 +156,28 @@ class Guard:
         gap = float(self.gaps(np.concatenate([line, _box(start, end)])).min())
         return Leg(name, start, end, self.seconds(start, end), gap, rate)
 
-    def moves(self, order: Order, at: Floats) -> list[tuple[Floats, Floats, str]]:
-        """The moves of an order from where the joints stand: start, end, what for."""
-        names = ["to the start", *order.labels, "back to the start"]
+    def moves(self, order: Order, at: Floats, before: Order | None = None) -> list[tuple[Floats, Floats, str]]:
+        """The moves of an order from where the joints stand, after the order `before` if any: start, end, what for."""
+        stops = [at, *self.run_up(order, before), *self.stops(order)]
+        names = ["to the start"] * (len(stops) - len(order.labels) - 2) + [*order.labels, "back to the start"]
         return [
             (start, end, f"row {order.row}: {order.label!r}, {name}")
-            for name, (start, end) in zip(names, pairwise([at, *self.stops(order)]), strict=True)
+            for name, (start, end) in zip(names, pairwise(stops), strict=True)
         ]
+
+    def run_up(self, order: Order, before: Order | None, *, returned: bool = True) -> list[Floats]:
+        """The pose on the way to an order's start from which the start is reached as the order of the rows says.
+
+        Rows say that a joint comes from where the last kept sweep ended; it has `returned` to that sweep's start since,
+        or else stands anywhere, and may come from the other side. That matters where the cell states its reversal.
+        """
+        start = self.inside(order.start)
+        if before is None:
+            return []
+        first, last = self.inside(before.start), self.inside(before.targets[-1])
+        other = (start - first) * (start - last) < 0 if returned else start != last
+        other &= self._reverses
+        return [np.where(other, last, start)] if other.any() else []
 
     def stops(self, order: Order) -> Iterator[Floats]:
         """The poses at which an order stops: its start, its targets, its start."""
@@ -175,9 +192,9 @@ def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]
 
     Raises ForbiddenMoveError at the first move that must not be made.
     """
-    moves = []
-    for order in orders:
-        moves.append(guard.moves(order, at))
+    moves: list[list[tuple[Floats, Floats, str]]] = []
+    for before, order in zip([None, *orders], orders, strict=False):
+        moves.append(guard.moves(order, at, before))
         at = moves[-1][-1][1]
     guard.check_moves([move for each in moves for move in each])
     return [[guard.leg(what, start, end) for start, end, what in each] for each in moves]

@@ -65,6 +65,7 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
         here = bench.position()
         legs = dry_run(guard, [agenda.orders[number] for number in agenda.left], here)
         agenda.begin()
+        bench.before = agenda.last
         expected, began, planned = total_seconds(legs), agenda.rig.clock.ticks(), 0.0
         durations = dict(zip(agenda.left, (total_seconds([order]) for order in legs), strict=True))
         while not agenda.should_stop()[0]:

@@ -63,7 +63,7 @@ class Machine:
     half_reversal, return_sd, encoder, period, phase
         Of each joint, in um and rad, shape (n_joints,).
     drift
-        Rate of the fibre in um per minute, shape (3,).
+        Rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several.
     settings, rng
         Noise and its random numbers.
     """
@@ -114,31 +114,41 @@ class Machine:
             encoder=drawn([j.encoder for j in sizes.joints]),
             period=np.where(np.isfinite(periods), periods, unknown),
             phase=rng.uniform(0, 2 * np.pi, n),
-            drift=rng.standard_normal(3) * sizes.drift_nm_per_min * 1e-3,
+            drift=rng.standard_normal((len(cell.beams), 3) if cell.further else 3) * sizes.drift_nm_per_min * 1e-3,
             settings=settings,
             rng=rng,
             side=np.asarray(rng.choice([-1.0, 1.0], n), dtype=np.float64),
         )
 
-    def lengths(self, q: Floats, reached: Floats, minutes: Floats) -> Floats:
-        """Cavity lengths at commanded poses `q`, own-axis errors `reached` and times, in um; shape (n,)."""
+    def lengths(self, q: Floats, reached: Floats, minutes: Floats, beam: Ints | None = None) -> Floats:
+        """Cavity lengths at commanded poses `q`, own-axis errors `reached` and times, in um; shape (n,).
+
+        `beam` (n,) is the number of the beam that reads each, by default the first.
+        """
+        if self.cell.further:
+            lengths = np.empty(len(q))
+            for number, (view, index) in enumerate(self.cell.views):
+                seen = np.full(len(q), number == 0) if beam is None else beam == number
+                alone = replace(self, cell=view, vector=self.vector[index], drift=self.drift[number])
+                lengths[seen] = alone.lengths(q[seen], reached[seen], minutes[seen])
+            return lengths
         fibre_at = self.vector[-3:] + self.drift * minutes[:, None]
         turn, at = _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
         beta_et, theta_et, beta_wf, theta_wf, z_et = self.vector[-8:-3]
+        if self.cell.target == "corner-cube":
+            away = at + turn @ np.array([beta_et, theta_et, z_et]) - fibre_at
+            if self.cell.opd == "distance":
+                return np.asarray(np.linalg.norm(away, axis=1)) * (1.0 + 1e-6 * self.settings.scale_ppm)
+            return np.asarray(away @ _beam(self.cell, beta_wf, theta_wf)) * (1.0 + 1e-6 * self.settings.scale_ppm)
         normal_in_tool = np.array(
             [np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)]
         )
         normal, origin = turn @ normal_in_tool, at + z_et * turn[:, :, 2]
-        if self.cell.optical_axis == "z":
-            beam = np.array([0.0, -np.sin(beta_wf), np.cos(beta_wf)])
-        else:
-            beam = np.array(
-                [np.sin(theta_wf), -np.cos(theta_wf) * np.cos(beta_wf), -np.cos(theta_wf) * np.sin(beta_wf)]
-            )
+        light = _beam(self.cell, beta_wf, theta_wf)
         away = ((origin - fibre_at) * normal).sum(axis=1)
-        facing = normal @ beam if self.cell.opd == "axis" else np.ones(len(q))
+        facing = normal @ light if self.cell.opd == "axis" else np.ones(len(q))
         length = away / facing
-        along = beam if self.cell.opd == "axis" else normal
+        along = light if self.cell.opd == "axis" else normal
         # Where the light meets the mirror, seen from its origin: the sag of a curved mirror there.
         spot = fibre_at + along * length[:, None] - origin
         spot = spot - normal * (spot * normal).sum(axis=1, keepdims=True)
@@ -176,6 +186,8 @@ class Machine:
 
     def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
         """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
+        if self.cell.further:
+            return self._seen_by_beams(drive, sigma)
         q, minutes, starts, ends = _poses(drive)
         lengths = self.lengths(q, self.reach(q, self.side), minutes)
         noise = self._noise(len(q))
@@ -183,6 +195,19 @@ class Machine:
         dl: Floats = lengths[ends] + own * sigma / np.sqrt(2.0)
         dl -= np.where(drive.absolute, 0.0, lengths[starts] + noise[starts] * sigma / np.sqrt(2.0))
         return dl + self._slow(len(drive))
+
+    def _seen_by_beams(self, drive: Drive, sigma: float | Floats) -> Floats:
+        """As `sweep`, of rows that several beams read at the same moments, one after the other in `drive`."""
+        q, minutes, starts, ends = _poses(drive)
+        reached, beam = self.reach(q, self.side), self.cell.beam_numbers(drive.beam)
+        noise = np.array([self._noise(len(q)) for _ in self.cell.beams])
+        read = []
+        for at in (starts, ends):
+            length = self.lengths(q[at], reached[at], minutes[at], beam)
+            own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, at]
+            read.append(length + own * sigma / np.sqrt(2.0))
+        slow = np.array([self._slow(len(drive)) for _ in self.cell.beams])[beam, np.arange(len(drive))]
+        return np.asarray(read[1] - np.where(drive.absolute, 0.0, read[0]) + slow)
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""
@@ -220,6 +245,13 @@ class Machine:
         for i in range(1, n):
             values[i] = rho * values[i - 1] + np.sqrt(1 - rho**2) * self.rng.standard_normal()
         return size * values
+
+
+def _beam(cell: Cell, beta_wf: float, theta_wf: float) -> Floats:
+    """Direction of the light."""
+    if cell.optical_axis == "z":
+        return np.array([0.0, -np.sin(beta_wf), np.cos(beta_wf)])
+    return np.array([np.sin(theta_wf), -np.cos(theta_wf) * np.cos(beta_wf), -np.cos(theta_wf) * np.sin(beta_wf)])
 
 
 def _poses(drive: Drive) -> tuple[Floats, Floats, Ints, Ints]:

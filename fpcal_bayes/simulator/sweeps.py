@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -22,9 +23,12 @@ def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
         values = truth.at(float(np.clip(part.time_h[0], truth.times_h[0], truth.times_h[-1])))
-        rows, path = part.rows.tolist(), sweep_path(cell, part.q_start, part.q_end, ways=False)
-        if cell.optical_axis != "z":
-            require_in_front(model, values, path, file=part.file, rows=rows)
+        rows = part.rows.tolist()
+        for number, (view, own) in enumerate(model.views):
+            mine = part.take(cell.beam_numbers(part.beam) == number)
+            if len(mine) and view.cell.target == "plane-mirror" and view.cell.optical_axis != "z":
+                path = sweep_path(cell, mine.q_start, mine.q_end, ways=False)
+                require_in_front(view, values[own], path, file=part.file, rows=mine.rows.tolist())
         require_within_envelope(model, values, part.q_start, part.q_end, file=part.file, rows=rows, exact=True)
 
 
@@ -44,10 +48,10 @@ def noise_free(
     times, epoch = np.unique(np.clip(sweeps.time_h, truth.times_h[0], truth.times_h[-1]), return_inverse=True)
     order = np.argsort(epoch, kind="stable")
     bounds = np.searchsorted(epoch[order], np.arange(len(times) + 1))
-    dl = np.empty(len(sweeps))
+    dl, beam = np.empty(len(sweeps)), cell.beam_numbers(sweeps.beam)
     for i, values in enumerate(truth.at(times)):
         now = order[bounds[i] : bounds[i + 1]]
-        dl[now] = model.predict(values, model.rows(q_start[now], q_end[now], sweeps.absolute[now]))
+        dl[now] = model.predict(values, model.rows(q_start[now], q_end[now], sweeps.absolute[now], beam[now]))
     return dl
 
 
@@ -94,7 +98,8 @@ def simulate_um(
     seed
         Seed of numpy's default generator. Drawn as standard normals, whatever is used of them, one set per row: joints
         at the start (n, n_joints), joints at the end (n, n_joints), reading at the start (n,), reading at the end (n,).
-        A group uses the start of its first row. Equal seeds thus give equal noise for any sigma and repeatability.
+        A group uses the start of its first row, a shot its end. Equal seeds thus give equal noise for any sigma and
+        repeatability.
 
     Returns
     -------
@@ -118,10 +123,10 @@ def simulate_um(
         return sweeps.with_measurement(np.where(sweeps.signed | sweeps.absolute, dl, np.abs(dl)), sigma)
     generator = np.random.default_rng(seed)
     shape = sweeps.q_start.shape
-    first = _first_of_group(sweeps)
-    start_joints = generator.standard_normal(shape)[first]
-    end_joints = generator.standard_normal(shape)
-    start_reading = generator.standard_normal(len(sweeps))[first]
+    sharing = Sharing.of(sweeps)
+    start_joints = generator.standard_normal(shape)[sharing.start]
+    end_joints = generator.standard_normal(shape)[sharing.end]
+    start_reading = generator.standard_normal(len(sweeps))[sharing.reading]
     end_reading = generator.standard_normal(len(sweeps))
 
     q_start = sweeps.q_start + cell.repeatability * start_joints
@@ -152,12 +157,8 @@ def _on_machine(machine: Machine, truth: Truth, sweeps: Sweeps, sigma: Floats, r
         rows = np.flatnonzero(sweeps.session == name)
         part = sweeps.take(rows)
         now = replace(machine, vector=vector_at(machine.cell, truth, float(part.time_h[0])), rng=rng)
+        # What several beams read at one moment follows each other.
+        order = np.argsort(Sharing.of(part).end, kind="stable")
+        rows, part = rows[order], part.take(order)
         dl[rows] = now.sweep(drive_of_sweeps(part, machine.cell.mechanics.minutes_per_sweep), sigma[rows])
     return dl
-
-
-def _first_of_group(sweeps: Sweeps) -> Ints:
-    """The first row of each row's group, shape (n,); a row without group is its own first."""
-    first: dict[tuple[str, str], int] = {}
-    keys = zip(sweeps.session.tolist(), sweeps.group.tolist(), strict=True)
-    return np.array([first.setdefault(key, i) if key[1] else i for i, key in enumerate(keys)], dtype=np.int64)

@@ -42,14 +42,14 @@ class RowChanges:
     weighed: Floats
 
     @classmethod
-    def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: float) -> Self:
+    def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: Floats) -> Self:
         """Corrections of a linearisation of all rows.
 
         `misfit` (n_rows,) and `jacobian` (n_rows, n_states) are whitened, `covariance` (n_states, n_states) is that of
-        the predicted state, and `half_wave` half a wavelength in um.
+        the predicted state, and `half_wave` (n_rows,) half a wavelength in um.
         """
         mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
-        waves = half_wave * sparse.csr_array(mix)
+        waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
         directions, triangle = np.linalg.qr(jacobian)
         spread = np.eye(len(triangle)) + triangle @ covariance @ triangle.T
         explained = np.eye(len(triangle)) - np.linalg.inv(spread)
@@ -70,7 +70,7 @@ class RowChanges:
 
 def row_changes(measurement: SweepMeasurement, predicted: State) -> RowChanges:
     """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
-    half_wave = 0.5 * measurement.model.cell.wavelength
+    half_wave = measurement.model.half_waves(measurement.rows)
     misfit, jacobian = measurement.linearise(predicted.mean)
     return RowChanges.of(measurement.whitening, misfit, jacobian, predicted.covariance, half_wave)
 
@@ -103,7 +103,7 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
         if known.any():
             part = sweeps.take(known).with_measurement(dl[known], sweeps.sigma[known])
             state = update(predicted, SweepMeasurement.of(drift, model, part, predicted.mean)).state
-        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        rows = sweeps.laid_out(model)
         expected, jacobian = model.predict_with_jacobian(drift.values(state.mean), rows)
         scaled, n = jacobian * drift.scale, drift.n_lengths
         if drift.motions is not None:
@@ -140,7 +140,7 @@ def correct_slips(
     The session is signed and its innovation too large; `jumps`, each of shape (n_states,), are standard deviations of
     the jumps that may explain it instead.
     """
-    half_wave = 0.5 * measurement.model.cell.wavelength
+    half_wave = measurement.model.half_waves(measurement.rows)
     count = len(sweeps)
     rows, dl = row_changes(measurement, predicted), sweeps.dl.copy()
     changes = np.zeros(count, dtype=np.int64)
@@ -155,7 +155,7 @@ def correct_slips(
         evidence += log_odds
         changes[row] = waves
         rows = rows.taken_off(row, waves)
-        dl[row] -= waves * half_wave
+        dl[row] -= waves * half_wave[row]
         if chi2_tail(squared, count) > _ACCEPT:
             break
     else:

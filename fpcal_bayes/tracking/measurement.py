@@ -93,7 +93,7 @@ class SweepMeasurement:
     @classmethod
     def of(cls, drift: DriftModel, model: CavityModel, sweeps: Sweeps, mean: Floats) -> "SweepMeasurement":
         """The measurement of `sweeps`; what joints add is carried through the model at the state `mean`."""
-        rows, values = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute), drift.values(mean)
+        rows, values = sweeps.laid_out(model), drift.values(mean)
         if drift.motions is None:
             whitening = with_scale(whitening_of(model, sweeps, values), sweeps)
             return cls(drift, model, rows, sweeps.dl, whitening)

@@ -25,7 +25,7 @@ from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
 from fpcal_bayes.model.mechanics.compensation import compensated_path
 from fpcal_bayes.model.mechanics.errors import approached, drifted, returned_errors
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
-from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, SINGLE_KINDS
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
 
@@ -54,12 +54,15 @@ class MotionStates:
     def factors(self) -> Floats:
         """Factors on the stated sizes, shape (n_scales,): those that the calibration found, drawn back to the sheet.
 
-        What a calibration's few points on a function tell of its size between them depends on the functions assumed.
+        What a calibration's few points on a function tell of its size between them depends on the functions assumed:
+        one that is small at all of them may be large between. So no error motion is taken as smaller than stated.
         """
         found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
         prior[-1] = LOG_SD_NOISE**2
         told = np.maximum(1.0 / found - 1.0 / prior, 0.0) + 1.0 / LOG_SD_NOISE**2
-        return np.exp(self.log_scales.mean(axis=0) / found / told)
+        factors = np.exp(self.log_scales.mean(axis=0) / found / told)
+        factors[: -len(SINGLE_KINDS)] = np.maximum(factors[: -len(SINGLE_KINDS)], 1.0)
+        return np.asarray(factors)
 
     @cached_property
     def _any_row(self) -> Design:

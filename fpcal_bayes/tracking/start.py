@@ -47,7 +47,7 @@ def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
     # Where no row tells a direction, the parameters themselves do: one row each, of their prior's size.
     jacobians, changes = [np.eye(len(sd))], [(draws - estimate.values) / sd]
     for asked in (random, sweeps.take(sweeps.kind != "path")):
-        rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
+        rows = asked.laid_out(model)
         predicted, jacobian = model.predict_with_jacobian(estimate.values, rows)
         jacobians.append(jacobian * sd / SIGMA)
         changes.append((model.predict(draws, rows) - predicted) / SIGMA)
@@ -70,7 +70,7 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
         asked = candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
     except InputError:
         return drift
-    rows = model.rows(asked.q_start, asked.q_end, asked.absolute)
+    rows = asked.laid_out(model)
 
     def seen(mean: Floats) -> Floats:
         return model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA

@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -40,6 +41,7 @@ from fpcal_bayes.infer.tasks.error import task_rows  # noqa: E402
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS  # noqa: E402
 from fpcal_bayes.io.cell import load_cell  # noqa: E402
 from fpcal_bayes.io.estimate import read_estimate  # noqa: E402
+from fpcal_bayes.measure.sweeps import Sweeps  # noqa: E402
 from fpcal_bayes.measure.truth import Truth  # noqa: E402
 from fpcal_bayes.model.cavity import CavityModel  # noqa: E402
 from fpcal_bayes.model.cell.cell import Cell  # noqa: E402
@@ -51,7 +53,9 @@ from fpcal_bayes.rig.drivers.interface import CommandLog  # noqa: E402
 from fpcal_bayes.rig.emulate.bench import EmulatedBench  # noqa: E402
 from fpcal_bayes.rig.route import Guard  # noqa: E402
 from fpcal_bayes.simulator.sweeps import machine_of  # noqa: E402
-from fpcal_bayes.tracking import DriftModel  # noqa: E402
+from fpcal_bayes.tracking import DriftModel, record  # noqa: E402
+from fpcal_bayes.tracking.measurement import SweepMeasurement  # noqa: E402
+from fpcal_bayes.tracking.tracker import calibration_measurement  # noqa: E402
 
 #: Hours between two epochs of the truth: drift is smooth while a session lasts, a few minutes.
 EPOCH_H = 1.0
@@ -111,6 +115,9 @@ class Week:
         self.found: list[Round] = []
         self.actions: Counter[str] = Counter()
         self.rounds = self.sessions = 0
+        # Every round takes up the same first session again: its rows are worked out once.
+        self.first: SweepMeasurement | None = None
+        record.calibration_measurement = self.measurement_of_first
         # What the command tells a person is told the judge.
         keep._Teller.tell = lambda _, found: self.tell(found)
 
@@ -118,6 +125,11 @@ class Week:
         """Take note of a round."""
         self.found = [found]
         self.actions["none" if found.decision is None else found.decision.action] += 1
+
+    def measurement_of_first(self, cell: Cell, drift: DriftModel, sweeps: Sweeps) -> SweepMeasurement:
+        """As `calibration_measurement`."""
+        self.first = self.first or calibration_measurement(cell, drift, sweeps)
+        return replace(self.first, drift=drift)
 
     def geometry(self) -> np.ndarray:
         """Drawn from the prior such that the circle can be driven; the gap is as the cell's envelope states it."""

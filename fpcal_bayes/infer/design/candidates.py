@@ -172,7 +172,10 @@ def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> t
 
 
 def tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
-    """Angle between mirror normal and optical axis at poses (n, n_joints), in rad, shape (n,)."""
+    """Largest angle between a mirror's normal and its light at poses (n, n_joints), in rad, shape (n,)."""
+    if model.cell.further or model.cell.target != "plane-mirror":
+        mirrors = [(view, own) for view, own in model.views if view.cell.target == "plane-mirror"]
+        return np.max([np.zeros(len(q)), *(tilts(view, values[own], q) for view, own in mirrors)], axis=0)
     normals, _ = model.mirrors(values, q)
     axis = np.asarray(chain.optical_axis(model.cell, model.vector(values)), dtype=float)
     across = np.linalg.norm(np.cross(normals, axis), axis=1)
@@ -186,25 +189,29 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
     along = np.linspace(0.0, 1.0, _POINTS)
     q = start[:, None] + (end - start)[:, None] * along[:, None]
     flat = q.reshape(-1, q.shape[-1])
-    visible = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
-    lengths = model.predict(values, model.pose_rows(flat)).reshape(len(start), -1)
-    fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (cell.wavelength / 2.0)
-    slow = fringes <= limits.fringe_rate * travel_seconds(cell, end - start)
-    return visible & slow & (lengths > 0).all(axis=1)
+    good: Bools = (tilts(model, values, flat) <= limits.tilt).reshape(len(start), -1).all(axis=1)
+    for view, own in model.views:
+        lengths = view.predict(values[own], view.pose_rows(flat)).reshape(len(start), -1)
+        fringes = np.abs(np.diff(lengths, axis=1)).max(axis=1) * (_POINTS - 1) / (view.cell.wavelength / 2.0)
+        good &= fringes <= limits.fringe_rate * travel_seconds(cell, end - start)
+        good &= (lengths > 0).all(axis=1) | (view.cell.target != "plane-mirror")
+    return good
 
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
-    """Whether the cavity length turns round on the way by more than half a fringe, shape (n_draws, n_sweeps).
+    """Whether a cavity length turns round on the way by more than half a fringe, shape (n_draws, n_sweeps).
 
     `values` (n_draws, n_free) are the free parameters.
     """
     along = np.linspace(0.0, 1.0, _POINTS)
     q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]
-    lengths = model.predict(np.atleast_2d(values), model.pose_rows(q.reshape(-1, q.shape[-1])))
-    steps = np.diff(lengths.reshape(len(lengths), len(sweeps), -1), axis=-1)
-    back = np.minimum(steps.clip(min=0.0).sum(axis=-1), (-steps).clip(min=0.0).sum(axis=-1))
-    result: Bools = back > model.cell.wavelength / 4.0
-    return result
+    many, turned = np.atleast_2d(values), []
+    for view, own in model.views:
+        lengths = view.predict(many[:, own], view.pose_rows(q.reshape(-1, q.shape[-1])))
+        steps = np.diff(lengths.reshape(len(lengths), len(sweeps), -1), axis=-1)
+        back = np.minimum(steps.clip(min=0.0).sum(axis=-1), (-steps).clip(min=0.0).sum(axis=-1))
+        turned.append(back > view.cell.wavelength / 4.0)
+    return np.any(turned, axis=0)
 
 
 def _draw(

@@ -37,45 +37,48 @@ class Machine:
         return np.flatnonzero(self.terms.reversal > 0).astype(np.int64)
 
     def rows(self, poses: Floats) -> Floats:
-        """What the state adds to sweeps at poses (n_sweeps, places, n_joints), shape (n_sweeps, places - 1, n).
+        """What the state adds to sweeps at poses (n_sweeps, places, n_joints), beam by beam.
 
-        The readings are approached along the sweep, its start from an unknown side (see `noise`).
+        The readings are approached along the sweep, its start from an unknown side (see `noise`). Shape (n_sweeps,
+        n_beams (places - 1), n).
         """
-        at, drive = self._columns(poses)
-        sides = np.sign(poses[:, -1] - poses[:, 0])[:, None]
-        columns = np.concatenate([at[:, 1:] - at[:, :1], (drive * self.terms.reversal)[:, 1:] * sides], axis=-1)
-        wanted = np.concatenate([np.arange(at.shape[-1]), at.shape[-1] + self.reversing])
-        result: Floats = columns[..., wanted] @ self.basis
-        return result
+        sides, parts = np.sign(poses[:, -1] - poses[:, 0])[:, None], []
+        for at, drive in self._columns(poses):
+            columns = np.concatenate([at[:, 1:] - at[:, :1], (drive * self.terms.reversal)[:, 1:] * sides], axis=-1)
+            wanted = np.concatenate([np.arange(at.shape[-1]), at.shape[-1] + self.reversing])
+            parts.append(columns[..., wanted] @ self.basis)
+        return np.concatenate(parts, axis=1)
 
     def seen(self, poses: Floats, pulls: Floats) -> Floats:
-        """What pulls (n_sweeps, places - 1, n) on the rows make of poses (n_sweeps, places, n_variants, n_joints)."""
-        at, drive = self._columns(poses)
-        sides = np.sign(poses[:, -1:, :1] - poses[:, :1, :1])
-        by_weight = pulls @ self.basis.T
-        own = by_weight[..., : at.shape[-1]]
-        by_pose = np.concatenate([-own.sum(axis=1, keepdims=True), own], axis=1)
-        result: Floats = np.einsum("spvm,spm->spv", at, by_pose, optimize=True)
-        reversal = (drive * self.terms.reversal * sides)[:, 1:, :, self.reversing]
-        result[:, 1:] += np.einsum("spvj,spj->spv", reversal, by_weight[..., at.shape[-1] :])
-        return result
+        """What pulls (n_sweeps, n_rows, n) on the rows make of poses (n_sweeps, places, n_variants, n_joints)."""
+        sides, total = np.sign(poses[:, -1:, :1] - poses[:, :1, :1]), np.zeros(poses.shape[:3])
+        columns = self._columns(poses)
+        for (at, drive), pull in zip(columns, np.split(pulls, len(columns), axis=1), strict=True):
+            by_weight = pull @ self.basis.T
+            own = by_weight[..., : at.shape[-1]]
+            by_pose = np.concatenate([-own.sum(axis=1, keepdims=True), own], axis=1)
+            result: Floats = np.einsum("spvm,spm->spv", at, by_pose, optimize=True)
+            reversal = (drive * self.terms.reversal * sides)[:, 1:, :, self.reversing]
+            result[:, 1:] += np.einsum("spvj,spj->spv", reversal, by_weight[..., at.shape[-1] :])
+            total += result
+        return total
 
     def noise(self, poses: Floats) -> Floats:
-        """Covariance of what is new in each sweep, beside its readings, in um^2, shape (n_sweeps, k, k)."""
+        """Covariance of what is new in each sweep, beside its readings, in um^2, shape (n_sweeps, n_rows, n_rows)."""
         terms, k = self.terms, poses.shape[1] - 1
-        _, drive = self._columns(poses)
-        moved = (poses[:, -1] != poses[:, 0])[:, None]
+        drive = np.stack([drive for _, drive in self._columns(poses)], axis=1)
+        moved = (poses[:, -1] != poses[:, 0])[:, None, None]
         reached = drive * np.hypot(terms.return_sd, np.where(np.isfinite(terms.encoder_period), 0.0, terms.encoder))
         ends, lost = np.where(moved, reached, 0.0), drive * terms.reversal
         # A joint that stands still keeps its error through the sweep; one that moves had another one at the start.
-        started = np.concatenate([ends[:, :1], np.where(moved, lost[:, :1], 0.0)], axis=-1) + np.zeros((k, 1))
-        kept = [np.where(moved, 0.0, part[:, 1:] - part[:, :1]) for part in (reached, lost)]
+        started = np.concatenate([ends[:, :, :1], np.where(moved, lost[:, :, :1], 0.0)], axis=-1) + np.zeros((k, 1))
+        kept = [np.where(moved, 0.0, part[:, :, 1:] - part[:, :, :1]) for part in (reached, lost)]
         common = np.concatenate([started, *kept], axis=-1)
+        common = common.reshape(len(poses), -1, common.shape[-1])
         share = np.arange(1, k + 1) / k
         drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * share
-        noise: Floats = common @ common.transpose(0, 2, 1) + np.outer(drift, drift)
-        noise += np.eye(k) * (ends[:, 1:] ** 2).sum(axis=-1)[:, None]
-        return noise
+        noise: Floats = common @ common.transpose(0, 2, 1) + np.kron(np.eye(drive.shape[1]), np.outer(drift, drift))
+        return noise + felt_alike(ends[:, :, 1:])
 
     def whitened(self, sweeps: Sweeps, geometry: Floats) -> Floats:
         """Rows of a plan as they are driven, one after the other, by the state.
@@ -91,12 +94,27 @@ class Machine:
         whitening = MarginalWhitening.around(base, made.matrix[:, shared:])
         return whitening.apply(geometry + made.matrix[:, :shared] @ self.basis)
 
-    def _columns(self, poses: Floats) -> tuple[Floats, Floats]:
-        """Columns of the error motions at poses (..., n_joints), and the responses to the joints' own travel."""
-        flat = poses.reshape(-1, poses.shape[-1])
-        at = responses(self.terms.cell, self.vector, self.terms.told, flat)
-        columns = at_poses(self.terms, flat, at)[0]
-        return columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)
+    def _columns(self, poses: Floats) -> list[tuple[Floats, Floats]]:
+        """Of each beam: columns of the error motions at poses (..., n_joints), responses to the joints' own travel."""
+        flat, cell = poses.reshape(-1, poses.shape[-1]), self.terms.cell
+        found = []
+        for beam in range(len(cell.beams)):
+            at = responses(cell, self.vector, self.terms.told, flat, np.full(len(flat), beam))
+            columns = at_poses(self.terms, flat, at)
+            found.append((columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)))
+        return found
+
+
+def felt_alike(felt: Floats) -> Floats:
+    """Covariance of rows that feel errors of the joints at their places, alike for all beams, anew at each place.
+
+    `felt` (n_sweeps, n_beams, places, n_joints); returns (n_sweeps, n_beams places, n_beams places), beam by beam.
+    """
+    n, beams, k, _ = felt.shape
+    shared = (felt[:, :, None] * felt[:, None]).sum(axis=-1)
+    spread = shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]
+    result: Floats = spread.reshape(n, beams * k, beams * k)
+    return result
 
 
 def motions_of_path(terms: Terms, vector: Floats, start: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ from fpcal_bayes.infer.design.rows import TRACE_PLACES, TRACE_READINGS, SweepRow
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.tasks.error import task_jacobian
-from fpcal_bayes.measure.protocol import read_often
+from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -192,7 +192,7 @@ class Ground:
         known = self.known
         if sweeps is not None:
             made = self.sweep_rows(readings, sigma)
-            rows = self._rows(read_often(sweeps, made.readings), made.sigma)
+            rows = self._rows(seen_by_all(read_often(sweeps, made.readings), self.cell), made.sigma)
             known = rows if known is None else np.concatenate([known, rows], axis=1)
         nothing = np.zeros((len(self.goals.values), 0, 1, next(iter(self.tasks.values())).shape[-1]))
         return Design.of(nothing, self.tasks, known=known)
@@ -202,7 +202,7 @@ class Ground:
         used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
         if self.machine is None:
             return plan_rows(self.model, self.goals.values, used) @ self.root
-        rows = self.model.rows(used.q_start, used.q_end, used.absolute)
+        rows = used.laid_out(self.model)
         _, jacobian = self.model.predict_with_jacobian(self.goals.values, rows)
         return self.padded(self.machine.whitened(used, jacobian @ self.root))
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.design.machine import Machine
+from fpcal_bayes.infer.design.machine import Machine, felt_alike
 from fpcal_bayes.infer.fit.noise import whitening_of
-from fpcal_bayes.measure.protocol import read_often
+from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cavity import CavityModel, Rows
 
 #: A whole trace is planned as readings at so many places, which together tell as much as so many independent ones: the
 #: errors of a fringe fit are alike over a stretch of the trace.
@@ -20,20 +20,20 @@ TRACE_PLACES, TRACE_READINGS = 6, 32
 def sweep_rows(
     model: CavityModel, values: Floats, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005
 ) -> Floats:
-    """Whitened derivatives of the rows of each sweep, shape (n_draws, n_sweeps, readings, n_free), per um or rad.
+    """Whitened derivatives of the rows of each sweep, shape (n_draws, n_sweeps, n_rows, n_free), per um or rad.
 
     They are linearised at `values` (n_draws, n_free), in um and rad. `sweeps` are a plan of whole sweeps; there are
-    `readings` of each after its start: 1 end point, 2 midpoint and end point, and so on. `sigma` is the standard
-    deviation of a row in um.
+    `readings` of each after its start, by every beam: 1 end point, 2 midpoint and end point, and so on. `sigma` is the
+    standard deviation of a row in um.
     """
-    plan = read_often(sweeps, readings)
+    plan = seen_by_all(read_often(sweeps, readings), model.cell)
     whitened = plan_rows(model, values, replace(plan, sigma=np.full(len(plan), sigma)))
-    return whitened.reshape(len(whitened), len(sweeps), readings, -1)
+    return whitened.reshape(len(whitened), len(sweeps), readings * len(model.cell.beams), -1)
 
 
 def plan_rows(model: CavityModel, values: Floats, sweeps: Sweeps) -> Floats:
     """Whitened derivatives of the rows of a plan with standard deviations, shape (n_draws, n_rows, n_free)."""
-    rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+    rows = sweeps.laid_out(model)
     values = np.atleast_2d(values)
     _, jacobians = model.predict_with_jacobian(values, rows)
     whitening = whitening_of(model, sweeps, values[0])
@@ -54,15 +54,15 @@ class SweepRows:
     values: Floats  # where rows are linearised, shape (n_draws, n_free), in um and rad
     centre: Floats  # where the noise of the joints is, shape (n_free,)
     root: Floats  # of the covariance of the free parameters, shape (n_free, n)
-    readings: int  # places after the start
+    readings: int  # places after the start, each read by every beam
     sigma: float  # standard deviation of a row in um
     machine: Machine | None = None  # error motions, by the same state
 
     def of(self, sweeps: Sweeps) -> Floats:
-        """Rows of each sweep, shape (n_draws, n_sweeps, readings, n)."""
+        """Rows of each sweep, beam by beam, shape (n_draws, n_sweeps, n_beams readings, n)."""
         poses = self._poses(sweeps)
-        at = self._at(poses.reshape(-1, poses.shape[-1])).reshape(len(self.values), *poses.shape[:2], -1)
-        rows = at[:, :, 1:] - at[:, :, :1]
+        at = self._at(poses.reshape(-1, poses.shape[-1])).reshape(len(self.values), self._beams, *poses.shape[:2], -1)
+        rows = (at[:, :, :, 1:] - at[:, :, :, :1]).swapaxes(1, 2).reshape(len(at), len(sweeps), -1, at.shape[-1])
         if self.machine is not None:
             rows += self.machine.rows(poses)
         return self._whitening(poses) @ rows
@@ -76,14 +76,15 @@ class SweepRows:
         poses = self._poses(sweeps)
         n_sweeps, places, n_joints = poses.shape
         pulls = self._whitening(poses).transpose(0, 2, 1) @ by_rows
-        by_pose = np.concatenate([-pulls.sum(axis=2, keepdims=True), pulls], axis=2)
+        each = pulls.reshape(len(pulls), n_sweeps, self._beams, places - 1, -1).swapaxes(1, 2)
+        by_pose = np.concatenate([-each.sum(axis=3, keepdims=True), each], axis=3)
         further = poses[:, :, None] + np.vstack([np.zeros(n_joints), np.diag(steps)])
         _, jacobian = self.model.predict_with_jacobian(
-            self.values[: len(pulls)], self.model.pose_rows(further.reshape(-1, n_joints))
+            self.values[: len(pulls)], self._seen(further.reshape(-1, n_joints))
         )
-        jacobian = jacobian.reshape(len(pulls), n_sweeps * places, n_joints + 1, -1)
-        by_parameter = (by_pose @ self.root.T).reshape(len(pulls), n_sweeps * places, -1, 1)
-        seen = (jacobian @ by_parameter).sum(axis=0).reshape(n_sweeps, places, -1)
+        jacobian = jacobian.reshape(len(pulls), self._beams * n_sweeps * places, n_joints + 1, -1)
+        by_parameter = (by_pose @ self.root.T).reshape(len(pulls), self._beams * n_sweeps * places, -1, 1)
+        seen = (jacobian @ by_parameter).sum(axis=0).reshape(self._beams, n_sweeps, places, -1).sum(axis=0)
         if self.machine is not None:
             seen += self.machine.seen(further, pulls.sum(axis=0))
         slope = (seen[..., 1:] - seen[..., :1]) / steps
@@ -95,22 +96,32 @@ class SweepRows:
         share = np.linspace(0.0, 1.0, self.readings + 1)[:, None]
         return sweeps.q_start[:, None] * (1.0 - share) + sweeps.q_end[:, None] * share
 
+    @property
+    def _beams(self) -> int:
+        return len(self.model.cell.beams)
+
+    def _seen(self, q: Floats) -> Rows:
+        """Poses (n_poses, n_joints) as every beam sees them, beam by beam."""
+        return self.model.pose_rows(np.tile(q, (self._beams, 1)), np.repeat(np.arange(self._beams), len(q)))
+
     def _at(self, q: Floats) -> Floats:
-        """Derivatives of the cavity length at poses (n_poses, n_joints) by the state, (n_draws, n_poses, n)."""
-        _, jacobian = self.model.predict_with_jacobian(self.values, self.model.pose_rows(q))
+        """Derivatives of the lengths at poses (n_poses, n_joints) by the state, (n_draws, n_beams n_poses, n)."""
+        _, jacobian = self.model.predict_with_jacobian(self.values, self._seen(q))
         n = len(self.root)
         if self.root.shape == (n, n) and np.count_nonzero(self.root) == np.count_nonzero(np.diag(self.root)):
             return jacobian * np.diag(self.root)
         return jacobian @ self.root
 
     def _whitening(self, poses: Floats) -> Floats:
-        """Maps that whiten the rows of each sweep, shape (n_sweeps, readings, readings)."""
-        cell, k = self.model.cell, self.readings
-        noise = np.broadcast_to(0.5 * self.sigma**2 * (np.eye(k) + 1.0), (len(poses), k, k)).copy()
+        """Maps that whiten the rows of each sweep, shape (n_sweeps, n_rows, n_rows)."""
+        cell, k, beams = self.model.cell, self.readings, self._beams
+        one = np.kron(np.eye(beams), 0.5 * self.sigma**2 * (np.eye(k) + 1.0))
+        noise = np.broadcast_to(one, (len(poses), *one.shape)).copy()
         if self.machine is not None:
             noise += self.machine.noise(poses)
         elif cell.repeatability.any():
-            felt = self.model.joint_jacobian(self.centre, poses.reshape(-1, poses.shape[-1])) * cell.repeatability
-            variance = (felt**2).sum(axis=1).reshape(len(poses), -1)
-            noise += variance[:, :1, None] + np.eye(k) * variance[:, 1:, None]
+            flat = poses.reshape(-1, poses.shape[-1])
+            seen = [self.model.joint_jacobian(self.centre, flat, np.full(len(flat), beam)) for beam in range(beams)]
+            felt = np.array(seen).reshape(beams, *poses.shape).swapaxes(0, 1) * cell.repeatability
+            noise += np.repeat(np.repeat(felt_alike(felt[:, :, :1]), k, axis=1), k, axis=2) + felt_alike(felt[:, :, 1:])
         return np.linalg.inv(np.linalg.cholesky(noise))

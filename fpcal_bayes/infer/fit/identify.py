@@ -98,7 +98,7 @@ class Identification(Result):
 
     def largest_residuals(self, n: int = 5) -> list[tuple[str, float]]:
         """Labels of the rows with the largest standardised residuals, largest first."""
-        return self.fit.largest(self.problem.sweeps.label.tolist(), n)
+        return self.fit.largest(self.problem.sweeps.names, n)
 
     def content(self) -> dict[str, Any]:
         """What ``identify --json`` writes, without schema and command."""
@@ -228,7 +228,7 @@ def identify(
         sum_of_squares=solution.sum_of_squares,
         p_total=chi2_tail(solution.sum_of_squares, len(used)),
         rank=spectrum.rank,
-        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.label.tolist(), 3)),
+        worst=", ".join(f"{label} {size:+.3g} sd" for label, size in fit.largest(used.names, 3)),
         chi2_noise=noise_only.chi2_data,
         expected_noise=noise_only.expected,
         p_noise=noise_only.p_value,
@@ -385,4 +385,4 @@ def _doubtful(sweeps: Sweeps, signs: SignDecision | None) -> list[tuple[str, flo
     if signs is None:
         return []
     rows = [int(i) for i in np.argsort(-signs.doubt, kind="stable") if signs.doubt[i] > DOUBTFUL]
-    return [(str(sweeps.label[i]), float(signs.doubt[i])) for i in rows]
+    return [(sweeps.names[i], float(signs.doubt[i])) for i in rows]

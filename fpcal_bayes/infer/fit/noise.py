@@ -7,8 +7,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve_triangular
 
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.infer.fit.kernels import whiten_groups
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 
@@ -160,35 +161,41 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
     readings a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
-    own, common = reading_errors(sweeps)
-    variance = sweeps.sigma**2 + (sweeps.common**2).sum(axis=1)
+    starts = ends = np.zeros((len(sweeps), 0))
     if repeatability.any():
-        ends = model.joint_jacobian(values, sweeps.q_end) * repeatability
-        starts = model.joint_jacobian(values, sweeps.q_start) * repeatability
+        beam = model.cell.beam_numbers(sweeps.beam)
+        ends = model.joint_jacobian(values, sweeps.q_end, beam) * repeatability
+        starts = model.joint_jacobian(values, sweeps.q_start, beam) * repeatability
         starts[sweeps.absolute] = 0.0
-        own = own + (ends**2).sum(axis=1)
-        common = np.hstack([common, starts])
-        variance = variance + (ends**2).sum(axis=1) + (starts**2).sum(axis=1)
+    return shared_whitening(Sharing.of(sweeps), sweeps.sigma, sweeps.absolute, starts, ends, sweeps.common)
+
+
+def shared_whitening(
+    sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats, stated: Floats
+) -> Whitening:
+    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each.
+
+    `stated` is what rows say that they share with their group beside `sigma`, shape (n, n_stated).
+    """
+    missed = (ends**2).sum(axis=1)
+    variance = sigma**2 + missed + (starts**2).sum(axis=1) + (stated**2).sum(axis=1)
+    # Of a group's rows: half of the reading's variance and the joints at the start are common.
+    alone = stated.any(axis=1)
+    if sharing.several:
+        # The ends are shared too; a length that stands alone has no reading at a start.
+        alone, missed = alone | absolute, 0.0 * missed
+    own, reading = reading_errors(sigma, alone)
+    common = np.hstack([sharing.columns(reading, starts[:, starts.any(axis=0)], ends), stated])
     by_size: dict[int, list[Ints]] = {}
-    for members in group_blocks(sweeps):
+    for members in sharing.blocks:
         by_size.setdefault(len(members), []).append(members)
-    batches = tuple(Batch.of(np.array(rows), np.sqrt(own), common) for rows in by_size.values())
+    batches = tuple(Batch.of(np.array(rows), np.sqrt(own + missed), common) for rows in by_size.values())
     return Whitening(1.0 / np.sqrt(variance), batches)
 
 
-def reading_errors(sweeps: Sweeps) -> tuple[Floats, Floats]:
-    """Variance (n,) of what each row's reading has alone, and what it shares with its group, (n, 1 + n_common)."""
-    # Half of the variance is that of the reading at the start, unless the rows say what they share.
-    stated = sweeps.common.any(axis=1)
-    own = np.where(stated, sweeps.sigma**2, sweeps.sigma**2 / 2.0)
-    return own, np.column_stack([np.where(stated, 0.0, sweeps.sigma / np.sqrt(2.0)), sweeps.common])
+def reading_errors(sigma: Floats, alone: Bools) -> tuple[Floats, Floats]:
+    """Variance of what each row's reading has alone, and its error at the start, shape (n,) each.
 
-
-def group_blocks(sweeps: Sweeps) -> list[Ints]:
-    """Positions of the rows of each group with more than one row."""
-    grouped = np.flatnonzero(sweeps.group != "")
-    members: dict[tuple[str, str], list[int]] = {}
-    names = zip(sweeps.session[grouped].tolist(), sweeps.group[grouped].tolist(), strict=True)
-    for i, name in zip(grouped.tolist(), names, strict=True):
-        members.setdefault(name, []).append(i)
-    return [np.array(rows) for rows in members.values() if len(rows) > 1]
+    Half of the variance is that of the reading at the start, which rows that stand `alone` (n,) do not have.
+    """
+    return np.where(alone, sigma**2, sigma**2 / 2.0), np.where(alone, 0.0, sigma / np.sqrt(2.0))

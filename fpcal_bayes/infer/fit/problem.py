@@ -112,7 +112,7 @@ class Problem:
 
         Without `linearised` it still has to be: rows stand by themselves, with their sigma alone.
         """
-        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        rows = sweeps.laid_out(model)
         problem = cls(
             model=model.facing(model.free.nominal, rows),
             sweeps=sweeps,

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from fpcal_bayes.core.typing import Ints
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
-from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.measure.sharing import Sharing
 
 #: Most half wavelengths that a count slips by between two readings.
 MOST_HALF_WAVES = 3
@@ -34,10 +34,10 @@ class Slips:
 
 def find_slips(problem: Problem, solution: Solution) -> Slips:
     """Correct slipped rows of an identified problem, whose solution slips may have spoilt."""
-    half_wave = 0.5 * problem.model.cell.wavelength
+    half_wave = problem.model.half_waves(problem.rows)
     original = problem.target
     counts = np.zeros(len(original), dtype=np.int64)
-    blocks = group_blocks(problem.sweeps)
+    blocks = Sharing.of(problem.sweeps).read_alike
     together = [np.array([i]) for i in range(len(original))]
     together += [block[i:] for block in blocks for i in range(len(block) - 1)]
     # Of each row the one before and the one after it in its group; a row that is not there has the count zero.
@@ -63,7 +63,7 @@ def find_slips(problem: Problem, solution: Solution) -> Slips:
 
 
 def _best_correction(
-    problem: Problem, solution: Solution, counts: Ints, half_wave: float, together: list[Ints], ends: Ints
+    problem: Problem, solution: Solution, counts: Ints, half_wave: Floats, together: list[Ints], ends: Ints
 ) -> tuple[Ints, int, float]:
     """Rows, change of their counts, and gain in the sum of squares of the best correction; the fit follows linearly."""
     unknowns = solution.unknowns
@@ -72,7 +72,7 @@ def _best_correction(
     mix = problem.whitening.mix
     whitening = sparse.diags_array(problem.whitening.scale) if mix is None else mix
     rows, first = np.concatenate(together), np.cumsum([0, *map(len, together)])
-    chosen = sparse.csc_array((np.full(len(rows), half_wave), rows, first), shape=(len(counts), len(together)))
+    chosen = sparse.csc_array((half_wave[rows], rows, first), shape=(len(counts), len(together)))
     unit = sparse.csc_array(whitening @ chosen)
     along = unit.T @ residuals
     size = unit.multiply(unit).sum(axis=0) - ((unit.T @ orthonormal) ** 2).sum(axis=1)

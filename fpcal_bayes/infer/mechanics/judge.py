@@ -108,7 +108,7 @@ def _white_beyond(fit: MechanicsFit) -> bool:
     returned = fit.design.matrix[:, fit.design.scale == fit.terms.scales.index("return")]
     parts = (returned, fit.design.returned, fit.design.reached_start, fit.design.reached_end)
     sizes = sum(float((part**2).sum()) for part in parts) / len(returned)
-    noise = float((fit.noise.own + (fit.noise.common**2).sum(axis=1)).mean())
+    noise = float((fit.noise.sigma**2 + (fit.noise.stated**2).sum(axis=1)).mean())
     found = np.exp(2.0 * fit.scales.log[:, -2:]) @ [sizes, noise]
     return bool(np.quantile(found, 0.025) > _BEYOND**2 * sizes + np.exp(2.0 * LOG_SD_NOISE) * noise)
 
@@ -127,8 +127,9 @@ def _alternatives(fit: MechanicsFit) -> list[tuple[str, Floats]]:
     """Columns of terms that the fit does not hold, by name."""
     cell, drive = fit.terms.cell, fit.drive
     vector = fit.problem.model.vector(fit.values)
-    end = responses(cell, vector, fit.terms.told, drive.q_end)
-    start = responses(cell, vector, fit.terms.told, drive.q_start)
+    beam = cell.beam_numbers(drive.beam)
+    end = responses(cell, vector, fit.terms.told, drive.q_end, beam)
+    start = responses(cell, vector, fit.terms.told, drive.q_start, beam)
     begun = (~drive.absolute).astype(float)[:, None]
     found = []
     for i in range(len(cell.joints)):

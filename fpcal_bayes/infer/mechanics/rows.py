@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.fit.noise import Batch, Whitening, group_blocks, reading_errors, whitening_of
+from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.infer.fit.noise import Whitening, reading_errors, shared_whitening, whitening_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import Design, Terms, design
@@ -46,69 +47,68 @@ class RowNoise:
 
     Attributes
     ----------
-    own, common
-        Variance of what each row's reading has alone, in um^2, shape (n,), and what it shares with its sweep, in um,
-        shape (n, n_common).
-    blocks
-        Positions of the rows that share their start, one array per sweep with several rows.
+    sigma
+        Stated standard deviation of the rows' readings in um, shape (n,).
+    stated
+        What rows say that they share with their sweep beside it, in um, shape (n, n_stated).
+    absolute
+        Rows that have no start, shape (n,).
+    sharing
+        Which rows share a start, and which an end.
     design
         With the return errors.
     """
 
-    own: Floats
-    common: Floats
-    blocks: tuple[Ints, ...]
+    sigma: Floats
+    stated: Floats
+    absolute: Bools
+    sharing: Sharing
     design: Design
 
     @classmethod
     def of(cls, sweeps: Sweeps, design: Design) -> "RowNoise":
         """Of the rows of a session."""
-        return cls(*reading_errors(sweeps), tuple(group_blocks(sweeps)), design)
-
-    @property
-    def same_sweep(self) -> Floats:
-        """One where two rows share their start, the diagonal included, shape (n, n)."""
-        same = np.eye(len(self.own))
-        for block in self.blocks:
-            same[np.ix_(block, block)] = 1.0
-        return same
+        return cls(sweeps.sigma, sweeps.common, sweeps.absolute, Sharing.of(sweeps), design)
 
     def dense(self) -> tuple[Floats, Floats]:
         """Covariances (n, n) of the readings and of the return errors, each at its stated size."""
-        same = self.same_sweep
-        readings = same * (self.common @ self.common.T)
-        readings[np.diag_indices_from(readings)] += self.own
-        common = np.hstack([self.design.reached_start, self.design.returned])
+        firsts = (self.sharing.reading, self.sharing.start, self.sharing.end)
+        alike, same, moment = (first[:, None] == first for first in firsts)
+        _, reading = reading_errors(self.sigma, self.stated.any(axis=1))
+        readings = alike * (np.outer(reading, reading) + self.stated @ self.stated.T)
+        readings[np.diag_indices_from(readings)] = self.sigma**2 + (self.stated**2).sum(axis=1)
+        common, ends = np.hstack([self.design.reached_start, self.design.returned]), self.design.reached_end
         returns = same * (common @ common.T)
-        returns[np.diag_indices_from(returns)] += (self.design.reached_end**2).sum(axis=1)
+        if self.sharing.several:
+            returns += moment * (ends @ ends.T)
+        else:
+            returns[np.diag_indices_from(returns)] += (ends**2).sum(axis=1)
         return readings, returns
 
     def whitening(self, noise: float = 1.0, returned: float = 1.0) -> Whitening:
         """The map that whitens rows whose readings and return errors are `noise` and `returned` times as stated."""
         common = returned * np.hstack([self.design.reached_start, self.design.returned])
-        own = noise**2 * self.own + ((returned * self.design.reached_end) ** 2).sum(axis=1)
-        shared = np.column_stack([noise * self.common, common[:, common.any(axis=0)]])
-        variance = own + (shared**2).sum(axis=1)
-        by_size: dict[int, list[Ints]] = {}
-        for block in self.blocks:
-            by_size.setdefault(len(block), []).append(block)
-        batches = tuple(Batch.of(np.array(rows), np.sqrt(own), shared) for rows in by_size.values())
-        return Whitening(1.0 / np.sqrt(variance), batches)
+        ends = returned * self.design.reached_end
+        return shared_whitening(self.sharing, noise * self.sigma, self.absolute, common, ends, noise * self.stated)
 
     def draw(self, noise: Floats, returned: Floats, rng: np.random.Generator) -> Floats:
         """Errors of the rows at factors (n_draws,) on readings and return errors, shape (n_draws, n)."""
-        n, n_draws = len(self.own), len(noise)
-        first = np.arange(n)
-        for block in self.blocks:
-            first[block] = block[0]
-        readings = rng.standard_normal((1 + self.common.shape[1], n_draws, n))
+        n, n_draws = len(self.sigma), len(noise)
+        readings = rng.standard_normal((2, n_draws, n))
         common = np.hstack([self.design.reached_start, self.design.returned])
         there = common.any(axis=0)
-        shared = np.einsum("cdn,nc->dn", readings[1:][..., first], self.common)
-        result: Floats = noise[:, None] * (np.sqrt(self.own) * readings[0] + shared)
+        own, reading = reading_errors(self.sigma, self.stated.any(axis=1))
+        result: Floats = readings[0] * np.sqrt(own) + reading * readings[1][:, self.sharing.reading]
+        if self.stated.any():
+            shared = rng.standard_normal((n_draws, *self.stated.shape))[:, self.sharing.reading]
+            result += (shared * self.stated).sum(axis=2)
+        result *= noise[:, None]
         if there.any():
-            kept = rng.standard_normal((n_draws, n, int(there.sum())))[:, first]
+            kept = rng.standard_normal((n_draws, n, int(there.sum())))[:, self.sharing.start]
             result += returned[:, None] * (kept * common[:, there]).sum(axis=2)
-        ends = np.sqrt((self.design.reached_end**2).sum(axis=1))
-        result += returned[:, None] * ends * rng.standard_normal((n_draws, n))
+        ends = self.design.reached_end
+        if self.sharing.several:
+            missed = rng.standard_normal((n_draws, *ends.shape))[:, self.sharing.end]
+            return result + returned[:, None] * (missed * ends).sum(axis=2)
+        result += returned[:, None] * np.sqrt((ends**2).sum(axis=1)) * rng.standard_normal((n_draws, n))
         return result

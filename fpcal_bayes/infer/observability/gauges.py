@@ -14,6 +14,7 @@ from scipy import linalg
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import spectrum_of
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.beams import AT
 
 Layer = Literal["model", "absolute", "sweeps"]
 
@@ -55,11 +56,14 @@ def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[
     if not len(null_space):
         return []
     poses = random_poses(model, np.random.default_rng(0), _RANDOM_POSES)
-    _, lengths = model.predict_with_jacobian(values, model.pose_rows(poses))
-    lengths = lengths * model.free.prior_sd
+    n_beams = len(model.cell.beams)
+    rows = model.pose_rows(np.tile(poses, (n_beams, 1)), np.repeat(np.arange(n_beams), len(poses)))
+    lengths = model.predict_with_jacobian(values, rows)[1] * model.free.prior_sd
     # Within the null space of the data: what remains unseen by any sweep, and by any length.
     never = null_space_within(null_space, lengths)
-    without_absolute = null_space_within(null_space, lengths - lengths.mean(axis=0))
+    of_beams = lengths.reshape(n_beams, len(poses), -1)
+    changes = of_beams - of_beams.mean(axis=1, keepdims=True)
+    without_absolute = null_space_within(null_space, changes.reshape(lengths.shape))
     basis = np.zeros((0, null_space.shape[1]))
     pivots: list[int] = []
     layers: list[Layer] = []
@@ -125,8 +129,10 @@ def _describe(model: CavityModel, values: Floats, poses: Floats, direction: Floa
     names = tuple(parameters.names[i] for i in members)
     shown = parameters.to_shown(direction * parameters.prior_sd)[members]
     step = 1e-6 * direction * parameters.prior_sd
-    ahead, behind = model.mirrors(values + step, poses)[0], model.mirrors(values - step, poses)[0]
-    turns_mirror = bool(np.abs(ahead - behind).max() > 1e-3 * np.abs(step).max())
+    turns_mirror = False
+    if model.cell.target == "plane-mirror":
+        ahead, behind = model.mirrors(values + step, poses)[0], model.mirrors(values - step, poses)[0]
+        turns_mirror = bool(np.abs(ahead - behind).max() > 1e-3 * np.abs(step).max())
     explanation = _explain(model, direction, names, layer, turns_mirror)
     remedy = {
         "model": "no sweep and no absolute length tells it; what the robot does with light does not depend on it",
@@ -143,9 +149,14 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
         together = f" only together with {_join(others)}" if others else ""
         return f"these sweeps {'react to' if others else 'do not react to'} {first}{together}"
     if layer == "absolute":
-        slides = set(names) <= {"x_wf", "y_wf", "z_wf"}
+        slides = {_stem(name) for name in names} <= {"x_wf", "y_wf", "z_wf"}
         cause = f"sliding the fibre along its axis ({_join(names)})" if slides else f"a change of {_join(names)}"
-        return f"{cause} changes every cavity length by the same amount, and sweeps measure differences"
+        seen = "every cavity length"
+        if len(model.cell.beams) > 1:
+            numbers = {model.free.position(name) for name in names}
+            beams = [view.cell.beam for view, own in model.views if numbers & set(own.tolist())]
+            seen = f"every length of beam {_join(beams)}"
+        return f"{cause} changes {seen} by the same amount, and sweeps measure differences"
     if not others:
         return f"no cavity length depends on {first}"
     turns = sorted(n for n in names if n.startswith("theta_") and n[6:].isdigit())
@@ -156,11 +167,11 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
         return f"{_join(turns)} turn about one axis; only their {shows} shows" + (
             f" ({_join(rest)} take{'s' if len(rest) == 1 else ''} up the rest)" if rest else ""
         )
-    tilt = [n for n in names if n in ("beta_et", "theta_et")]
+    tilt = [n for n in names if _stem(n) in ("beta_et", "theta_et")]
     if len(turns) == 1 and tilt and len(turns) + len(tilt) == len(names):
         return f"an offset of the last joint ({turns[0]}) turns the direction of the mirror's tilt ({_join(tilt)})"
-    fibre = [n for n in names if n in ("x_wf", "y_wf", "z_wf")]
-    moving = [n for n in names if n not in (*fibre, "beta_wf", "theta_wf")]
+    fibre = [n for n in names if _stem(n) in ("x_wf", "y_wf", "z_wf")]
+    moving = [n for n in names if n not in fibre and _stem(n) not in ("beta_wf", "theta_wf")]
     if fibre and moving:
         if turns_mirror:
             return f"{_join(moving)} move mirror and fibre ({_join([n for n in names if n not in moving])}) as one body"
@@ -175,6 +186,11 @@ def _leading(model: CavityModel, direction: Floats, names: tuple[str, ...]) -> l
     """Members that move by at least a tenth of the largest, in prior units."""
     size = {name: abs(direction[model.free.position(name)]) for name in names}
     return [name for name in names if size[name] >= 0.1 * max(size.values())]
+
+
+def _stem(name: str) -> str:
+    """A parameter's name without that of its beam."""
+    return name.partition(AT)[0]
 
 
 def _join(names: list[str] | tuple[str, ...]) -> str:

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.fit.noise import group_blocks
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 
 #: A sweep is redundant if leaving it out costs less than this.
@@ -21,7 +21,7 @@ _MOST_POINTS = 200
 
 @dataclass(frozen=True)
 class Information:
-    """Information of sweeps, one entry a sweep; rows of a group are one sweep."""
+    """Information of sweeps, one entry a sweep; rows of a group, or read at one moment, are one sweep."""
 
     labels: tuple[str, ...]
     leverage: Floats  # share of its own measurement in a sweep's fitted value, summed over its rows, shape (n_sweeps,)
@@ -44,11 +44,11 @@ def information_of(jacobian: Floats, sweeps: Sweeps) -> Information:
     bits = -0.5 * np.log2(np.clip(1.0 - leverage, 1e-300, None))
     first = np.ones(len(jacobian), dtype=bool)
     labels = [str(label) for label in sweeps.label]
-    for members in group_blocks(sweeps):
+    for members in Sharing.of(sweeps).blocks:
         block = np.eye(len(members)) - spread[members] @ spread[members].T
         bits[members[0]] = -0.5 * np.linalg.slogdet(block)[1] / np.log(2.0)
         leverage[members[0]] = leverage[members].sum()
-        labels[members[0]] = str(sweeps.group[members[0]])
+        labels[members[0]] = str(sweeps.group[members[0]] or sweeps.label[members[0]])
         first[members[1:]] = False
     rows, cumulative = cumulative_bits(jacobian)
     chosen = np.flatnonzero(first)

@@ -287,7 +287,7 @@ def whitened_jacobian(model: CavityModel, sweeps: Sweeps, values: Floats) -> Flo
 
 def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> Iterator[Floats]:
     """The same at several points (n_points, n)."""
-    rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+    rows = sweeps.laid_out(model)
     whitening = row_whitening(model, sweeps, points[0])
     moves = model.cell.mechanics is not None or model.cell.repeatability.any()
     for number, point in enumerate(points):

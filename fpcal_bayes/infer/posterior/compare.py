@@ -13,11 +13,12 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-from fpcal_bayes.infer.posterior.draws import Likelihood
-from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, standard_error
+from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_of, predictive_p
+from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, left_out_each, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cell.cell import Cell, Opd
+from fpcal_bayes.model.cell.beams import Opd
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import TERMS
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Trust
 
@@ -29,12 +30,16 @@ LEAST_DIFFERENCE = 4.0
 #: And a difference must exceed so many of its standard errors.
 LEAST_ERRORS = 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
-_POOR_DRAWS, _POOR_STEPS, _POOR_REFITS = 400, 100, 40
+_POOR_DRAWS, _POOR_REFITS = 400, 40
 _MOST_REFITS = 200
 #: Cavity shorter than this in um: mirror and fibre touch.
 _TOUCHING = 1.0
 
-_PATH_WORDS: dict[Opd, str] = {"axis": "the axis path", "perpendicular": "the perpendicular path"}
+_PATH_WORDS: dict[Opd, str] = {
+    "axis": "the axis path",
+    "perpendicular": "the perpendicular path",
+    "distance": "the distance to the point",
+}
 _LIKELIHOOD_WORDS = {"gaussian": "", "student": " with Student-t noise", "slip": " with fringe slips"}
 
 
@@ -323,7 +328,7 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
     """The model with its predictions, or with what failed."""
     if not model.identification.converged:
         return model
-    likelihood, limit, refits = model.spec.likelihood, None, _MOST_REFITS
+    likelihood = model.spec.likelihood
     problem = model.identification.problem
     if likelihood != "gaussian" and model.identification.machine is not None:
         raise InputError(f"{problem.sweeps.file}: {model.spec.name!r:.60}: with mechanics the rows are Gaussian")
@@ -332,12 +337,18 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
             f"{problem.sweeps.file}: {model.spec.name!r:.60} needs rows without a group, found rows that share "
             "a reading"
         )
-    if model.poor:
-        draws, limit, refits = min(draws, _POOR_DRAWS), _POOR_STEPS, _POOR_REFITS
+    draws, refits = (min(draws, _POOR_DRAWS), _POOR_REFITS) if model.poor else (draws, _MOST_REFITS)
     # Rows are left out at the scales that the mechanics have with all of them.
-    posterior = sample(
-        model.identification, draws=draws, likelihood=likelihood, scales_held=True, seed=seed, max_steps=limit
-    )
+    known = charted_draws(model.identification, likelihood, draws, np.random.default_rng(seed))
+    if known is not None:
+        if likelihood != "gaussian":
+            p = predictive_p(known.target, known.equal(draws, np.random.default_rng(seed)), seed)
+            model = replace(model, misfit=misfit_of(known.target, p))
+        loo = left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed)
+        return replace(model, loo=loo)
+    if model.poor:
+        return replace(model, failures=("too few draws of it can be made",))
+    posterior = sample(model.identification, draws=draws, likelihood=likelihood, scales_held=True, seed=seed)
     if not posterior.converged:
         return replace(model, failures=posterior.failures)
     model = replace(model, misfit=posterior.misfit)

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from scipy import special
 
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
@@ -26,6 +28,11 @@ N_DRAWS = 500
 #: Further draws are made until they are worth this share of those wanted, at most so many times.
 _LEAST_WORTH = 0.5
 _MOST_ROUNDS = 8
+#: The same of draws to which nothing else gives more, and the shape of their weights' tail that is allowed.
+_MOST_CHARTED = 24
+MOST_K = 0.7
+#: Repeats of the rows that they are compared with, at most.
+_REPEATS = 4000
 LOST = "no posterior draws travel with the estimate, too few could be made of this fit: bands are of first order"
 #: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
 _DIGITS = 10
@@ -75,23 +82,33 @@ class Posterior(Result):
     @property
     def misfit(self) -> str | None:
         """What the likelihood itself says against the rows, or None."""
-        if self.predictive_p is None or self.predictive_p >= POOR_FIT_BELOW:
-            return None
-        kind, allowed = "scaled-noise", "noise of any size"
-        if self.target.dof is not None:
-            kind, allowed = "Student-t", "outliers of any size"
-        if isinstance(self.target, SlipTarget):
-            kind, allowed = "slip", f"slips of up to {MOST_HALF_WAVES} half waves between two readings"
-        return (
-            f"poor fit: of repeats that the {kind} posterior predicts {100 * self.predictive_p:.2g} % are as unlikely "
-            f"as these rows; it allows for {allowed}, and something else is wrong"
-        )
+        return misfit_of(self.target, self.predictive_p)
 
     def values(self) -> Floats:
         """Draws of the free parameters in um and rad, shape (n_chains, n_steps, n)."""
         n_ensembles, n_steps, n_walkers, n = self.points.shape
         chains = self.points.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
         return self.identification.problem.values(chains)[..., self.identification.own]
+
+
+def misfit_of(target: PosteriorTarget, predictive_p: float | None) -> str | None:
+    """What a likelihood itself says against the rows, given how many repeats of them are less likely, or None."""
+    if predictive_p is None or predictive_p >= POOR_FIT_BELOW:
+        return None
+    kind, allowed = "scaled-noise", "noise of any size"
+    if target.dof is not None:
+        kind, allowed = "Student-t", "outliers of any size"
+    if isinstance(target, SlipTarget):
+        kind, allowed = "slip", f"slips of up to {MOST_HALF_WAVES} half waves between two readings"
+    return (
+        f"poor fit: of repeats that the {kind} posterior predicts {100 * predictive_p:.2g} % are as unlikely "
+        f"as these rows; it allows for {allowed}, and something else is wrong"
+    )
+
+
+def predictive_p(target: PosteriorTarget, points: Floats, seed: int) -> float:
+    """How many repeats of the rows, drawn at points of equal weight, are less likely than they are."""
+    return target.predictive_p(points[:: -(-len(points) // _REPEATS)], np.random.default_rng([seed, 3]))
 
 
 def make_target(
@@ -129,6 +146,90 @@ def make_target(
     return target, references
 
 
+@dataclass(frozen=True)
+class WeightedDraws:
+    """Draws of a posterior that count by their weights."""
+
+    target: PosteriorTarget  # the density that they are of
+    points: Floats  # scaled unknowns, shape (n_points, n_unknowns)
+    log_weights: Floats  # unnormalised, shape (n_points,)
+    independent: float = 1.0  # share of them that is worth independent draws
+
+    @cached_property
+    def worth(self) -> float:
+        """How many equal draws they are worth (Kish)."""
+        return effective_draws(special.softmax(self.log_weights)) if len(self.log_weights) else 0.0
+
+    def equal(self, count: int, random: np.random.Generator) -> Floats:
+        """Points of equal weight, shape (count, n_unknowns), by systematic resampling.
+
+        Each point stands in it as often as its weight says, up to rounding.
+        """
+        places = (np.arange(count) + random.random()) / count
+        chosen = np.searchsorted(np.cumsum(special.softmax(self.log_weights)), places)
+        return self.points[np.minimum(chosen, len(self.points) - 1)]
+
+
+def effective_draws(weights: Floats) -> float:
+    """How many equal draws weighted ones are worth; the weights add up to one."""
+    return 1.0 / float((weights**2).sum())
+
+
+def smoothed_weights(log_weights: Floats, independent: float = 1.0) -> tuple[Floats, float]:
+    """Log weights (n_points,) that add up to one, their tail smoothed, and the shape k of that tail.
+
+    A k that is infinite stands for weights of which one outweighs all others.
+    """
+    # Importing arviz takes long: only where it is used.
+    from arviz_stats.base import array_stats
+
+    try:
+        # The smoother takes log likelihoods, whose negative are the log weights; those of one draw that outweighs all
+        # others underflow, and k is then no number.
+        with np.errstate(all="ignore"):
+            smoothed, k = array_stats.psislw(-log_weights, independent)
+    except ValueError:
+        return special.log_softmax(log_weights), np.inf
+    return special.log_softmax(smoothed), float(np.nan_to_num(k, nan=np.inf, posinf=np.inf))
+
+
+def weighted_draws(
+    target: PosteriorTarget,
+    references: Floats,
+    worth: float,
+    batch: int,
+    rounds: int,
+    random: np.random.Generator,
+    least_pace: float = 0.0,
+) -> WeightedDraws:
+    """Independent draws that charts around `references` (n_charts, n_unknowns) propose, weighted by the posterior.
+
+    Batches are added until they are worth so many equal ones, so many rounds are over, or the pace at which they gain
+    is below `least_pace` of the one that is needed.
+    """
+    atlas, n = ProposalMixture(target, references), target.n_unknowns
+    known = WeightedDraws(target, np.zeros((0, n)), np.zeros(0))
+    for k in range(rounds):
+        solved = atlas.propose(random.standard_normal((batch, n)), random.random(batch))
+        fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
+        points, log_weights = np.vstack([known.points, solved.points[solved.inside]]), np.r_[known.log_weights, fresh]
+        known = WeightedDraws(target, points, log_weights)
+        if known.worth >= worth or known.worth < least_pace * worth * (k + 1) / rounds:
+            break
+    return known
+
+
+def charted_draws(
+    found: Identification, likelihood: Likelihood, draws: int, random: np.random.Generator
+) -> WeightedDraws | None:
+    """Weighted draws around the minima that are worth `draws` equal ones; None where the charts do not tell enough."""
+    target, references = make_target(found, likelihood)
+    known = weighted_draws(target, references, draws, 2 * draws, _MOST_CHARTED, random, least_pace=0.5)
+    if known.worth < draws or smoothed_weights(known.log_weights)[1] > MOST_K:
+        return None
+    return known
+
+
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
     """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
 
@@ -136,23 +237,11 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     target, references = make_target(found, "gaussian")
-    atlas, random = ProposalMixture(target, references), np.random.default_rng(seed)
-    points, log_weights = np.zeros((0, target.n_unknowns)), np.zeros(0)
-    for _ in range(_MOST_ROUNDS):
-        solved = atlas.propose(random.standard_normal((draws, target.n_unknowns)), random.random(draws))
-        points = np.vstack([points, solved.points[solved.inside]])
-        fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
-        log_weights = np.concatenate([log_weights, fresh])
-        weights = np.exp(log_weights - log_weights.max()) if len(log_weights) else np.zeros(1)
-        worth = float(weights.sum() ** 2 / max(float((weights**2).sum()), 1e-300))
-        if worth >= _LEAST_WORTH * draws:
-            break
-    else:
+    random = np.random.default_rng(seed)
+    known = weighted_draws(target, references, _LEAST_WORTH * draws, draws, _MOST_ROUNDS, random)
+    if known.worth < _LEAST_WORTH * draws:
         return np.zeros((0, len(found.free)))
-    # Systematic resampling: each point as often as its weight says, up to rounding.
-    places = (np.arange(draws) + random.random()) / draws
-    chosen = np.searchsorted(np.cumsum(weights) / weights.sum(), places)
-    return found.problem.values(points[np.minimum(chosen, len(points) - 1)])[:, found.own]
+    return found.problem.values(known.equal(draws, random))[:, found.own]
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:

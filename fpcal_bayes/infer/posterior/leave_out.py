@@ -14,18 +14,23 @@ from scipy import special
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.minimise import distinct_minima, minimise, solution_rank
-from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
-from fpcal_bayes.infer.posterior.proposal import ProposalMixture
+from fpcal_bayes.infer.posterior.draws import (
+    MOST_K,
+    Likelihood,
+    Posterior,
+    WeightedDraws,
+    charted_draws,
+    effective_draws,
+    smoothed_weights,
+)
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
-_MOST_K = 0.7
-#: Proposals to a posterior without one row, and draws of the whole posterior that are set against them.
-_PROPOSALS = 512
+#: What draws of a posterior without one row are worth, and draws of the whole one that are set against them.
+_REFIT_DRAWS = 300
 _WHOLE_DRAWS = 4096
 #: Draws, and draws times rows, that are looked at; of longer runs evenly spaced ones.
 _MOST_DRAWS, _MOST_CELLS = 16_384, 10_000_000
 _AT_ONCE = 256
-_LEAST_EFFECTIVE = 100.0
 _BRIDGE_STEPS = 200
 #: Log densities closer together than this are the same.
 _SAME = 1e-9
@@ -81,44 +86,47 @@ def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: 
     """
     n_rows, n = len(posterior.target.problem.target), posterior.points.shape[-1]
     every = -(-posterior.log_density.size // min(_MOST_DRAWS, _MOST_CELLS // n_rows))
-    thinned = posterior.points[:, ::every].transpose(0, 2, 1, 3)
-    points = thinned.reshape(-1, n)
-    rows = rows_given_others(posterior.target, points)
-    effective = float(np.mean(posterior.diagnostics.ess_bulk)) / len(points)
-    weighted = [_smoothed(row.reshape(-1, thinned.shape[2]), min(effective, 1.0)) for row in rows.T]
+    points = posterior.points[:, ::every].transpose(0, 2, 1, 3).reshape(-1, n)
+    effective = min(float(np.mean(posterior.diagnostics.ess_bulk)) / len(points), 1.0)
+    known = WeightedDraws(posterior.target, points, np.zeros(len(points)), effective)
+    return left_out_each(posterior.identification, known, likelihood, most_refits=most_refits, seed=seed)
+
+
+def left_out_each(
+    identification: Identification, known: WeightedDraws, likelihood: Likelihood, *, most_refits: int, seed: int = 0
+) -> LeaveOneOut:
+    """The same from weighted draws of the posterior of an identification."""
+    points, log_weights = known.points, special.log_softmax(known.log_weights)
+    rows = rows_given_others(known.target, points)
+    weighted = [_smoothed(row, log_weights, known.independent) for row in rows.T]
     result = LeaveOneOut(
         elpd_rows=np.array([elpd for elpd, _ in weighted]),
-        bound_rows=special.logsumexp(rows, axis=0) - np.log(len(points)),
+        bound_rows=special.logsumexp(rows + log_weights[:, None], axis=0),
         pareto_k=np.array([k for _, k in weighted]),
-        good_k=min(1.0 - 1.0 / np.log10(len(points)), _MOST_K),
-        refitted=np.zeros(n_rows, dtype=bool),
+        good_k=min(1.0 - 1.0 / np.log10(len(points)), MOST_K),
+        refitted=np.zeros(rows.shape[1], dtype=bool),
     )
     rng = np.random.default_rng(seed)
     bad = np.flatnonzero(result.bad).tolist()
     for row in bad if len(bad) <= most_refits else []:
-        some = rng.choice(len(points), min(len(points), _WHOLE_DRAWS), replace=False)
-        exact = _left_out(posterior, likelihood, row, rows[some, row], rng)
+        some = rng.choice(len(points), _WHOLE_DRAWS, p=np.exp(log_weights))
+        exact = _left_out(identification, known.target, likelihood, row, rows[some, row], rng)
         if exact is not None:
             result.elpd_rows[row], result.refitted[row] = exact, True
     result.elpd_rows[result.open] = result.bound_rows[result.open]
     return result
 
 
-def _smoothed(row: Floats, effective: float) -> tuple[float, float]:
-    """Leave-one-out density of a row and its k, from log densities (n_chains, n_draws), a share being independent."""
-    # Importing arviz takes long: only where it is used.
-    from arviz_stats.base import array_stats
+def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[float, float]:
+    """Leave-one-out density of a row and its k, from its log densities at weighted draws (n_draws,).
 
-    if np.ptp(row) < _SAME:
+    The weights add up to one, and a share of the draws is independent.
+    """
+    if np.ptp(row - log_weights) < _SAME:
         # No draw matters more than another.
         return float(row.mean()), 0.0
-    try:
-        # Weights of one draw that outweighs all others underflow; k is then no number.
-        with np.errstate(all="ignore"):
-            elpd, k, _ = array_stats.loo(row, chain_axis=0, draw_axis=1, r_eff=effective)
-    except ValueError:
-        elpd, k = row.min(), np.inf
-    return float(elpd), float(np.nan_to_num(k, nan=np.inf, posinf=np.inf))
+    left, k = smoothed_weights(log_weights - row, independent)
+    return (float(special.logsumexp(left + row)), k) if np.isfinite(k) else (float(row.min()), k)
 
 
 def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
@@ -161,31 +169,22 @@ def without_row(identification: Identification, row: int) -> Identification | No
 
 
 def _left_out(
-    posterior: Posterior, likelihood: Likelihood, row: int, with_row: Floats, rng: np.random.Generator
+    identification: Identification,
+    whole: PosteriorTarget,
+    likelihood: Likelihood,
+    row: int,
+    with_row: Floats,
+    rng: np.random.Generator,
 ) -> float | None:
     """Log density of a row given the others, the posterior being drawn without it; None if that fails."""
-    # Importing arviz takes long: only where it is used.
-    from arviz_stats.base import array_stats
-
-    reduced = without_row(posterior.identification, row)
+    reduced = without_row(identification, row)
     if reduced is None:
         return None
-    target, references = make_target(reduced, likelihood)
-    atlas = ProposalMixture(target, references)
-    solved = atlas.propose(rng.standard_normal((_PROPOSALS, target.n_unknowns)), rng.random(_PROPOSALS))
-    found = solved.inside
-    if found.sum() < _LEAST_EFFECTIVE:
+    known = charted_draws(reduced, likelihood, _REFIT_DRAWS, rng)
+    if known is None:
         return None
-    try:
-        # The smoother takes log likelihoods, whose negative are the log weights.
-        log_weights, k = array_stats.psislw(solved.log_proposal[found] - solved.log_density[found])
-    except ValueError:
-        return None
-    weights = special.softmax(log_weights)
-    effective = 1.0 / float((weights**2).sum())
-    if effective < _LEAST_EFFECTIVE or not k <= _MOST_K:
-        return None
-    return _bridge(with_row, rows_given_others(posterior.target, solved.points[found])[:, row], weights, effective)
+    weights = np.exp(smoothed_weights(known.log_weights)[0])
+    return _bridge(with_row, rows_given_others(whole, known.points)[:, row], weights, effective_draws(weights))
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:

@@ -38,7 +38,9 @@ class SlipTarget(PosteriorTarget):
         if len(unsigned):
             row = int(sweeps.rows[unsigned[0]])
             raise located(sweeps.file, "the slip likelihood needs rows of known sign", row=row, column="signed")
-        self._half_wave = 0.5 * slips.problem.model.cell.wavelength
+        if len(slips.problem.rows.parts) > 1:
+            raise located(sweeps.file, "the slip likelihood takes rows of one beam, expected another --likelihood")
+        self._half_wave = float(slips.problem.model.half_waves(slips.problem.rows)[0])
         # An absolute length comes from a wavelength scan, not from counting.
         self._can_slip = ~sweeps.absolute
         self._corrected = slips.counts

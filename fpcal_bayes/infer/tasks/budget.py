@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.fit.noise import group_blocks
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
+from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -230,7 +230,7 @@ def _reading_sd(gain: Floats, sweeps: Sweeps) -> float:
     """Standard deviation of gain . noise in um; rows of a group share the reading at their start."""
     scaled = gain * sweeps.sigma
     variance = float(scaled @ scaled)
-    for members in group_blocks(sweeps):
+    for members in Sharing.of(sweeps).read_alike:
         # Half of each row's variance is common to the group.
         variance += (float(scaled[members].sum()) ** 2 - float(scaled[members] @ scaled[members])) / 2.0
     return float(np.sqrt(variance))

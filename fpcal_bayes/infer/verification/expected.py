@@ -60,7 +60,7 @@ class Expected:
         if problem.considered is not None:
             raise InputError("parameters are held at an earlier estimate: expected one with all parameters free")
         model = problem.model
-        rows = model.rows(sweeps.q_start, sweeps.q_end, sweeps.absolute)
+        rows = sweeps.laid_out(model)
         values = problem.values(unknowns)
         predicted, jacobian = model.predict_with_jacobian(values, rows)
         # The sign of a row that is known by its size alone is the expected one.
@@ -141,10 +141,8 @@ class Expected:
         kept = np.flatnonzero(self.fitted)
         alone = replace(
             self.problem,
-            sweeps=self.problem.sweeps.take(self.fitted),
-            rows=self.problem.model.rows(
-                *(getattr(self.problem.sweeps, name)[kept] for name in ("q_start", "q_end", "absolute"))
-            ),
+            sweeps=self.problem.sweeps.take(kept),
+            rows=self.problem.sweeps.take(kept).laid_out(self.problem.model),
             target=self.problem.target[kept],
             whitening=MarginalWhitening.around(self._base(self.typical, kept), columns[kept]),
         )

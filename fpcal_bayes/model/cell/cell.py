@@ -3,24 +3,37 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.core.typing import Ints
+from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, Opd, OpticalAxis, Target
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
 from fpcal_bayes.model.cell.own_tasks import OwnTask
-from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, UNITS, Parameter, ParameterSet
+from fpcal_bayes.model.parameters import (
+    EXTRINSICS,
+    LINK_SLOTS,
+    POINT_EXTRINSICS,
+    UNITS,
+    Parameter,
+    ParameterSet,
+)
 from fpcal_bayes.model.priors import Marginal
 
-Opd = Literal["axis", "perpendicular"]
-OpticalAxis = Literal["minus-y", "z"]
+
+class View(NamedTuple):
+    """A cell of one of its beams alone, and where its model vector stands in that of the whole cell."""
+
+    cell: "Cell"
+    slots: Ints  # shape (view's model size,)
 
 
 @dataclass(frozen=True)
@@ -41,6 +54,12 @@ class Cell:
         Length the interferometer sees: ``axis`` (along the optical axis) or ``perpendicular``.
     optical_axis
         Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
+    target
+        What the light meets: ``plane-mirror`` or ``corner-cube``.
+    beam
+        Name of the first beam, or empty in a cell that names none; path model, wavelength and target above are its.
+    further
+        The other beams.
     drift
         How the parameters drift; those not named stay.
     optics
@@ -67,6 +86,56 @@ class Cell:
     tasks: tuple[OwnTask, ...] = ()
     mechanics: Mechanics | None = None
     handedness_checked: bool = False
+    target: Target = "plane-mirror"
+    beam: str = ""
+    further: tuple[Beam, ...] = ()
+
+    @property
+    def beams(self) -> tuple[str, ...]:
+        """Names of the beams, the first one's empty in a cell that names none."""
+        return (self.beam, *(beam.name for beam in self.further))
+
+    def require_one_beam(self, what: str) -> None:
+        """Raise `InputError` in a cell with several beams, since `what` knows one only."""
+        if self.further:
+            raise InputError(f"cell {self.name!r} has {len(self.beams)} beams: {what} knows one only; expected sweeps")
+
+    def beam_numbers(self, names: NDArray[np.str_]) -> Ints:
+        """Number of the beam of each name, shape (n,); an empty name is the first beam's."""
+        if not self.further:
+            return np.zeros(len(names), dtype=np.int64)
+        number = {"": 0} | {name: i for i, name in enumerate(self.beams)}
+        return np.array([number[name] for name in names.tolist()], dtype=np.int64)
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """The cell as each of its beams sees it, in their order."""
+        links = np.arange(len(LINK_SLOTS) * len(self.joints))
+        own = np.arange(len(self.parameters) - len(EXTRINSICS), len(self.parameters))
+        if not self.further:
+            return (View(self, np.concatenate([links, own])),)
+        beams = [Beam(self.beam, self.target, self.wavelength, self.opd, self.optical_axis, ()), *self.further]
+        made = []
+        for beam in beams:
+            at = self.parameters.positions(beam.parameters) if beam.parameters else own
+            index = np.concatenate([links, at])
+            parameters = ParameterSet(
+                replace(self.parameters[int(i)], name=self.parameters[int(i)].name.partition(AT)[0], slot=slot)
+                for slot, i in enumerate(index)
+            )
+            cell = replace(
+                self,
+                parameters=parameters,
+                wavelength=beam.wavelength,
+                opd=beam.opd,
+                optical_axis=beam.optical_axis,
+                target=beam.target,
+                beam=beam.name,
+                further=(),
+                drift=(),
+            )
+            made.append(View(cell, index))
+        return tuple(made)
 
     @cached_property
     def interferometer(self) -> Interferometer:
@@ -127,8 +196,16 @@ class Cell:
                 "parameters": [
                     [p.name, p.nominal, p.prior_sd, p.optional, *_settings(p.prior)] for p in self.parameters
                 ],
+                **self._named_beams(),
             }
         )
+
+    def _named_beams(self) -> dict[str, Any]:
+        """What a cell with one nameless beam and a plane mirror does not have in its hash."""
+        if not self.beam and not self.further and self.target == "plane-mirror":
+            return {}
+        rest = [[b.name, b.target, b.wavelength, b.opd, b.optical_axis, *b.parameters] for b in self.further]
+        return {"beams": [[self.beam, self.target], *rest]}
 
     @property
     def ideal(self) -> "Cell":
@@ -136,8 +213,11 @@ class Cell:
         return self if self.mechanics is None else replace(self, mechanics=None)
 
     def with_opd(self, opd: Opd) -> "Cell":
-        """The same cell with the other path model."""
-        return replace(self, opd=opd)
+        """The same cell with the other path model, on each beam whose target has it; `InputError` if none has."""
+        if not any(opd in PATHS[target] for target in (self.target, *(beam.target for beam in self.further))):
+            raise InputError(f"path model {opd!r}: the targets of cell {self.name!r} have no such path")
+        further = tuple(replace(beam, opd=opd) if opd in PATHS[beam.target] else beam for beam in self.further)
+        return replace(self, opd=opd if opd in PATHS[self.target] else self.opd, further=further)
 
     def select(self, names: str | Sequence[str]) -> ParameterSet:
         """Choose parameters to identify, in the cell's order.
@@ -185,14 +265,18 @@ class ParameterEntry(NamedTuple):
 def make_parameters(
     entries: Mapping[str, ParameterEntry | tuple[float, float, bool]],
     n_joints: int,
+    target: Target = "plane-mirror",
+    further: Sequence[str] = (),
 ) -> ParameterSet:
     """Every parameter of the model vector of a chain.
 
     entries: by name; what is missing is zero and cannot be freed.
     n_joints: number of links of the chain.
+    target: of the first beam.
+    further: names of the parameters that further beams have of their own.
     """
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
-    names += [(name, UNITS[name], "extrinsic") for name in EXTRINSICS]
+    names += [(name, UNITS[name.partition(AT)[0]], "extrinsic") for name in (*further, *extrinsics_of(target))]
     unknown = set(entries) - {name for name, _, _ in names}
     if unknown:
         raise InputError(f"unknown parameter {sorted(unknown)[0]!r} for a chain of {n_joints} joints")
@@ -201,6 +285,11 @@ def make_parameters(
         nominal, prior_sd, optional, prior = ParameterEntry(*entries.get(name, (0.0, 0.0, False)))
         made.append(Parameter(name, unit, nominal, prior_sd, kind, slot, optional, prior))  # type: ignore[arg-type]
     return ParameterSet(made)
+
+
+def extrinsics_of(target: Target) -> tuple[str, ...]:
+    """Names of the extrinsic parameters of a beam with this target, in the order of the model vector."""
+    return EXTRINSICS if target == "plane-mirror" else POINT_EXTRINSICS
 
 
 #: Turns from zero within which a joint without limits stands.

@@ -31,8 +31,16 @@ def impossible(cell: Cell) -> Iterator[tuple[str, str]]:
             "optics.wavelength_nm",
             f"{shown:g} nm is no light that a fibre guides, expected nm: wavelength_nm = {mend}",
         )
-    if cell.optical_axis == "z":
-        return
+    for view, _ in cell.views:
+        if view.target == "plane-mirror" and view.optical_axis != "z":
+            place = f"beam {view.beam}: " if view is not cell.views[0].cell else ""
+            yield from ((f"{place}{key}", what) for key, what in _misplaced(view))
+    if cell.target == "plane-mirror" and cell.optical_axis != "z" and not any(_misplaced(cell.views[0].cell)):
+        yield from _task_axis(cell, cell.parameters.nominal)
+
+
+def _misplaced(cell: Cell) -> Iterator[tuple[str, str]]:
+    """The same of the fibre and the mirror of one beam."""
     vector = cell.parameters.nominal
     seen = sight(cell, vector, home(cell))
     light, normal = direction_words(seen.light), direction_words(seen.normal)
@@ -63,8 +71,6 @@ def impossible(cell: Cell) -> Iterator[tuple[str, str]]:
             f"({_other_side(seen.fibre, seen.light, ahead)}), or light and mirror face the other way "
             f"(theta_wf nominal_deg = {theta:g} and beta_et nominal_deg = {beta:g})",
         )
-    else:
-        yield from _task_axis(cell, vector)
 
 
 def _task_axis(cell: Cell, vector: Floats) -> Iterator[tuple[str, str]]:

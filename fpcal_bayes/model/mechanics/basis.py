@@ -27,19 +27,19 @@ PEAK_TO_VALLEY: dict[Shape, float] = {
 LEGENDRE, HARMONICS = 5, 4
 
 
-def polynomials(q: Floats, low: float, high: float) -> Floats:
-    """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5)."""
+def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
+    """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5); of joints (n, m), (n, m, 5)."""
     x = (2.0 * q - low - high) / (high - low)
-    return np.asarray(legendre.legvander(x, LEGENDRE)[:, 1:], dtype=np.float64)
+    return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
 
 
 def harmonics(q: Floats) -> Floats:
-    """Cosine and sine of one to four turns per turn, shape (n, 8): cos q, sin q, cos 2q, ...
+    """Cosine and sine of one to four turns per turn, shape (n, 8): cos q, sin q, cos 2q, ...; of (n, m), (n, m, 8).
 
     There is no linear term: a full turn closes.
     """
-    angles = q[:, None] * np.arange(1, HARMONICS + 1)
-    values: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+    angles = q[..., None] * np.arange(1, HARMONICS + 1)
+    values: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * HARMONICS)
     return values
 
 

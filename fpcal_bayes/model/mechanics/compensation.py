@@ -19,6 +19,8 @@ _LEAST_SLOPE = 0.5
 _WORTH = 0.2
 #: The directions of approach follow from the path that they change.
 _ROUNDS = 3
+#: A round that moves no point by more than this changes nothing, in um.
+_SAME_UM = 1e-7
 
 
 def compensated_path(
@@ -63,7 +65,10 @@ def compensated_path(
         return as_it_is
     moved, error, again = q.copy(), plain, new
     for _ in range(_ROUNDS):
-        moved[:, joint] = np.clip(q[:, joint] - error / drive[:, joint], cell.low[joint], cell.high[joint])
+        wanted = np.clip(q[:, joint] - error / drive[:, joint], cell.low[joint], cell.high[joint])
+        if np.abs(wanted - moved[:, joint]).max() < _SAME_UM:
+            break
+        moved[:, joint] = wanted
         error, again, _ = driven(path_design(terms, vector, start, np.vstack([first, moved])))
     added = (moved - q)[:, joint] * drive[:, joint]
     return (moved, added) if _spread(error + added) + again < _spread(plain) + new else as_it_is

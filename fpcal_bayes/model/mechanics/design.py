@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
+from fpcal_bayes.model.mechanics.basis import HARMONICS, LEGENDRE, harmonics, polynomials
 from fpcal_bayes.model.mechanics.drive import Drive, path_sides
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, responses
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
@@ -69,57 +69,49 @@ class PathDesign:
         return np.column_stack([np.unique(values, return_inverse=True)[1] for values in self.poses.T])
 
 
-def _columns(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
-    """Columns of the error motions at poses: value of each basis function times its response, per motion."""
-    cell, values = terms.cell, {}
-    for i in {motion.joint for motion in terms.motions}:
-        endless = group_of(cell, i) == "rotary"
-        values[i] = harmonics(q[:, i]) if endless else polynomials(q[:, i], cell.low[i], cell.high[i])
-    return [
-        values[motion.joint] * at.motion[:, motion.joint, motion.direction, None] * motion.sd
-        for motion in terms.motions
-    ]
+def _columns(terms: Terms, q: Floats, at: Responses) -> Floats:
+    """Columns of the error motions at poses: value of each basis function times its response, per weight."""
+    cell, joint, direction, place, sd = terms.cell, *terms.weights
+    endless = np.array([group_of(cell, i) == "rotary" for i in range(len(cell.joints))], dtype=bool)
+    basis = np.zeros((*q.shape, 2 * HARMONICS))
+    basis[:, ~endless, :LEGENDRE] = polynomials(q[:, ~endless], cell.low[~endless], cell.high[~endless])
+    basis[:, endless] = harmonics(q[:, endless])
+    return basis[:, joint, place] * at.motion[:, joint, direction] * sd
 
 
-def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[tuple[int, Floats]]:
-    """Of endless joints: the part of the fundamental radial motion that runs against the turn, (joint, (n, 2)).
+def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
+    """Of endless joints: the part of the fundamental radial motion that runs against the turn, (n, 2) each.
 
     The part that runs with the turn carries the mirror round as an eccentricity does: geometry.
     """
     made = []
-    for motion in terms.motions:
+    for motion in terms.elliptic:
         i = motion.joint
-        if motion.direction == UP and group_of(terms.cell, i) == "rotary":
-            # The second harmonic stands at half the fundamental's size.
-            sd = 2.0 * motion.sd[2]
-            up, across = at.motion[:, i, UP], at.motion[:, i, ACROSS]
-            c, s = np.cos(q[:, i]), np.sin(q[:, i])
-            made.append((i, sd * np.column_stack([c * up - s * across, s * up + c * across])))
+        # The second harmonic stands at half the fundamental's size.
+        sd = 2.0 * motion.sd[2]
+        up, across = at.motion[:, i, UP], at.motion[:, i, ACROSS]
+        c, s = np.cos(q[:, i]), np.sin(q[:, i])
+        made.append(sd * np.column_stack([c * up - s * across, s * up + c * across]))
     return made
 
 
-def at_poses(terms: Terms, q: Floats, at: Responses) -> tuple[Floats, list[str], list[int]]:
-    """Columns that depend on the pose alone: error motions and encoders of known period; names and scales."""
-    index = {name: i for i, name in enumerate(terms.scales)}
-    parts, names, scales = [], [], []
-    for motion, columns in zip(terms.motions, _columns(terms, q, at), strict=True):
-        there = motion.sd > 0
-        parts.append(columns[:, there])
-        names += [motion.name] * int(there.sum())
-        scales += [index[motion.scale]] * int(there.sum())
-    by_joint = {motion.joint: motion for motion in terms.motions if motion.direction == UP}
-    for i, columns in _elliptic(terms, q, at):
-        parts.append(columns)
-        names += [f"radial runout of q{i + 1}, against the turn"] * 2
-        scales += [index[by_joint[i].scale]] * 2
-    for i in np.flatnonzero((terms.encoder > 0) & np.isfinite(terms.encoder_period)).tolist():
+def at_poses(terms: Terms, q: Floats, at: Responses) -> Floats:
+    """Columns that depend on the pose alone: error motions and encoders of known period."""
+    parts = [_columns(terms, q, at), *_elliptic(terms, q, at)]
+    for i in terms.known_encoders:
         phase = 2.0 * np.pi * q[:, i] / terms.encoder_period[i]
         size = at.drive[:, i] * terms.encoder[i] / np.sqrt(2.0)
         parts.append(size[:, None] * np.column_stack([np.cos(phase), np.sin(phase)]))
-        names += [f"encoder period of q{i + 1}"] * 2
-        scales += [index["encoder"]] * 2
-    matrix = np.hstack(parts) if parts else np.zeros((len(q), 0))
-    return matrix, names, scales
+    return np.hstack(parts)
+
+
+def _names(terms: Terms) -> tuple[list[str], list[int]]:
+    """Names and scales of the columns of `at_poses`."""
+    index = {name: i for i, name in enumerate(terms.scales)}
+    each = [(motion.name, motion.scale) for motion in terms.motions for _ in range(int((motion.sd > 0).sum()))]
+    each += [(f"radial runout of q{m.joint + 1}, against the turn", m.scale) for m in terms.elliptic for _ in "cs"]
+    each += [(f"encoder period of q{i + 1}", "encoder") for i in terms.known_encoders for _ in "cs"]
+    return [name for name, _ in each], [index[scale] for _, scale in each]
 
 
 def weight_rows(terms: Terms) -> list[tuple[int, int, int, float]]:
@@ -135,11 +127,8 @@ def weight_rows(terms: Terms) -> list[tuple[int, int, int, float]]:
         orders = waves if group_of(terms.cell, motion.joint) == "rotary" else range(1, count + 1)
         kinds = zip(orders, motion.sd.tolist(), strict=True)
         rows += [(motion.joint, motion.direction + 1, order, sd) for order, sd in kinds if sd > 0]
-    for motion in terms.motions:
-        if motion.direction == UP and group_of(terms.cell, motion.joint) == "rotary":
-            rows += [(motion.joint, 7, sign, 2.0 * float(motion.sd[2])) for sign in (1, -1)]
-    known = (terms.encoder > 0) & np.isfinite(terms.encoder_period)
-    rows += [(i, 8, s, float(terms.encoder[i] / np.sqrt(2.0))) for i in np.flatnonzero(known).tolist() for s in (1, -1)]
+    rows += [(motion.joint, 7, sign, 2.0 * float(motion.sd[2])) for motion in terms.elliptic for sign in (1, -1)]
+    rows += [(i, 8, sign, float(terms.encoder[i] / np.sqrt(2.0))) for i in terms.known_encoders for sign in (1, -1)]
     return rows + [(i, 9, 0, float(terms.reversal[i])) for i in np.flatnonzero(terms.reversal > 0).tolist()]
 
 
@@ -177,12 +166,12 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
 def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     """The design matrix of the rows of one session."""
     cell, index = terms.cell, {name: i for i, name in enumerate(terms.scales)}
-    end = responses(cell, vector, terms.told, drive.q_end)
-    start = responses(cell, vector, terms.told, drive.q_start)
+    beam = cell.beam_numbers(drive.beam)
+    end = responses(cell, vector, terms.told, drive.q_end, beam)
+    start = responses(cell, vector, terms.told, drive.q_start, beam)
     begun = (~drive.absolute).astype(float)[:, None]
-    at_end, names, scales = at_poses(terms, drive.q_end, end)
-    at_start, _, _ = at_poses(terms, drive.q_start, start)
-    parts = [at_end - begun * at_start]
+    names, scales = _names(terms)
+    parts = [at_poses(terms, drive.q_end, end) - begun * at_poses(terms, drive.q_start, start)]
 
     reversing = np.flatnonzero(terms.reversal > 0)
     if len(reversing):
@@ -196,13 +185,21 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
         scales += [index["approach"]] * (2 * len(reversing))
 
     drifting, drift_names = _drift(terms, drive, start, end, begun)
-    parts.append(drifting)
-    names += drift_names
-    scales += [index["drift"]] * drifting.shape[1]
-    slow = _slow(terms, len(drive), sigma)
-    parts.append(slow)
-    names += ["slow reading error"] * slow.shape[1]
-    scales += [index["slow noise"]] * slow.shape[1]
+    for number in range(len(cell.beams)):
+        # Each beam starts from a mount of its own, and is read by itself.
+        seen = beam == number
+        of = f" of beam {cell.beams[number]}" if number else ""
+        parts.append(drifting * seen[:, None])
+        names += [f"drift{of}{name.removeprefix('drift')}" for name in drift_names]
+        scales += [index["drift"]] * drifting.shape[1]
+        slow = np.zeros((len(drive), 0))
+        if seen.any():
+            errors = _slow(terms, int(seen.sum()), sigma[seen])
+            slow = np.zeros((len(drive), errors.shape[1]))
+            slow[seen] = errors
+        parts.append(slow)
+        names += ["slow reading error"] * slow.shape[1]
+        scales += [index["slow noise"]] * slow.shape[1]
     if drive.scaled.any():
         parts.append(drive.scaled[:, None])
         names += ["wavelength"]
@@ -316,10 +313,20 @@ def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
 
 
 def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
-    """The design matrices of a path that is driven point by point from `start_q` (n_joints,)."""
+    """The design matrices of a path that is driven point by point from `start_q` (n_joints,); the last is kept."""
+    key = vector.tobytes(), start_q.tobytes(), q.tobytes()
+    made = terms.last_path.get(key)
+    if made is None:
+        made = _path_design(terms, vector, start_q, q)
+        terms.last_path.clear()
+        terms.last_path[key] = made
+    return made
+
+
+def _path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
     poses = np.vstack([start_q, q])
     at = responses(terms.cell, vector, terms.told, poses)
-    columns, _, _ = at_poses(terms, poses, at)
+    columns = at_poses(terms, poses, at)
     reversing = np.flatnonzero(terms.reversal > 0)
     parts = [columns[1:] - columns[:1]]
     _, side = path_sides(start_q, q)

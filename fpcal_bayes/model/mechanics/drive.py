@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 
@@ -33,6 +34,7 @@ class Drive:
     session: Ints
     # what one standard deviation of a scale that all rows share adds to each, in um, shape (n,)
     scaled: Floats
+    beam: NDArray[np.str_]  # name of the beam that read each row, or empty: the first, shape (n,)
 
     def __len__(self) -> int:
         return len(self.q_end)
@@ -49,8 +51,8 @@ class Drive:
         """How long the last session took, in minutes."""
         return float(self.end_min[self.session == self.session.max(initial=0)].max())
 
-    def take(self, rows: Bools) -> "Drive":
-        """The rows picked by a mask (n,)."""
+    def take(self, rows: Bools | Ints) -> "Drive":
+        """The rows picked by a mask (n,) or by positions."""
         return Drive(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
@@ -65,14 +67,12 @@ def drive_of(
     t_start_h: Floats | None = None,
     t_end_h: Floats | None = None,
     approach: Floats | None = None,
-    scaled: Floats | None = None,
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
     sweep: number of each row's sweep, rising by one, shape (n,).
     time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
     t_start_h, t_end_h: when start and end were read, shape (n,), or None.
-    scaled: see `Drive`, or None.
     approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
@@ -91,8 +91,8 @@ def drive_of(
         span = np.where(known, 0.0, span)
     session = np.zeros(len(q_end), dtype=np.int64)
     sides = (start_side, end_side, start_reach, end_reach)
-    scaled = np.zeros(len(q_end)) if scaled is None else scaled
-    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, scaled)
+    alike = np.zeros(len(q_end)), np.full(len(q_end), "")
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, *alike)
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:

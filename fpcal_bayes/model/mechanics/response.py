@@ -6,6 +6,8 @@ fibre end f, optical axis a, N = n.(o - f) and D = n.a, a displacement changes N
 changes n by w x n and N by (w x n).(c - f), and
 
     dL = (dN - L dD) / D    (axis),        dL = sign(N) dN    (perpendicular).
+
+A target that is a point p moves by delta + w x (p - c), of which its length sees the part along the light.
 """
 
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS
@@ -66,10 +68,24 @@ class Responses:
     length: Floats  # the cavity length itself, shape (n_poses,)
 
 
-def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Responses:
-    """Derivatives of the cavity length by small motions at poses `q` (n_poses, n_joints), in um and rad."""
+def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Ints | None = None) -> Responses:
+    """Derivatives of the cavity length by small motions at poses `q` (n_poses, n_joints), in um and rad.
+
+    `beam` (n_poses,) is the number of the beam that sees each pose, by default the first.
+    """
+    if cell.further:
+        whole = [np.empty((len(q), *shape)) for shape in ((q.shape[1], 6), (q.shape[1],), (3,), ())]
+        for number, (view, index) in enumerate(cell.views):
+            at = np.full(len(q), number == 0) if beam is None else beam == number
+            part = responses(view, vector[index], told, q[at])
+            for each, found in zip(whole, (part.motion, part.drive, part.fibre, part.length), strict=True):
+                each[at] = found
+        return Responses(*whole)
     frames = _frames(cell, vector, q)
     beta_et, theta_et, _, _, z_et, *fibre = vector[-len(EXTRINSICS) :]
+    if cell.target == "corner-cube":
+        point = frames.origin + frames.tool @ np.array([beta_et, theta_et, z_et])
+        return _of_point(cell, vector, told, frames, point - fibre)
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
     normal = frames.tool @ in_tool
     origin = frames.origin + z_et * frames.tool[:, :, 2]
@@ -78,7 +94,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Respon
     if cell.opd == "axis":
         facing = normal @ beam
         length, inverse = distance / facing, 1.0 / facing
-        turned_beam = np.cross(normal, beam) * length[:, None]
+        turned_beam = _cross(normal, beam) * length[:, None]
     else:
         length, inverse = np.abs(distance), np.sign(distance)
         turned_beam = np.zeros_like(normal)
@@ -90,7 +106,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Respon
     moved = (axes @ across[..., None])[..., 0]
 
     def tilted(points: Floats) -> Floats:
-        torque = np.cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
+        torque = _cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
         turned: Floats = (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
         return turned
 
@@ -104,6 +120,29 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> Respon
         fibre=-normal * inverse[:, None],
         length=length,
     )
+
+
+def _of_point(cell: Cell, vector: Floats, told: Directions, frames: "_Frames", away: Floats) -> Responses:
+    """The same of a target that is a point, `away` (n_poses, 3) from where the light starts."""
+    length = np.linalg.norm(away, axis=1)
+    if cell.opd == "axis":
+        beam = np.broadcast_to(chain.optical_axis(cell, vector).real, away.shape)
+        length = (away * beam).sum(axis=1)
+    else:
+        beam = away / length[:, None]
+    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
+    arms = (frames.base @ told.lever[None, :, :, None])[..., 0]
+    point = (away + np.array(vector[-3:]))[:, None]
+    moved = (axes @ beam[:, None, :, None])[..., 0]
+
+    def tilted(points: Floats) -> Floats:
+        turned: Floats = (axes @ np.cross(point - points, beam[:, None])[..., None])[..., 0]
+        return turned
+
+    tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
+    tilts[..., 0] = np.where(cell.revolute, about_axis, tilts[..., 0])
+    drive = np.where(cell.revolute, tilts[..., 0], moved[..., 0])
+    return Responses(np.concatenate([moved, tilts], axis=2), drive, -beam, length)
 
 
 @dataclass(frozen=True)
@@ -141,3 +180,8 @@ def _frames(cell: Cell, vector: Floats, q: Floats) -> _Frames:
         x, y = turn[:, :, 0], turn[:, :, 1]
         turn = np.stack([c * x + s * y, c * y - s * x, turn[:, :, 2]], axis=2)
     return _Frames(base, pivot, carried, turn, at)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """As `numpy.cross` of vectors (..., 3), whose checks take longer than its products."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

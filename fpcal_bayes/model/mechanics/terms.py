@@ -3,10 +3,11 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics.basis import Shape, weight_sd
@@ -74,6 +75,34 @@ class Terms:
     def duplicates(self) -> tuple[str, ...]:
         """Sentences about weights that stand aside for a geometric parameter."""
         return tuple(motion.duplicates for motion in self.motions if motion.duplicates)
+
+    @cached_property
+    def weights(self) -> tuple[Ints, Ints, Ints, Floats]:
+        """Of every weight that is there: joint, direction, place in the basis, standard deviation; shape (n,) each."""
+        places = [np.flatnonzero(motion.sd > 0) for motion in self.motions]
+        counts = list(map(len, places))
+        joint, direction = (
+            np.repeat(np.array([getattr(motion, name) for motion in self.motions], dtype=np.int64), counts)
+            for name in ("joint", "direction")
+        )
+        none = np.zeros(0, dtype=np.int64)
+        sd = np.concatenate([none.astype(float), *(motion.sd[motion.sd > 0] for motion in self.motions)])
+        return joint, direction, np.concatenate([none, *places]), sd
+
+    @cached_property
+    def last_path(self) -> dict[tuple[bytes, bytes, bytes], Any]:
+        """The design of the path that was asked for last: compensation, and then the error left, ask for the same."""
+        return {}
+
+    @cached_property
+    def elliptic(self) -> tuple[Motion, ...]:
+        """Upward radial motions of endless joints, whose fundamental may run against the turn."""
+        return tuple(m for m in self.motions if m.direction == UP and group_of(self.cell, m.joint) == "rotary")
+
+    @cached_property
+    def known_encoders(self) -> list[int]:
+        """Joints whose encoder has an error of known period."""
+        return np.flatnonzero((self.encoder > 0) & np.isfinite(self.encoder_period)).tolist()
 
     @cached_property
     def reversal(self) -> Floats:

@@ -73,6 +73,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
     seen = facts.observability
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
+    at = words.shown_time(facts.now_h, facts)
     alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
     drawn = {
         "tasks": figures.task_figure(facts),
@@ -93,7 +94,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
-        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows",
+        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows; as of {at}",
         style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
         scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),
         data=charts,
@@ -144,6 +145,8 @@ def _next_sweeps(facts: CampaignFacts) -> dict[str, Any]:
     """The sweeps that are recommended now, if any."""
     decision = facts.decision
     if decision is None or decision.sweeps is None or decision.action == "hold":
-        return {"next_sweeps": None, "next_title": ""}
-    title = f"To be measured now, about {decision.minutes:.0f} min:"
-    return {"next_sweeps": sweep_table(decision.sweeps, facts.cell), "next_title": title}
+        return {"next_sweeps": None}
+    tasks = " ".join(f"--task {name}" for name in facts.goal.tasks)
+    ticket = f"fpcal decide {facts.file} {tasks} --tolerance-nm {1e3 * facts.goal.tolerance_um:g} -o TICKET.csv"
+    title = f"To be measured now, about {decision.minutes:.0f} min; the most useful first"
+    return {"next_sweeps": sweep_table(decision.sweeps, facts.cell), "next_title": title, "next_command": ticket}

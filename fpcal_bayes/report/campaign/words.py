@@ -11,6 +11,7 @@ from fpcal_bayes.analysis.history import SessionResiduals, session_bounds, sessi
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.version import __version__
+from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
@@ -20,15 +21,17 @@ from fpcal_bayes.report.tasks import angle_text
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
 from fpcal_bayes.tracking.session import SessionOutcome
 
+#: Word of each action, its class in the style sheet, and its meaning.
 _ACTIONS = {
-    "hold": ("Hold", "good", "The cell keeps its tolerance; nothing is to be measured now."),
-    "out of reach": (
-        "Out of reach",
-        "bad",
-        "No measurement brings the tasks into this tolerance.",
-    ),
+    "hold": ("Hold", "good", "The cell keeps its tolerance until then; nothing is to be measured before."),
+    "out of reach": ("Out of reach", "bad", "No measurement brings the tasks into this tolerance."),
     "extrinsic": ("Re-identify", "caution", "A few sweeps now bring mirror and fibre back into tolerance."),
     "full": ("Recalibrate", "bad", "The whole calibration is to be made again."),
+}
+#: Sweeps that are for the robot too are said to be.
+_LOOKS = {
+    "robot": "The tolerance holds; these sweeps show whether the robot itself has changed.",
+    "both": "A few sweeps bring mirror and fibre back into tolerance, and show whether the robot itself has changed.",
 }
 _MOST_RESIDUALS = 12
 _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
@@ -39,6 +42,7 @@ class Headline:
     """What to do, first thing on the page."""
 
     word: str
+    title: str  # the action with its time
     style: str  # good, caution, bad: its class in the style sheet
     meaning: str  # the word in a sentence
     sentences: tuple[str, ...]
@@ -49,18 +53,38 @@ def verdict(facts: CampaignFacts) -> Headline:
     if facts.fit_is_wrong or not (facts.trust.usable or (facts.track is not None and facts.track.calibration_due)):
         meaning = "These numbers are not to be used: they rest on a fit that is wrong."
         said = f"{facts.trust.against[0].upper()}{facts.trust.against[1:]}."
-        return Headline("Do not use", "bad", meaning, (said, f"What to do: fpcal doctor {facts.file}."))
+        return Headline("Do not use", "Do not use", "bad", meaning, (said, f"What to do: fpcal doctor {facts.file}."))
     sentences = [_task_sentence(facts)]
     if facts.decision is None or facts.track is None:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
-        return Headline("No verdict", "caution", meaning, tuple(sentences))
-    out_of_reach = facts.decision.action == "hold" and facts.decision.attainable_nm is not None
-    word, style, meaning = _ACTIONS["out of reach" if out_of_reach else facts.decision.action]
+        return Headline("No verdict", "No verdict", "caution", meaning, tuple(sentences))
+    word, title, style, meaning = _action(facts.decision, facts)
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
         sentences.append(f"The robot itself moved before session {facts.track.calibration_due}.")
-    return Headline(word, style, meaning, tuple(sentences))
+    return Headline(word, title, style, meaning, tuple(sentences))
+
+
+def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, str]:
+    """Word, title with the time, class of the style sheet, and meaning of what is to be done."""
+    out_of_reach = decision.action == "hold" and decision.attainable_nm is not None
+    word, style, meaning = _ACTIONS["out of reach" if out_of_reach else decision.action]
+    if out_of_reach:
+        title = f"{word}: at best {decision.attainable_nm:.3g} nm can be held"
+    elif decision.action != "hold":
+        looked = decision.action == "extrinsic" and decision.purpose == "robot"
+        count = 0 if decision.sweeps is None else len(decision.sweeps)
+        sweeps = "one sweep" if count == 1 else f"{count} sweeps"
+        title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
+        meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
+    elif decision.hold_hours < facts.costs.horizon_h:
+        until = shown_time(decision.now_h + decision.hold_hours, facts)
+        # Green is for what needs nobody's attention within the horizon.
+        title, style = f"Measure again by {until}, in {decision.hold_hours:.1f} h", "caution"
+    else:
+        title = f"{word}: nothing to measure within {facts.costs.horizon_h:g} h"
+    return word, title, style, meaning
 
 
 def _task_sentence(facts: CampaignFacts) -> str:
@@ -87,30 +111,31 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
     if risk is None:
         return "cannot be driven", "bad"
     if risk <= facts.goal.level:
-        return "within tolerance", "good"
+        inside = outlook.numbers is not None and outlook.numbers.most <= 1e3 * facts.goal.tolerance_um
+        return ("within tolerance", "good") if inside else ("probably within", "caution")
     return ("at risk", "caution") if risk <= 0.5 else ("out of tolerance", "bad")
 
 
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
-    heads = ["task", "to be held", "standing", "peak to peak, median [nm]", f"{BAND:.0%} band [nm]"]
-    heads += [f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "mirror direction, 95 % [deg]"]
-    table = plain_table("Error of each task now", heads, words=(0, 1, 2))
+    heads = ["task", "standing", f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "median [nm]"]
+    heads += [f"{BAND:.0%} band [nm]", "mirror direction, 95 % [deg]", "to be held"]
+    table = plain_table("Peak to peak of each task's error now", heads, words=(0, 1, 6))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)
         asked, found = "yes" if outlook.asked else "no", outlook.numbers
         if found is None or found.exceeds is None:
             reason = outlook.reason or facts.trust.against
-            table.add_row(outlook.name, asked, TableCell(f"{said}: {reason}", said, style), "", "", "", "")
+            table.add_row(outlook.name, TableCell(f"{said}: {reason}", said, style), "", "", "", "", asked)
             continue
         table.add_row(
             outlook.name,
-            asked,
             TableCell(said, style=style),
-            figure_of(found.median, f"{found.median:.2f}"),
-            figure_of(found.most, f"{found.least:.2f} to {found.most:.2f}"),
             figure_of(found.exceeds, f"{found.exceeds:.3f}"),
+            figure_of(found.median, f"{found.median:.1f}"),
+            figure_of(found.most, f"{found.least:.1f} to {found.most:.1f}"),
             figure_of(found.normal[1], angle_text(found.normal[1])),
+            asked,
         )
     return table
 
@@ -134,18 +159,18 @@ def measured_sentence(facts: CampaignFacts) -> str:
 
 def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
-    heads = ["session", "time", "rows", "sigma, median [nm]", "without sign", "verdict", "innovation", "95 % bounds"]
-    table = plain_table("Sessions", heads, words=(0, 5))
+    heads = ["session", "time", "verdict", "innovation", "95 % bounds", "rows", "sigma, median [nm]", "without sign"]
+    table = plain_table("Sessions", heads, words=(0, 2))
     for i, found in enumerate(session_numbers(facts)):
         rows, time_h = found.rows, float(found.rows.time_h.max())
         unsigned = int((~rows.signed).sum())
         table.add_row(
             str(rows.session[0]),
             figure_of(time_h, shown_time(time_h, facts)),
+            *_tested(found.outcome, first=i == 0),
             figure_of(len(rows), str(len(rows))),
             figure_of(1e3 * found.sigma),
             figure_of(unsigned, str(unsigned)),
-            *_tested(found.outcome, first=i == 0),
         )
     return table
 

@@ -28,15 +28,19 @@
     }] } };
   };
 
+  // What the legend says of a series, and at which time where nobody points.
+  const said = { "low": "95 % band, from", "high": "to" };
   const order = ["low", "high", "filter", "median", "truth", "session alone", "alarm"];
   const timeChart = function (box, title, hours, series, now, tolerance, height, logarithmic) {
     const names = order.filter(function (name) { return series[name]; });
     const list = [{ label: "time [h]", value: function (_, v) { return short(v); } }];
     names.forEach(function (name) {
-      list.push(Object.assign({ label: name, points: { show: false }, value: function (_, v) { return short(v); } }, styles[name] || edge));
+      list.push(Object.assign({ label: said[name] || name, points: { show: false }, value: function (_, v) { return short(v); } }, styles[name] || edge));
     });
+    const last = hours.findLastIndex(function (hour) { return now === null || hour <= now + 0.01; });
+    const rest = function (plot) { if (plot.cursor.idx === null || plot.cursor.idx === undefined) plot.setLegend({ idx: last }); };
     return new uPlot({
-      width: width(box), height: height, series: list,
+      width: width(box), height: height, series: list, hooks: { ready: [rest], setCursor: [rest] },
       scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
       bands: [{ series: [2, 1], fill: "rgba(0,114,178,.15)" }],
       axes: [{ label: "time [h]" }, { label: title, size: 76 }],
@@ -50,13 +54,18 @@
     const part = document.getElementById(id);
     if (!part) return;
     part.classList.add("ready");
+    // A curve stands once: on a screen the chart takes the place of the figure before it.
+    const before = part.previousElementSibling;
+    if (part.tagName === "DIV" && before && before.tagName === "FIGURE") before.classList.add("drawn");
     const box = part.querySelector(".plot");
     let plot = make(box);
     const pick = part.querySelector("select");
     if (pick) pick.addEventListener("change", function () { plot.destroy(); plot = make(box); });
     const reset = part.querySelector("button");
     if (reset) reset.addEventListener("click", function () { plot.setData(plot.data, true); });
-    boxes.push(function () { plot.setSize({ width: width(box), height: plot.height }); });
+    const fit = function () { plot.setSize({ width: width(box), height: plot.height }); };
+    part.addEventListener("toggle", fit);
+    boxes.push(fit);
   };
 
   if (data.track) {

@@ -46,7 +46,7 @@ class Stage(Protocol):
     joints: tuple[int, ...]
 
     def prepare(self) -> None:
-        """Connect; hold the axes to what a safe move needs (servo, reference, speed)."""
+        """Connect, stop axes that move; hold them to what a safe move needs (servo, reference, speed)."""
 
     def move(self, positions: Floats) -> None:
         """Start to move to joint values in um and rad, shape (n_axes,); does not wait."""

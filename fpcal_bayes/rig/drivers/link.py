@@ -4,7 +4,7 @@ import contextlib
 import select
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.interface import Address, CommandLog, DeviceError, shown
@@ -100,10 +100,17 @@ class Link:
 
     def ask(self, message: str, end: bytes = b"\r\n") -> str:
         """Send a message and wait for its answer of one line, which comes without the line's end."""
+        return self.ask_each([message], end)[0]
+
+    def ask_each(self, messages: Sequence[str], end: bytes = b"\r\n") -> list[str]:
+        """Send messages at once and wait for their answers, of one line each."""
         if self._buffer:
-            raise self.error(f"spoke unasked: {shown(self._buffer.decode('latin-1'))!r}", message)
-        self.send(message)
-        return self.take(lambda data: data.find(end) + len(end) if end in data else 0)[: -len(end)]
+            raise self.error(f"spoke unasked: {shown(self._buffer.decode('latin-1'))!r}", messages[0])
+        self.send("".join(messages))
+        answers = []
+        for self._asked in messages:
+            answers.append(self.take(lambda data: data.find(end) + len(end) if end in data else 0)[: -len(end)])
+        return answers
 
     def _more(self, end: float) -> None:
         if self._socket is None:

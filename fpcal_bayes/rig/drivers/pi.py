@@ -58,9 +58,9 @@ class PIStage:
         self._gcs: Any = GCS2Commands(GCSMessages(self._gateway))
 
     def prepare(self) -> None:
-        """Connect; servos on, speeds set."""
+        """Connect; axes stopped that move, servos on, speeds set."""
         self._link.open()
-        self._targets[:] = np.nan
+        self.stop()
         self._gcs.errcheck = False
         self._asked(self._gcs.qERR)  # An error from before this session is none of ours.
         self._gcs.errcheck = True

@@ -39,9 +39,9 @@ class SmarActStage:
         self._targets = np.full(len(axes), np.nan)
 
     def prepare(self) -> None:
-        """Connect; channels calibrated and referenced, speed set, absolute moves chosen."""
+        """Connect; channels stopped that move, calibrated and referenced, speed set, absolute moves chosen."""
         self._link.open()
-        self._targets[:] = np.nan
+        self.stop()
         self._link.ask(f":DEV:SNUM?{_END}")
         for _ in range(self._number(":SYST:ERR:COUN?")):
             self._link.ask(f":SYST:ERR?{_END}")  # An error from before this session is none of ours.
@@ -64,17 +64,14 @@ class SmarActStage:
 
     def position(self) -> Floats:
         """Joint values in um and rad."""
-        read = [
-            axis.joint_value(np.asarray(self._number(f":CHAN{axis.channel}:POS?") * wire / axis.per_unit))
-            for axis, wire in zip(self._axes, self._wire, strict=True)
-        ]
+        counts = zip(self._axes, self._wire, self._numbers("POS"), strict=True)
+        read = [axis.joint_value(np.asarray(count * wire / axis.per_unit)) for axis, wire, count in counts]
         return np.array(read, dtype=float)
 
     def settled(self) -> bool:
         """Whether all channels hold their targets in closed loop."""
         still = True
-        for axis in self._axes:
-            state = self._number(f":CHAN{axis.channel}:STAT?")
+        for axis, state in zip(self._axes, self._numbers("STAT"), strict=True):
             for bit, name in _FAILURES.items():
                 if state & bit:
                     raise self._link.error(f"channel {axis.channel}: {name}")
@@ -92,7 +89,7 @@ class SmarActStage:
         """Whether no channel moves; over a new connection, in which the stop is said again."""
         self._link.open()
         self.stop()
-        return not any(self._number(f":CHAN{axis.channel}:STAT?") & _MOVING for axis in self._axes)
+        return not any(state & _MOVING for state in self._numbers("STAT"))
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -105,8 +102,15 @@ class SmarActStage:
     def _tell(self, command: str) -> None:
         self._link.send(command + _END)
 
+    def _numbers(self, what: str) -> list[int]:
+        """What every channel answers; all are asked at once."""
+        queries = [f":CHAN{axis.channel}:{what}?{_END}" for axis in self._axes]
+        return [self._whole(answer) for answer in self._link.ask_each(queries)]
+
     def _number(self, query: str) -> int:
-        answer = self._link.ask(query + _END)
+        return self._whole(self._link.ask(query + _END))
+
+    def _whole(self, answer: str) -> int:
         if not answer.removeprefix("-").isdecimal():
             raise self._link.error(f"expected a whole number, found {answer!r:.60}")
         return int(answer)

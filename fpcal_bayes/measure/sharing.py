@@ -1,0 +1,85 @@
+"""Which rows share errors: a reading at their start, the pose reached there, the pose reached at their end."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.measure.sweeps import Sweeps, Texts
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Of each row, the first row that has the same error; positions, shape (n,)."""
+
+    reading: Ints  # the reading of its beam at its start: rows of one group and one beam
+    start: Ints  # the pose at its start: rows of one group, and those read at the same moments by other beams
+    end: Ints  # the pose at its end: rows of one shot that several beams read
+
+    @classmethod
+    def of(cls, sweeps: Sweeps) -> "Sharing":
+        """Of rows in file order. Without several beams a shot says nothing."""
+        several = bool((sweeps.beam != sweeps.beam[:1]).any())
+        reading = _first(sweeps, sweeps.group, *([sweeps.beam] if several else []))
+        if not several:
+            return cls(reading, reading, np.arange(len(sweeps)))
+        start, end = _first(sweeps, sweeps.group), _first(sweeps, sweeps.shot)
+        while (start != (lower := np.minimum(_lowest(end, start), _lowest(start, start)))).any():
+            start = lower
+        return cls(reading, start, end)
+
+    @property
+    def several(self) -> bool:
+        """Whether rows of several beams share the poses that were reached."""
+        return bool((self.end != np.arange(len(self.end))).any() or (self.start != self.reading).any())
+
+    @property
+    def blocks(self) -> list[Ints]:
+        """Positions of the rows of each sweep, as far as it has more than one."""
+        return _blocks(self.start)
+
+    @property
+    def read_alike(self) -> list[Ints]:
+        """Positions of the rows that share the reading at their start, where there are several."""
+        return _blocks(self.reading)
+
+    def columns(self, reading: Floats, starts: Floats, ends: Floats) -> Floats:
+        """Effects of the errors that the rows of a block share, each error a column of its block, shape (n, n_shared).
+
+        reading: of the reading at the start, shape (n,).
+        starts, ends: of what the joints miss at either end, shape (n, n_joints) each; without several beams the end's
+        are each row's own, and no columns here.
+        """
+        if not self.several:
+            return np.column_stack([reading, starts])
+        spread = [reading[:, None], ends]
+        for k, first in enumerate((self.reading, self.end)):
+            rank = np.zeros(len(first), dtype=np.int64)
+            for rows in self.blocks:
+                rank[rows] = np.unique(first[rows], return_inverse=True)[1]
+            chosen = rank[:, None] == np.arange(rank.max(initial=0) + 1)
+            spread[k] = (chosen[:, :, None] * spread[k][:, None, :]).reshape(len(first), -1)
+        return np.hstack([spread[0], starts, spread[1]])
+
+
+def _first(sweeps: Sweeps, name: Texts, *more: Texts) -> Ints:
+    """The first row of the same session, name and more; a row whose name is empty is its own first."""
+    result, named = np.arange(len(sweeps)), np.flatnonzero(name != "")
+    keys = zip(*(column[named].tolist() for column in (sweeps.session, name, *more)), strict=True)
+    first: dict[object, int] = {}
+    result[named] = [first.setdefault(key, i) for key, i in zip(keys, named.tolist(), strict=True)]
+    return result
+
+
+def _lowest(of: Ints, values: Ints) -> Ints:
+    """The least value among the rows that have the same entry in `of`, shape (n,)."""
+    least = np.full(len(of), len(of))
+    np.minimum.at(least, of, values)
+    return least[of]
+
+
+def _blocks(first: Ints) -> list[Ints]:
+    members: dict[int, list[int]] = {}
+    for i, place in enumerate(first.tolist()):
+        members.setdefault(place, []).append(i)
+    return [np.array(rows) for rows in members.values() if len(rows) > 1]

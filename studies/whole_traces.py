@@ -79,6 +79,8 @@ def main() -> None:
             drawn = cell.free.nominal + sds * np.random.default_rng(seed).standard_normal(len(sds))
             truth = replace(paper, times_h=np.zeros(1), values=drawn[None])
             estimate = make(truth, seed)
+            if not estimate.trust.usable:
+                continue
             scores.append((estimate.values - drawn) / estimate.sd)
             zets.append(estimate.sd[cell.free.position("z_et")])
             tasks.append(task_errors(estimate, truth))
@@ -89,7 +91,7 @@ def main() -> None:
                 f"{np.median(by_task[:, k, 0]):9.3f} ({np.mean(by_task[:, k, 1] ** 2):4.2f})  "
                 for k in range(len(TASKS))
             )
-            + f" {time.process_time() - began:.0f} s",
+            + f" {len(scores)} of {options.replicates} usable, {time.process_time() - began:.0f} s",
             flush=True,
         )
 

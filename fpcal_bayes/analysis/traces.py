@@ -11,7 +11,7 @@ from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
 from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
 from fpcal_bayes.fringes.path_check import PathCheck, starts_flat
-from fpcal_bayes.fringes.profile import DEGREE, estimated_profiles, lengths_at, prior_profiles
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, estimated_profiles, lengths_at, prior_profiles
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.solve import bins
 from fpcal_bayes.infer.fit.identify import identify
@@ -20,7 +20,9 @@ from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
-#: What the polynomials leave of a sweep, in um.
+#: Polynomials of an expected course.
+_MOST = 12
+#: What no noise estimate of a sweep goes below, in um.
 _LEFT = 2e-5
 #: Averages of a fringe.
 _BINS = 32
@@ -69,12 +71,16 @@ def trace_rows(
     if not len(used):
         raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
     along = []
-    expected = estimated_profiles(identify(cell, found.sweeps, prior=prior).estimate, sweeps)
-    priors = prior_profiles(cell, sweeps)
+    # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
+    expected = estimated_profiles(identify(cell, found.sweeps, prior=prior).estimate, sweeps, _MOST)
+    priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
     for i in used.tolist():
         reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
         if reading is None or samples is None or reading.fit is None:
             raise ValueError(f"row {i} has no trace")
+        # The reading may be the mirror image of the course.
+        seen = reading.fit.profile[:DEGREE]
+        seen = np.append(np.copysign(1.0, seen @ near[:DEGREE]) * seen, near[DEGREE:])
         if errs:
             places = np.array([0.0, 1.0])
             changes, covariance = reading.changes(places)
@@ -82,9 +88,9 @@ def trace_rows(
             changes = np.copysign(1.0, changes @ (lengths_at(near, places) - lengths_at(near, _START))) * changes
         else:
             fit = fit_course(
-                samples.binned(bins(near[None], reading.phase_per_um, _BINS)),
-                replace(priors[i], mean=near),
-                near,
+                samples.binned(bins(near[None, :DEGREE], reading.phase_per_um, _BINS)),
+                DisplacementProfile(near, priors[i]),
+                seen if reading.good else near,
                 reading.phase_per_um,
                 nuisance=reading.fit.nuisance,
                 noise=reading.noise,

@@ -22,7 +22,7 @@ _FAINT = 5.0
 #: Above this standard deviation, in um, a count is not certain: a fit near its edges is not as normal as it says.
 _VAGUE = 0.03
 #: The same of a mirror that goes its own way past so few fringes: it may have turned back between two of them.
-_VAGUE_ASTRAY, _FEW_ASTRAY = 0.01, 2.0
+_VAGUE_ASTRAY, _FEW_ASTRAY = 0.01, 4.0
 #: Fringes below which amplitude and profile cannot be told apart for certain.
 _FEWEST_FRINGES = 0.9
 #: Residuals this much above the campaign's noise mean that the sweep was not what it should have been.

@@ -184,18 +184,10 @@ def shared_whitening(
     if sharing.several:
         # The ends are shared too; a length that stands alone has no reading at a start.
         alone, missed = alone | absolute, 0.0 * missed
-    own, reading = reading_errors(sigma, alone)
+    own, reading = np.where(alone, sigma**2, sigma**2 / 2.0), np.where(alone, 0.0, sigma / np.sqrt(2.0))
     common = np.hstack([sharing.columns(reading, starts[:, starts.any(axis=0)], ends), stated])
     by_size: dict[int, list[Ints]] = {}
     for members in sharing.blocks:
         by_size.setdefault(len(members), []).append(members)
     batches = tuple(Batch.of(np.array(rows), np.sqrt(own + missed), common) for rows in by_size.values())
     return Whitening(1.0 / np.sqrt(variance), batches)
-
-
-def reading_errors(sigma: Floats, alone: Bools) -> tuple[Floats, Floats]:
-    """Variance of what each row's reading has alone, and its error at the start, shape (n,) each.
-
-    Half of the variance is that of the reading at the start, which rows that stand `alone` (n,) do not have.
-    """
-    return np.where(alone, sigma**2, sigma**2 / 2.0), np.where(alone, 0.0, sigma / np.sqrt(2.0))

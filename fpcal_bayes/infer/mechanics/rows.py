@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fpcal_bayes.core.typing import Bools, Floats
-from fpcal_bayes.infer.fit.noise import Whitening, reading_errors, shared_whitening, whitening_of
+from fpcal_bayes.infer.fit.noise import Whitening, shared_whitening, whitening_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sharing import Sharing
@@ -74,9 +74,10 @@ class RowNoise:
         """Covariances (n, n) of the readings and of the return errors, each at its stated size."""
         firsts = (self.sharing.reading, self.sharing.start, self.sharing.end)
         alike, same, moment = (first[:, None] == first for first in firsts)
-        _, reading = reading_errors(self.sigma, self.stated.any(axis=1))
-        readings = alike * (np.outer(reading, reading) + self.stated @ self.stated.T)
-        readings[np.diag_indices_from(readings)] = self.sigma**2 + (self.stated**2).sum(axis=1)
+        halved = np.where(self.stated.any(axis=1), 0.0, self.sigma)
+        readings = 0.5 * alike * np.outer(halved, halved)
+        readings[np.diag_indices_from(readings)] = self.sigma**2
+        readings += alike * (self.stated @ self.stated.T)
         common, ends = np.hstack([self.design.reached_start, self.design.returned]), self.design.reached_end
         returns = same * (common @ common.T)
         if self.sharing.several:
@@ -97,12 +98,12 @@ class RowNoise:
         readings = rng.standard_normal((2, n_draws, n))
         common = np.hstack([self.design.reached_start, self.design.returned])
         there = common.any(axis=0)
-        own, reading = reading_errors(self.sigma, self.stated.any(axis=1))
-        result: Floats = readings[0] * np.sqrt(own) + reading * readings[1][:, self.sharing.reading]
-        if self.stated.any():
-            shared = rng.standard_normal((n_draws, *self.stated.shape))[:, self.sharing.reading]
-            result += (shared * self.stated).sum(axis=2)
-        result *= noise[:, None]
+        alone = self.stated.any(axis=1)
+        shared = np.where(alone, np.sqrt(2.0) * readings[0], readings[0] + readings[1][:, self.sharing.reading])
+        result: Floats = noise[:, None] * self.sigma / np.sqrt(2.0) * shared
+        if alone.any():
+            drawn = rng.standard_normal((n_draws, *self.stated.shape))[:, self.sharing.reading]
+            result += noise[:, None] * (drawn * self.stated).sum(axis=2)
         if there.any():
             kept = rng.standard_normal((n_draws, n, int(there.sum())))[:, self.sharing.start]
             result += returned[:, None] * (kept * common[:, there]).sum(axis=2)

@@ -27,6 +27,18 @@ def test_lengths_are_those_of_the_products(random: RandomCell) -> None:
     assert_allclose(random.model.predict(random.values, rows), random.lengths, rtol=0, atol=random.tolerance)
 
 
+@settings(max_examples=30)
+@given(random_cells(), st.sampled_from([1, 3]))
+def test_many_poses_are_laid_side_by_side(random: RandomCell, n_vectors: int) -> None:
+    """More poses than vectors that differ in their turns take another kernel: the same as each pose by itself."""
+    wobble = np.random.default_rng(1).uniform(0.999, 1.001, (2 * LANES + 3, random.poses.shape[1]))
+    poses = random.poses[np.arange(len(wobble)) % len(random.poses)] * wobble
+    values = nearby(random, n_vectors)
+    found = random.model.predict(values, random.model.pose_rows(poses))
+    alone = [random.model.predict(values, random.model.pose_rows(pose[None]))[:, 0] for pose in poses]
+    assert_allclose(found, np.transpose(alone), rtol=0, atol=random.tolerance)
+
+
 @given(random_cells())
 def test_changes_are_differences_of_lengths(random: RandomCell) -> None:
     start, end = random.poses[:3], random.poses[3:]

@@ -13,7 +13,16 @@ from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians, derivative_columns
-from fpcal_bayes.model.kernels.lengths import RUNOUT_COS, STRIDE, THETA, R, batch_lengths
+from fpcal_bayes.model.kernels.lengths import (
+    GAIN,
+    LANES,
+    RUNOUT_COS,
+    STRIDE,
+    THETA,
+    R,
+    batch_lengths,
+    few_vector_lengths,
+)
 from fpcal_bayes.model.kernels.mirror import batch_mirrors
 from fpcal_bayes.model.kernels.point import batch_points, point_columns
 from fpcal_bayes.model.parameters import ParameterSet
@@ -134,6 +143,13 @@ class CavityModel:
         return replace(self, side=1 if ahead.all() else 0 if ahead.any() else -1)
 
     @cached_property
+    def _turns_as_told(self) -> bool:
+        """Whether no revolute joint has a gain or a runout."""
+        links = STRIDE * np.flatnonzero(self.cell.revolute)[:, None]
+        own = links + np.arange(GAIN, STRIDE)
+        return not self.held[own].any() and not np.isin(own, self.free.slots).any()
+
+    @cached_property
     def _axis_is_z(self) -> bool:
         return self.cell.optical_axis == "z"
 
@@ -208,7 +224,9 @@ class CavityModel:
                 view, own = self.views[beam]
                 result[:, at] = view.predict(many[:, own], part)
         elif self.cell.target == "plane-mirror":
-            result = batch_lengths(*self._arguments(many, rows))
+            # Vectors fill the lanes of the kernel, or groups of poses where there are more of these.
+            groups_fill = self._turns_as_told and len(rows.poses.group_q) > max(LANES, len(many))
+            result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
         else:
             result, _ = batch_points(*self._arguments(many, rows), self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result

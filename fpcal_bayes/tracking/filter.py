@@ -9,11 +9,12 @@ from functools import cached_property
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from filterpy.kalman import update as kalman_update
 
 from fpcal_bayes.core.linalg import covariance_root, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
+from fpcal_bayes.tracking.measurement import LinearMeasurement, Measurement, equivalent_rows
 
 #: The iteration ends when a step is shorter than this, in standard deviations of the prediction.
 _STEP_TOLERANCE = 1e-3
@@ -113,8 +114,9 @@ def update(state: State, measurement: Measurement) -> Update:
     innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
     mean, pull = prior, np.zeros_like(prior)
     cost = float(misfit @ misfit)
-    converged, last = False, np.inf
-    for number in range(_MAX_STEPS):
+    # Linear rows need no step: the exact update below is all there is.
+    converged, last = isinstance(measurement, LinearMeasurement), np.inf
+    for number in range(0 if converged else _MAX_STEPS):
         # The state is prior + covariance @ pull throughout.
         rows, derivatives = equivalent_rows(misfit + jacobian @ (mean - prior), jacobian)
         total = derivatives @ (covariance @ derivatives.T) + np.eye(len(rows))
@@ -145,10 +147,10 @@ def update(state: State, measurement: Measurement) -> Update:
     # Linear in the state from here on: one exact update from the prediction.
     misfit = misfit + jacobian @ (mean - prior)
     rows, derivatives = equivalent_rows(misfit, jacobian)
-    filtered = kalman(replace(state, mean=np.zeros_like(prior)), len(rows))
-    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
-    after = replace(state, mean=prior + filtered.x, covariance=symmetric(filtered.P))
-    return Update(after, innovation, filtered.K, misfit, jacobian, converged)
+    shift, left = kalman_update(np.zeros_like(prior), covariance, rows, np.eye(len(rows)), derivatives)
+    after = State(state.time_h, prior + shift, symmetric(left), state.temperature_c)
+    # With errors of unit variance the gain is P H'.
+    return Update(after, innovation, after.covariance @ derivatives.T, misfit, jacobian, converged)
 
 
 def _newton(

@@ -85,7 +85,7 @@ def whole(seed: int, folder: Path) -> str:
     cell_file, truth, rows = folder / "c.toml", folder / "t.toml", folder / "r.csv"
     cell_file.unlink(missing_ok=True)
     common = ("--cell", cell_file, "--mechanics", "none")
-    small = ("--n", 12, "--candidates", 150, "--draws", 8, "--variations", 5)
+    small = ("--n", 12, "--candidates", 150, "--draws", 8)
     away = side.replace("-", "minus-")
     steps: list[tuple[object, ...]] = [
         ("cell", "--new", words, "--side", away, "--gap-um", 300, "--gap-sd-um", 5, "-o", cell_file),

@@ -43,7 +43,7 @@ COMMANDS = {
     "decide": "decide sweeps.csv",
     "doctor": "doctor sweeps.csv",
     "report": "report sweeps.csv -o report.html",
-    "plan": "plan --n 2 --draws 2 --candidates 40 --variations 2 -o plan.csv",
+    "plan": "plan --n 2 --draws 2 --candidates 40 -o plan.csv",
     "compare": "compare sweeps.csv --models opd=axis,opd=perpendicular",
     "sample": "sample sweeps.csv -o posterior.nc --draws 200",
     "ingest": "ingest index.h5 -o read.csv",

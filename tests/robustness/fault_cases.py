@@ -62,7 +62,7 @@ SLOW = (
     Case.of("observe sweeps.csv --json out.json --html out.html", "sweeps.csv", "out.json out.html"),
     Case.of("compare sweeps.csv --models opd=axis,opd=perpendicular --json out.json", "sweeps.csv", "out.json"),
     Case.of(
-        "plan --n 2 --draws 2 --candidates 40 --variations 2 --after sweeps.csv -o out.csv --rows rows.h5 "
+        "plan --n 2 --draws 2 --candidates 40 --after sweeps.csv -o out.csv --rows rows.h5 "
         "--figure out.svg --json out.json",
         "sweeps.csv",
         "out.csv rows.h5 out.svg out.json",

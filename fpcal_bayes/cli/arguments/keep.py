@@ -67,7 +67,6 @@ def plan(commands: Commands) -> None:
     add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
     add("--coordinated", action=argparse.BooleanOptionalAction, help="joints of one controller may move together")
     add("--single-joints", dest="coordinated", action="store_const", const=False, help="as --no-coordinated")
-    add("--variations", type=count, help=argparse.SUPPRESS)
     add("--seed", type=seed, default=0, help="of the search (default: 0)")
     add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
     add("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")

@@ -9,7 +9,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.compile import compiled, needs_compilation
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians
-from fpcal_bayes.model.kernels.lengths import batch_lengths
+from fpcal_bayes.model.kernels.lengths import LANES, batch_lengths, few_vector_lengths
 
 
 @compiled
@@ -42,10 +42,11 @@ def whiten_groups(rows: Floats, members: Ints, own: Floats, shared: Floats, gain
 
 def warm_up(cell: Cell) -> None:
     """Load the kernels, so that times do not count it; say so if they have to be compiled first."""
-    if needs_compilation(batch_lengths, batch_jacobians, whiten_groups):
+    if needs_compilation(batch_lengths, few_vector_lengths, batch_jacobians, whiten_groups):
         print("fpcal: compiling the kernels; this happens once and takes about 20 s", file=sys.stderr)
     model, home = CavityModel.of(cell), np.zeros((1, len(cell.joints)))
     model.predict(model.free.nominal, model.pose_rows(home))
+    model.predict(model.free.nominal, model.pose_rows(home + 1e-6 * np.arange(LANES + 1)[:, None]))
     model.predict_with_jacobian(model.free.nominal, model.pose_rows(home))
     one = np.ones((1, 1, 1))
     whiten_groups(one, np.zeros((1, 1), dtype=np.int64), one[0], one, one, one[0])

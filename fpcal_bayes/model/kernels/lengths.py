@@ -234,3 +234,62 @@ def batch_lengths(
                     change -= lengths[starts[row], lane]
                 out[block + lane, row] = change
     return out
+
+
+@compiled
+def few_vector_lengths(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    path: int,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+) -> Floats:
+    """The same as `batch_lengths` with groups side by side in place of vectors; without gains and runouts."""
+    n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
+    n_groups, n_prismatic = group_q.shape[0], prismatic_q.shape[1]
+    first = STRIDE * n_links
+    out, used = np.empty((n_vectors, n_rows)), np.zeros(base.size, dtype=np.bool_)
+    plane, slope, axis = np.empty((4, LANES)), np.empty((n_prismatic, LANES)), np.empty((3, LANES))
+    lengths, still, unit, zero = np.empty(prismatic_q.shape[0]), np.zeros(n_links), np.ones(n_links), np.zeros(n_links)
+    for v in range(n_vectors):
+        whole = base.copy()
+        for j in range(slots.size):
+            whole[slots[j]] = values[v, j]
+        vector, cosine, sine = start_block(whole, n_links, LANES, LANES)
+        optical_axis(cosine, sine, n_links, axis_is_z, axis, LANES)
+        turned_cos, turned_sin = cosine[:, 0].copy(), sine[:, 0].copy()
+        for block in range(0, n_groups, LANES):
+            here = min(LANES, n_groups - block)
+            for link in range(n_links):
+                if revolute[link]:
+                    at = STRIDE * link + THETA
+                    c, s = turned_cos[at], turned_sin[at]
+                    for lane in range(here):
+                        q_cos, q_sin = group_cos[block + lane, link], group_sin[block + lane, link]
+                        cosine[at, lane], sine[at, lane] = c * q_cos - s * q_sin, s * q_cos + c * q_sin
+            carry_plane(vector, cosine, sine, revolute, used, still, unit, zero, plane, slope, LANES)
+            for lane in range(here):
+                nx, ny, nz = plane[0, lane], plane[1, lane], plane[2, lane]
+                height = plane[3, lane] - nx * whole[first + X_WF] - ny * whole[first + Y_WF] - nz * whole[first + Z_WF]
+                inverse = 1.0
+                if path == 0:
+                    inverse = 1.0 / (nx * axis[0, lane] + ny * axis[1, lane] + nz * axis[2, lane])
+                for m in range(group_start[block + lane], group_start[block + lane + 1]):
+                    length = height
+                    for p in range(n_prismatic):
+                        length += prismatic_q[m, p] * slope[p, lane]
+                    length *= inverse
+                    if path == 1 or path == -2:
+                        length = abs(length) if path == 1 else -length
+                    lengths[m] = length
+        for row in range(n_rows):
+            out[v, row] = lengths[ends[row]] - (lengths[starts[row]] if starts[row] >= 0 else 0.0)
+    return out

@@ -14,22 +14,28 @@ from pathlib import Path
 
 import numpy as np
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes import InputError
 from fpcal_bayes.infer import (
+    FREEDOMS,
     LOG_SD,
     LOG_SD_NOISE,
     PATH_POINTS,
+    MechanicsFit,
     Problem,
     RowNoise,
+    covariance_of,
     doubts_of,
     fit_mechanics,
+    knowledge_of_fit,
     mechanics_task_errors,
+    predict_from_covariance,
 )
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, drive_of_sweeps, join, protocol_by_name
-from fpcal_bayes.model import CavityModel, Cell, JointMechanics, Mechanics, Terms, design
-from fpcal_bayes.motion import TASKS, task_path
+from fpcal_bayes.model import CavityModel, Cell, Estimate, JointMechanics, Mechanics, Terms, chain, design
+from fpcal_bayes.motion import TASKS, Task, task_path
 from fpcal_bayes.simulator import Machine, MachineSettings
 
 _SIGMA = 0.005
@@ -177,8 +183,47 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
             "high": 1e3 * high,
             "median": 1e3 * float(np.median(np.ptp(drawn.total, axis=1))),
             "points": float(((error >= edges[0]) & (error <= edges[1])).mean()),
+            "freedoms": freedoms(fit, machine, task, when, seed),
         }
     return result
+
+
+def true_poses(machine: Machine, start: np.ndarray, q: np.ndarray, minutes: float) -> np.ndarray:
+    """Poses fX of the mirror frame along a path that is driven point by point, shape (1 + n_points, 4, 4)."""
+    joints = np.vstack([start, q])
+    side = machine.rng.choice([-1.0, 1.0], len(start))
+    tools = np.tile(np.eye(4), (len(joints), 1, 1))
+    tools[:, :3, :3], at = machine.tools(joints, machine.reach(joints, side))
+    tools[:, :3, 3] = at - machine.drift * minutes
+    back = np.linalg.inv(chain.fibre_in_world(machine.vector))
+    return back @ tools @ chain.mirror_in_tool(machine.cell, machine.vector)
+
+
+def freedoms(fit: MechanicsFit, machine: Machine, task: Task, when: float, seed: int) -> dict[str, tuple[float, ...]]:
+    """True peak to peak of each degree of freedom but the beam's, and its band, by 4 x 4 products, in um and rad."""
+    cell, free = machine.cell, machine.cell.free
+    estimate = Estimate(
+        replace(cell, mechanics=fit.terms.sizes), free, fit.values, covariance_of(fit), ("identified",) * len(free),
+        mechanics=knowledge_of_fit(fit, free, free.names),
+    )  # fmt: skip
+    vector, joints = estimate.vector(), np.vstack([task.start, task.q])
+    expected = [np.linalg.inv(chain.fibre_in_world(vector)) @ chain.mirror_pose(cell, vector, q) for q in joints]
+    moves, turned = [], []
+    for owner, poses in ((vector, np.array(expected)), (machine.vector, true_poses(machine, task.start, task.q, when))):
+        _, point = chain.reflection_point(cell, owner, np.zeros(len(task.start)))
+        places = poses[:, :3, :3] @ point + poses[:, :3, 3]
+        moves.append((places - places[0])[1:, [0, 2]])
+        turned.append(poses[1:, :3, :3] @ poses[0, :3, :3].T)
+    if np.abs(moves[0]).max() > 1.0:
+        # One turn about the beam brings all moves nearest to those expected (Kabsch).
+        left, _, right = np.linalg.svd(moves[1].T @ moves[0])
+        moves[1] = moves[1] @ left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    off = np.hstack([moves[1] - moves[0], Rotation.from_matrix(turned[1] @ turned[0].swapaxes(1, 2)).as_rotvec()])
+    drawn = predict_from_covariance(estimate, replace(task, cell=estimate.cell), draws=2000, seed=seed).pose
+    return {
+        name: (float(np.ptp(off[:, k])), *np.quantile(np.ptp(drawn.of(name), axis=1), [0.025, 0.975]).tolist())
+        for k, name in enumerate(FREEDOMS)
+    }
 
 
 def summary(results: list[dict[str, object]]) -> str:
@@ -196,6 +241,15 @@ def summary(results: list[dict[str, object]]) -> str:
             f"{name} {100 * inside[-1]:.0f}/{100 * below[-1]:.0f}/{100 * points[-1]:.0f} {ratio[-1]:.2f} "
             f"({np.median(true):.0f} nm)"
         )
+    for name in TASKS:
+        for freedom in FREEDOMS:
+            true, low, high = np.array([r[name]["freedoms"][freedom] for r in results if name in r]).T  # type: ignore[index]
+            scale = 1e3 if freedom in "xz" else np.degrees(1.0)
+            held, under = 100 * ((true >= low) & (true <= high)).mean(), 100 * (true <= high).mean()
+            lines.append(
+                f"{name} {freedom} {held:.0f}/{under:.0f} "
+                f"({scale * np.median(true):.2g} in {scale * np.median(low):.2g} .. {scale * np.median(high):.2g})"
+            )
     z = np.array([r["z"] for r in results])
     pooled = np.sqrt(np.mean(z**2))
     doubtful = np.mean([bool(r["doubts"]) for r in results])

@@ -20,13 +20,16 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, read_often, seen_by_all
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.error_motions import JointMechanics
 from fpcal_bayes.model.mechanics import Terms, design
 from fpcal_bayes.model.mechanics.response import directions, responses
+from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import machine_of, simulate_um
 
 CUBES = """
@@ -231,23 +234,19 @@ def test_rows_of_one_shot_share_what_the_joints_miss(three: Cell) -> None:
     expected = _expected_covariance(plan, cell, model, cell.free.nominal)
     white = whitening_of(model, plan, cell.free.nominal).apply(np.eye(12))
     assert white @ expected @ white.T == pytest.approx(np.eye(12), abs=1e-9)
-    drawn = [simulate_um(cell, default_truth(cell, 0), plan, sigma=0.005, seed=seed).dl for seed in range(1500)]
-    found = np.cov(np.array(drawn).T)
+    many = plan.take(np.tile(np.arange(12), 300))
+    many = replace(many, session=np.repeat(np.arange(300), 12).astype(np.str_))
+    drawn = simulate_um(cell, default_truth(cell, 0), many, sigma=0.005, seed=3).dl.reshape(300, 12)
+    found = np.cov(drawn.T)
     spread = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs((found - expected) / spread).max() < 0.15
+    assert np.abs((found - expected) / spread).max() < 0.25
 
 
 def test_a_machine_moves_all_beams_alike() -> None:
     """Covariance of what the machine of the simulator adds, and that of the fit, by return errors alone."""
     cell = load_cell("three-beams")
     assert cell.mechanics is not None
-    plain = {
-        name: 0.0 for name in vars(cell.mechanics.joints[0]) if name not in ("lever_mm", "encoder_period", "source")
-    }
-    joints = tuple(
-        replace(j, **{n: None if n.endswith("flatness_nm") else v for n, v in plain.items()}, return_sd=s)
-        for j, s in zip(cell.mechanics.joints, (2.0,) * 3 + (1.0,) * 3, strict=True)
-    )
+    joints = tuple(JointMechanics(return_sd=size) for size in (2.0,) * 3 + (1.0,) * 3)
     cell = replace(cell, mechanics=replace(cell.mechanics, joints=joints, drift_nm_per_min=0.0, correlated_nm=0.0))
     plan = paper_protocol(cell, midpoints=True)
     plan = plan.take(np.isin(plan.label, ["node0-rx-mid", "node0-rx", "orient0-0-0-ty"])).with_measurement(
@@ -255,16 +254,18 @@ def test_a_machine_moves_all_beams_alike() -> None:
     )
     assert cell.mechanics is not None
     drive = drive_of_sweeps(plan, 1.0)
-    assert drive.sweep.tolist() == [0] * 6 + [1] * 3 and drive.beam.tolist() == list(cell.beams) * 3
-    assert (drive.end_reach[:3] == drive.end_reach[0]).all() and (drive.end_min[3:6] == drive.end_min[3]).all()
+    assert drive.sweep.tolist() == [0] * 6 + [1] * 3
+    assert drive.beam.tolist() == list(cell.beams) * 3
+    assert (drive.end_reach[:3] == drive.end_reach[0]).all()
+    assert (drive.end_min[3:6] == drive.end_min[3]).all()
     vector = cell.parameters.nominal
     made = design(Terms.of(cell, cell.mechanics), vector, drive, plan.sigma)
     returns = RowNoise.of(plan, made).dense()[1] + made.matrix @ made.matrix.T
     machine = machine_of(cell, Truth(cell.free, np.zeros(1), cell.free.nominal[None]), 3)
     machine.return_sd[:] = Terms.of(cell, cell.mechanics).return_sd
-    drawn = np.cov(np.array([machine.sweep(drive, plan.sigma) for _ in range(3000)]).T)
+    drawn = np.cov(np.array([machine.sweep(drive, 1e-9) for _ in range(150)]).T)
     spread = np.sqrt(np.outer(np.diag(returns), np.diag(returns)))
-    assert np.abs((drawn - returns) / spread).max() < 0.1
+    assert np.abs((drawn - returns) / spread).max() < 0.4
 
 
 @pytest.mark.parametrize("which", ["three", "cubes"])
@@ -346,7 +347,8 @@ def test_an_identification_finds_the_truth(three: Cell) -> None:
     found = identify(three, simulate_um(three, truth, paper_protocol(three, midpoints=True), sigma=0.005, seed=8))
     at = truth.parameters.positions(found.estimate.parameters.names)
     deviation = found.estimate.values - truth.at(0.0)[at]
-    assert found.converged and found.fit.p_value > 1e-3
+    assert found.converged
+    assert found.fit.p_value > 1e-3
     factor = np.linalg.cholesky(found.estimate.covariance)
     assert np.sum(np.linalg.solve(factor, deviation) ** 2) < 60.0
 
@@ -355,7 +357,8 @@ def test_files_keep_the_beams(tmp_path: Path, three: Cell) -> None:
     plan = paper_protocol(three).take(np.arange(6)).with_measurement(np.arange(6.0), 0.005)
     write_csv(tmp_path / "s.csv", plan, three)
     back = read_csv(tmp_path / "s.csv", three)
-    assert back.beam.tolist() == ["main", "left", "up"] * 2 and back.shot.tolist() == plan.shot.tolist()
+    assert back.beam.tolist() == ["main", "left", "up"] * 2
+    assert back.shot.tolist() == plan.shot.tolist()
     # In a plan, a row that names no beam is read by all.
     text = (tmp_path / "s.csv").read_text().splitlines()
     short = [",".join(line.split(",")[:-5]) for line in (text[0], text[1])]
@@ -424,17 +427,10 @@ def test_beams_that_cannot_be(tmp_path: Path, old: str, new: str, message: str) 
 def test_commands_that_know_one_beam_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.toml").write_text("")
-    (tmp_path / "cube.toml").write_text(
-        _text('[[beam]]\nname = "point"\ntarget = "corner-cube"\n')
-        .replace("beta_et = {", "x_et = {")
-        .replace("theta_et = {", "y_et = {")
-        .replace("_deg = 0.0, prior_sd_deg = 1.0 }\ny_et", "_um = 0.0, prior_sd_um = 1.0 }\ny_et")
-    )
+    write_csv(tmp_path / "x.csv", paper_protocol(load_cell("three-beams")).take(np.arange(3)), load_cell("three-beams"))
     for words in (
-        "simulate --cell three-beams --traces -o x.csv",
-        "ingest x.csv --cell three-beams -o y.csv",
+        "simulate --cell three-beams --traces -o z.csv",
         "trace x.csv --cell three-beams",
-        "week --cell three-beams -o w",
         "measure x.csv --cell three-beams --rig rig.toml -o m.h5",
     ):
         assert main(words.split()) == 2
@@ -445,3 +441,87 @@ def test_one_beam_has_its_hash_and_no_names() -> None:
     assert load_cell().sha256 == "9ef957ab3e19a2274c93e5dc74c7a785bf393946d661f5a2885b7060c2ec5fce"
     assert load_cell("three-beams").sha256 != load_cell().sha256
     assert "x_wf@left" in load_cell("three-beams").free.names
+
+
+SOCKETS = """
+[[beam]]
+name = "a-x"
+target = "corner-cube"
+[beam.extrinsic]
+x_et = { prior_sd_um = 500.0 }
+y_et = { prior_sd_um = 500.0 }
+z_et = { nominal_um = 50000.0, prior_sd_um = 500.0 }
+theta_wf = { nominal_deg = 90.0 }
+x_wf = { prior_sd_um = 2000.0 }
+y_wf = { nominal_um = 50000.0, prior_sd_um = 2000.0 }
+z_wf = { prior_sd_um = 2000.0 }
+[[beam]]
+name = "a-y"
+shares = "a-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 } }
+[[beam]]
+name = "a-z"
+shares = "a-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 }, beta_wf = { nominal_deg = 90.0 } }
+[[beam]]
+name = "b-x"
+shares = "a-x"
+[beam.extrinsic]
+x_wf = { nominal_um = 100.0, prior_sd_um = 2000.0 }
+y_wf = { nominal_um = 50000.0, prior_sd_um = 2000.0 }
+z_wf = { nominal_um = 80.0, prior_sd_um = 2000.0 }
+[[beam]]
+name = "b-y"
+shares = "b-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 } }
+[[beam]]
+name = "b-z"
+shares = "b-x"
+extrinsic = { theta_wf = { nominal_deg = 0.0 }, beta_wf = { nominal_deg = 90.0 } }
+[[beam]]
+name = "a-b"
+shares = "a-x"
+opd = "distance"
+"""
+
+
+def test_a_ball_in_two_sockets_at_a_known_distance(tmp_path: Path) -> None:
+    """Poses by the readable chain that put the ball where the sockets are; the fit knows neither."""
+    text = _text("")
+    (tmp_path / "sockets.toml").write_text(text[: text.index("[extrinsic]")] + SOCKETS)
+    cell, rng = load_cell(tmp_path / "sockets.toml", mechanics="none"), np.random.default_rng(3)
+    joints = tuple(replace(j, low=-1e4, high=1e4) if j.kind == "prismatic" else j for j in cell.joints)
+    cell = replace(cell, joints=joints)
+    model = CavityModel.of(cell)
+    truth = cell.free.nominal + 0.3 * cell.free.prior_sd * rng.standard_normal(len(cell.free))
+    vector = model.vector(truth)
+    sockets = {name: vector[cell.views[cell.beams.index(f"{name}-x")].slots][-3:] for name in "ab"}
+
+    def ball(q: np.ndarray) -> np.ndarray:
+        return chain.mirror_pose(cell, vector, q)[:3, 3]
+
+    poses, beams, shots, dl = [], [], [], []
+    for name, socket in sockets.items():
+        for number in range(14):
+            q = np.concatenate([np.zeros(3), rng.uniform(-0.08, 0.08, 2), rng.uniform(-3.0, 3.0, 1)])
+            moves = np.column_stack([ball(q + np.eye(6)[j]) - ball(q) for j in range(3)])
+            q[:3] = np.linalg.solve(moves, socket - ball(q))
+            read = [f"{name}-{axis}" for axis in "xyz"] + ["a-b"] * (name == "b")
+            poses += [q] * len(read)
+            beams += read
+            shots += [f"{name}{number}"] * len(read)
+            dl += [0.0] * 3 + [float(np.linalg.norm(sockets["b"] - sockets["a"]))] * (name == "b")
+    q, true = np.array(poses), np.array(dl)
+    sweeps = Sweeps.of_um_rad(q, q, kind="absolute", beam=beams, shot=shots, label=shots)
+    assert model.predict(truth, sweeps.laid_out(model)) == pytest.approx(true, abs=1e-6)
+    sweeps = sweeps.with_measurement(true + 0.05 * rng.standard_normal(len(true)), 0.05)
+    check_sweeps(sweeps, cell)
+    found = identify(cell, sweeps)
+    assert found.converged
+    assert found.fit.p_value > 1e-3
+    # Unseen: the world's shift by d_4, one turn counted twice, q6 with the ball about the tool's axis.
+    assert found.spectrum.rank == len(cell.free) - 3
+    deviation = found.estimate.values - truth
+    assert deviation @ np.linalg.solve(found.estimate.covariance, deviation) < 48.0
+    with pytest.raises(InputError, match="tasks hold a mirror before the first beam"):
+        task_path(cell, vector, "circle")

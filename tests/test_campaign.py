@@ -204,7 +204,7 @@ def _attribute(name, value):
         (_attribute("schema", 3.0), "attribute schema: expected text"),
         (_attribute("cell_sha256", None), "attribute cell_sha256: missing"),
         (_attribute("seed", "three"), "attribute seed: expected a whole number"),
-        (_attribute("opd", "both"), "attribute opd: expected one of axis, perpendicular, found 'both'"),
+        (_attribute("opd", "both"), "attribute opd: expected one of axis, perpendicular, distance, found 'both'"),
         (_attribute("opd", "perpendicular"), "made with cell 'femto-st'"),
         (_set("sweeps", None), "/sweeps: the group is missing"),
         (_set("sweeps", np.zeros(3)), "/sweeps: expected a group"),

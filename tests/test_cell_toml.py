@@ -241,7 +241,7 @@ def test_not_a_cell(tmp_path: Path, content: bytes, expected: str) -> None:
     ],
 )
 def test_no_such_cell(tmp_path: Path, source: Callable[[Path], str | Path], expected: str) -> None:
-    with pytest.raises(InputError, match=f"{expected}.*; built-in cells: femto-st$"):
+    with pytest.raises(InputError, match=f"{expected}.*; built-in cells: femto-st, three-beams$"):
         load_cell(source(tmp_path))
 
 

@@ -13,7 +13,7 @@ from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.recordings import TraceIndex
-from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.mechanics.rows import RowNoise
@@ -11,6 +12,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import (
@@ -24,7 +26,7 @@ from fpcal_bayes.model.mechanics import (
 from fpcal_bayes.model.mechanics.basis import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
-from fpcal_bayes.model.mechanics.response import directions, responses
+from fpcal_bayes.model.mechanics.response import directions, pose_responses, responses
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
@@ -65,6 +67,49 @@ def test_responses_are_exact_to_first_order(opd):
             slope = (moved[0] - moved[1]) / (2 * size)
             scale = np.abs(slope).max()
             np.testing.assert_allclose(found.motion[:, joint, direction], slope, atol=2e-6 * scale)
+
+
+def test_responses_of_the_pose_are_exact_to_first_order():
+    # As above; poses and the mirror point by 4 x 4 products.
+    cell, rng = load_cell(mechanics="none"), np.random.default_rng(1)
+    levers = tuple((3.0 + i, -4.0, 5.0) for i in range(6))
+    sizes = Mechanics(tuple(JointMechanics(lever_mm=lever) for lever in levers))
+    vector, q = _vector(cell, rng), _poses(rng)
+    machine = Machine.draw(cell, sizes, vector, rng)
+    _, point = chain.reflection_point(cell, vector, np.zeros(6))
+
+    def poses(at: np.ndarray, minutes: float = 0.0) -> np.ndarray:
+        tools = np.tile(np.eye(4), (len(at), 1, 1))
+        tools[:, :3, :3], origin = machine.tools(at, machine.periodic(at))
+        tools[:, :3, 3] = origin - machine.drift * minutes
+        return np.linalg.inv(chain.fibre_in_world(vector)) @ tools @ chain.mirror_in_tool(cell, vector)
+
+    def slope(ahead: np.ndarray, behind: np.ndarray, size: float) -> np.ndarray:
+        places = [(poses[:, :3, :3] @ point + poses[:, :3, 3])[:, [0, 2]] for poses in (ahead, behind)]
+        turned = Rotation.from_matrix(ahead[:, :3, :3] @ behind[:, :3, :3].swapaxes(1, 2)).as_rotvec()
+        return np.hstack([places[0] - places[1], turned]) / (2 * size)
+
+    found = pose_responses(cell, vector, directions(cell, np.array(levers)), q)
+    for joint in range(6):
+        for direction in range(6):
+            size, moved = 1e-2 if direction < 3 else 1e-6, []
+            for sign in (1.0, -1.0):
+                machine.motions[joint][direction] = lambda x, shift=sign * size: np.full_like(x, shift)
+                moved.append(poses(q))
+            machine.motions[joint][direction] = np.zeros_like
+            expected = slope(moved[0], moved[1], size)
+            responses_ = np.stack([at.motion[:, joint, direction] for at in found], axis=-1)
+            np.testing.assert_allclose(responses_, expected, atol=1e-5 * np.abs(expected).max())
+    machine.drift[:] = [0.0, 0.0, 1.0]
+    expected = slope(poses(q, 1e-2), poses(q, -1e-2), 1e-2)
+    np.testing.assert_allclose(np.stack([at.fibre[:, 2] for at in found], axis=-1), expected, atol=1e-7)
+    # A joint's own travel, as reversal and return errors move it.
+    for joint in range(6):
+        step = np.zeros(6)
+        step[joint] = 1e-6 if cell.revolute[joint] else 1e-2
+        expected = slope(poses(q + step), poses(q - step), step[joint])
+        drive = np.stack([at.drive[:, joint] for at in found], axis=-1)
+        np.testing.assert_allclose(drive, expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_a_lever_turns_a_tilt_into_a_displacement():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps, controllers, reverses
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell

@@ -15,7 +15,7 @@ from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import Ground, prior_ground
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 

@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.observability.observe import whitened_jacobian
 from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol, read_often
-from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 

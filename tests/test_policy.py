@@ -11,15 +11,18 @@ from scipy import integrate, stats
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, campaign
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.decision.decision import Costs, expected_after
 from fpcal_bayes.decision.diagnosis import last_diagnosis, most_power, session_power, watched
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy, decide_track, valid_until
 from fpcal_bayes.infer.design.candidates import SweepLimits, tilts
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.infer.tasks.pose import pose_errors
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
@@ -82,6 +85,27 @@ def test_errors_of_true_parameters_are_as_predicted():
         task = find_task(CELL, MODEL.vector(estimate), name)
         found = peak_to_peak(task_errors(MODEL, estimate + step, estimate, task))
         assert stats.ks_2samp(found, predicted[row]).pvalue > 1e-3, name
+
+
+def test_every_tolerance_of_a_task_counts():
+    """Peaks are the largest share of any tolerance; by draws of the state, each path by its poses."""
+    limits = {"beam": 0.05, "x": 0.4, "rx": np.radians(0.002), "rz": np.radians(0.02)}
+    nod = OwnTask("nod", "tilt-x", low=-0.04, high=0.04, tolerances=limits)
+    model = CavityModel.of(replace(CELL, tasks=(nod,)))
+    found = Forecaster.of(DRIFT, model, Goal(50.0, ("nod",)), CALIBRATED.mean)
+    assert found.counts == (4,)
+    peaks = found.outlook(CALIBRATED).peaks[0]
+    values = DRIFT.values(CALIBRATED.mean)
+    task = find_task(model.cell, model.vector(values), "nod", n_points=9)
+    root = covariance_root(DRIFT.covariance(CALIBRATED.covariance))
+    draws = values + np.random.default_rng(8).standard_normal((1500, len(values))) @ root.T
+    pose = pose_errors(model, draws, values, task, linear=True)
+    lengths = (draws - values) @ task_jacobian(model, values, task).T
+    shares = [np.ptp(lengths, axis=1) / 0.05]
+    shares += [np.ptp(pose.of(name), axis=1) / limit for name, limit in limits.items() if name != "beam"]
+    assert stats.ks_2samp(0.05 * np.max(shares, axis=0), peaks).pvalue > 1e-3
+    # The length alone holds; the others are what passes.
+    assert (shares[0] > 1.0).mean() < 0.5 * (peaks > 0.05).mean()
 
 
 @settings(max_examples=15)

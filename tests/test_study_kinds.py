@@ -8,10 +8,9 @@ import pytest
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.motion.tasks import TASKS
 from fpcal_bayes.study import sbc as posterior_ranks
 from fpcal_bayes.study.base import sweeps_sha256
-from fpcal_bayes.study.coverage import METHODS, SHARES, Coverage, summarise
+from fpcal_bayes.study.coverage import METHODS, QUANTITIES, SHARES, Coverage, summarise
 from fpcal_bayes.study.drifting_week import Setting, simulate_week
 from fpcal_bayes.study.planning import Planning
 from fpcal_bayes.study.policies import DEFAULT_POLICIES, Policies, rules
@@ -52,9 +51,9 @@ class TestCoverage:
 
         random = np.random.default_rng(0)
         edges = stats.norm.ppf([[(1 - share) / 2, (1 + share) / 2] for share in SHARES])
-        bands = np.broadcast_to(width * edges, (n, len(TASKS), len(SHARES), 2))
+        bands = np.broadcast_to(width * edges, (n, len(QUANTITIES), len(SHARES), 2))
         fit = {name: np.ones(n) for name in ("converged", "chi2_data", "sum_of_squares")}
-        true = {"true": random.standard_normal((n, len(TASKS))), "p_value": random.random(n)}
+        true = {"true": random.standard_normal((n, len(QUANTITIES))), "p_value": random.random(n)}
         return fit | true | dict.fromkeys(METHODS, bands)
 
     def test_right_bands_pass(self):

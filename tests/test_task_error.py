@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from path_length import path_length
+from scipy.spatial.transform import Rotation
 from task_fixtures import paper_estimate, paper_values
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.tasks.error import angular_errors, linear_task_sd, peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.infer.tasks.error import linear_task_sd, peak_to_peak, task_errors, task_jacobian
+from fpcal_bayes.infer.tasks.pose import pose_errors, without_common_turn
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -86,10 +88,10 @@ def test_angles_of_a_fibre_that_is_turned(femto: Cell) -> None:
     truth = values.copy()
     truth[femto.free.position("beta_wf")] += np.radians(0.3)
     for linear in (False, True):
-        angles = angular_errors(model, truth, values, task, linear=linear)
+        angles = pose_errors(model, truth, values, task, linear=linear)
         assert angles.normal.shape == (1, 7)
         assert_allclose(np.degrees(angles.normal), 0.3, rtol=1e-4)
-    same = angular_errors(model, values, values, task)
+    same = pose_errors(model, values, values, task)
     assert_allclose(same.normal, 0.0, rtol=0, atol=1e-9)
     assert_allclose(same.turn, 0.0, rtol=0, atol=1e-9)
 
@@ -99,7 +101,7 @@ def test_angles_agree_with_4x4_products(femto: Cell) -> None:
     random = np.random.default_rng(2)
     truth = values + 0.5 * femto.free.prior_sd * random.standard_normal(len(values))
     task = task_path(femto, model.vector(values), "tilt-z", n_points=3)
-    angles = angular_errors(model, truth, values, task)
+    angles = pose_errors(model, truth, values, task)
 
     def mirror(which: np.ndarray, q: np.ndarray) -> np.ndarray:
         vector = model.vector(which)
@@ -113,13 +115,56 @@ def test_angles_agree_with_4x4_products(femto: Cell) -> None:
         assert np.cos(angles.turn[0, i]) == pytest.approx((trace - 1) / 2, abs=1e-12)
 
 
+@pytest.mark.parametrize("opd", ["axis", "perpendicular"])
+@pytest.mark.parametrize("name", ["circle", "tilt-x", "spin"])
+def test_moves_agree_with_4x4_products(femto: Cell, name: str, opd: str) -> None:
+    """Moves of the mirror point since the start, with their common turn taken out by Kabsch's rotation."""
+    cell = femto.with_opd(opd)
+    model, values = CavityModel.of(cell), paper_values(cell)
+    truth = values + 0.3 * cell.free.prior_sd * np.random.default_rng(3).standard_normal(len(values))
+    task = task_path(cell, model.vector(values), name, n_points=6)
+    found = pose_errors(model, truth, values, task).changes[0]
+    moves, turned = [], []
+    for vector in (model.vector(values), model.vector(truth)):
+        _, point = chain.reflection_point(cell, vector, np.zeros(6))
+        joints = np.vstack([task.start, task.q])
+        poses = [np.linalg.inv(chain.fibre_in_world(vector)) @ chain.mirror_pose(cell, vector, q) for q in joints]
+        places = np.array([(pose @ [*point, 1.0])[[0, 2]] for pose in poses])
+        moves.append(places[1:] - places[0])
+        turned.append(Rotation.from_matrix([pose[:3, :3] @ poses[0][:3, :3].T for pose in poses[1:]]))
+    if name == "circle":
+        left, _, right = np.linalg.svd(moves[1].T @ moves[0])
+        moves[1] = moves[1] @ left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    assert np.abs(moves[1] - moves[0]).max() > 0.1
+    assert_allclose(found[:, :2], moves[1] - moves[0], rtol=0, atol=1e-9)
+    assert_allclose(found[:, 2:], (turned[1] * turned[0].inv()).as_rotvec(), rtol=0, atol=1e-12)
+
+
+def test_a_common_turn_about_the_beam_is_no_error(femto: Cell) -> None:
+    """To first order what is taken out of small changes is what is taken out of all, and a turn leaves nothing."""
+    model, values = CavityModel.of(femto), paper_values(femto)
+    task = task_path(femto, model.vector(values), "circle", n_points=9)
+    moves = task.offsets[:, [0, 2]] - task.offsets[0, [0, 2]]
+    turned = np.zeros((1, 9, 5))
+    angle = 1e-6
+    start = task.offsets[:, [0, 2]]
+    turned[0, :, 0], turned[0, :, 1] = angle * start[:, 1], -angle * start[:, 0]
+    assert np.abs(moves).max() > 100.0
+    assert_allclose(without_common_turn(model, values, task, turned), 0.0, rtol=0, atol=1e-9)
+    stretched = np.zeros((1, 9, 5))
+    stretched[0, :, 0] = 1e-6 * start[:, 0]
+    left = without_common_turn(model, values, task, stretched)
+    assert np.abs(left[..., 0]).max() == pytest.approx(1e-4, rel=0.01)
+
+
 def test_linear_angles_are_the_limit_of_small_errors(femto: Cell) -> None:
     model, values = CavityModel.of(femto), paper_values(femto)
     task = task_path(femto, model.vector(values), "tilt-x", n_points=3)
     truth = values + 1e-5 * femto.free.prior_sd
-    exact, linear = (angular_errors(model, truth, values, task, linear=flag) for flag in (False, True))
+    exact, linear = (pose_errors(model, truth, values, task, linear=flag) for flag in (False, True))
     assert_allclose(linear.normal, exact.normal, rtol=1e-3)
     assert_allclose(linear.turn, exact.turn, rtol=1e-3, atol=1e-9)
+    assert_allclose(linear.changes, exact.changes, rtol=1e-3, atol=1e-7)
 
 
 def test_a_point_out_of_reach_is_named(femto: Cell) -> None:

@@ -5,7 +5,7 @@ import pytest
 from track_fixtures import CELL
 
 from fpcal_bayes.decision.policy import task_sweeps
-from fpcal_bayes.measure.sweeps import check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import task_path

@@ -58,6 +58,7 @@ TRIED = {
     ("doctor", "file"): "doctor sweeps.csv",
     ("observe", "file"): "observe sweeps.csv",
     ("identify", "file"): "identify sweeps.csv",
+    ("certificate", "file"): "certificate estimate.json -o handed",
     ("verify", "file"): "verify sweeps.csv --validation good.csv",
 }
 #: These take an estimate for its geometry alone, and promise nothing from it.

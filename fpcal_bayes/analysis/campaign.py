@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.analysis.tasks import TaskNumbers
+from fpcal_bayes.analysis.tasks import TaskNumbers, judged
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.typing import Floats
@@ -157,6 +157,7 @@ class TaskStanding:
     prediction: TaskPrediction | None
     numbers: TaskNumbers | None  # of the prediction
     reason: str = ""  # why it cannot be driven
+    risk: float | None = None  # the largest probability of passing a tolerance, of the goal or the task's own
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,11 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStan
         path = find_task(estimate.cell, estimate.vector(), name, radius=goal.radius_um, n_points=path_points(estimate))
         task = compensated(estimate, path) if goal.compensate else path
         prediction = predict_from_covariance(estimate, task.driven(), draws=_DRAWS)
-        return TaskStanding(name, asked, task, prediction, TaskNumbers.of(prediction, goal.tolerance_um))
+        numbers = TaskNumbers.of(prediction, goal.tolerance_um)
+        own = {each.name: each for each in estimate.cell.tasks}
+        risks = [numbers.exceeds, *(judged(prediction, own[name]).values() if name in own else [])]
+        risk = max((each for each in risks if each is not None), default=None)
+        return TaskStanding(name, asked, task, prediction, numbers, risk=risk)
     except InputError as error:
         return TaskStanding(name, asked, None, None, None, str(error))
 

@@ -1,16 +1,18 @@
 """The history of a campaign: parameters and the error of the tasks on a grid of times, and what each session told."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
+from fpcal_bayes.core.linalg import chi2_tail, covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.decision.forecast import Forecaster
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.parameters import Parameter
+from fpcal_bayes.model.parameters import Parameter, ParameterSet
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
@@ -22,6 +24,9 @@ from fpcal_bayes.tracking.tracker import Track, innovation_bounds, smooth_track
 _MOST_TIMES, _LEAST_BETWEEN, _LEAST_AHEAD = 480, 3, 24
 #: Times at which the error of the tasks is worked out, at most.
 _MOST_OUTLOOKS = 160
+#: A change is explained by the stated drift unless one as large is rarer than this; directions of which less than this
+#: share of the variance was told since do not count; draws of what is expected of tasks.
+_EXPLAINED, _TOLD, _DRAWS = 1e-3, 1e-2, 1000
 #: Times at which a band is drawn between two sessions, both included.
 _BETWEEN = 4
 
@@ -80,6 +85,87 @@ class LogEntry:
     at_least: bool  # it was not looked further
     late: float  # by how much the next session, or the present after the last one, came after the hold had ended
     last: bool
+
+
+@dataclass(frozen=True)
+class TaskChange:
+    """By how much a task is off if it is still driven with the calibration, peak to peak, in nm."""
+
+    name: str
+    change: float  # by the last estimate
+    # median and 97.5 % quantile of what the stated drift lets expect of it
+    expected: float
+    most: float
+
+
+@dataclass(frozen=True)
+class SinceCalibration:
+    """What changed between the last calibration and the last session, held against the stated drift.
+
+    Under that drift the change of the filter's mean is normal, with the covariance predicted from the calibration less
+    the one that is left: what the sessions since have told.
+    """
+
+    session: str  # the calibration
+    hours: float  # from it to the last session
+    parameters: ParameterSet
+    change: Floats  # of the parameters, (n,), in the units a person reads
+    sd: Floats  # of that change, by drift and all that was not known; NaN where nothing new was told
+    chi2: float  # of the change in all directions of which the sessions told something, and how many these are
+    dof: int
+    tasks: tuple[TaskChange, ...]
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a change as large or larger under the stated drift."""
+        return chi2_tail(self.chi2, self.dof)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the stated drift explains the change."""
+        return self.p_value >= _EXPLAINED
+
+
+def since_calibration(facts: CampaignFacts) -> SinceCalibration | None:
+    """The last session against the last calibration before it, or None where there are no two to compare."""
+    followed = facts.track
+    if followed is None or facts.fit_is_wrong or len(followed.outcomes) < 2:
+        return None
+    last, n = followed.last, followed.drift.n_lengths
+    reference = [o for o in followed.outcomes[1:-1] if o.dof >= len(followed.drift.parameters)]
+    before = (reference or [followed.outcomes[0]])[-1]
+    stated = replace(followed.drift, pace=(1.0, 1.0))
+    ahead = predict(stated, before.state, last.time_h, last.state.temperature_c)
+    moved = (last.state.mean - ahead.mean)[:n]
+    told = (ahead.covariance - last.state.covariance)[:n, :n]
+    white = np.linalg.pinv(covariance_root(ahead.covariance[:n, :n]))
+    shares, axes = np.linalg.eigh(white @ told @ white.T)
+    seen = shares > _TOLD
+    scores = (axes.T @ white @ moved)[seen] / np.sqrt(shares[seen])
+    drift, parameters = followed.drift, followed.drift.parameters
+    scale, m = drift.scale / parameters.scales, len(parameters)
+    variance = np.diag(told)[:m]
+    new = variance > _TOLD * np.diag(ahead.covariance)[:m]
+    model, names = CavityModel.of(followed.cell, parameters), tuple(t.name for t in facts.tasks if t.task is not None)
+    tasks: list[TaskChange] = []
+    if names:
+        held = Forecaster.of(stated, model, replace(facts.goal, tasks=names), before.state.mean)
+        spread = covariance_root(told) @ np.random.default_rng(0).standard_normal((n, _DRAWS))
+        for name, points, count in zip(names, held.tasks, held.counts, strict=True):
+            # The first of its degrees of freedom is the one along the beam.
+            rows = np.split(held.jacobian[points], count)[0]
+            middle, most = 1e3 * np.quantile(np.ptp(rows @ spread, axis=0), [0.5, 0.975])
+            tasks.append(TaskChange(name, 1e3 * float(np.ptp(rows @ moved)), float(middle), float(most)))
+    return SinceCalibration(
+        session=before.session,
+        hours=last.time_h - before.time_h,
+        parameters=parameters,
+        change=moved[:m] * scale,
+        sd=np.where(new, np.sqrt(np.clip(variance, 0.0, None)), np.nan) * scale,
+        chi2=float(scores @ scores),
+        dof=int(seen.sum()),
+        tasks=tuple(tasks),
+    )
 
 
 def history(facts: CampaignFacts) -> History | None:

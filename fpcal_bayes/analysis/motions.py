@@ -26,6 +26,9 @@ class MotionCurve:
     high: Floats
     stated: Floats  # one standard deviation that the sheet stands for, shape (n_points,)
     shown: float  # share of the prior's variance that the data took away
+    # joint, direction: position of the joint, and the direction of `Responses.motion`
+    joint: int
+    direction: int
 
 
 def motion_curves(estimate: Estimate) -> list[MotionCurve]:
@@ -64,6 +67,32 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
                 upper,
                 stated,
                 shown,
+                i,
+                motion.direction,
             )
         )
     return sorted(curves, key=lambda curve: -curve.shown)
+
+
+def axis_tables(estimate: Estimate) -> dict[int, dict[str, Floats]]:
+    """Error motions by joint position, as columns over the joint's value, named after ISO 230-1.
+
+    E, the direction (X Y Z of a displacement, A B C of a turn about them, each the world axis that is nearest to it),
+    then the axis of motion: EYX is what a joint along X moves along Y. Each has its mean and the edges of its 95 %
+    band: what is added to where the joint should be, at the point of the data sheet; to compensate subtract it.
+    """
+    knowledge, tables = estimate.mechanics, dict[int, dict[str, Floats]]()
+    if knowledge is None:
+        return tables
+    world = knowledge.terms(estimate.cell).told.in_world
+    for curve in sorted(motion_curves(estimate), key=lambda curve: (curve.joint, curve.direction)):
+        axes = world[curve.joint]
+        own, felt = (int(np.argmax(np.abs(axes[:, k]))) for k in (0, curve.direction % 3))
+        letters = "XYZ" if curve.direction < ROLL else "ABC"
+        name = f"E{letters[felt]}{('ABC' if estimate.cell.revolute[curve.joint] else 'XYZ')[own]}"
+        table = tables.setdefault(curve.joint, {f"q{curve.joint + 1}_{curve.joint_unit}": curve.along})
+        edges = [curve.low, curve.high] if axes[felt, curve.direction % 3] > 0 else [-curve.high, -curve.low]
+        middle = curve.middle * np.sign(axes[felt, curve.direction % 3])
+        for part, values in (("", middle), ("_low", edges[0]), ("_high", edges[1])):
+            table[f"{name}{part}_{curve.unit}"] = values
+    return tables

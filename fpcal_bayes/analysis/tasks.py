@@ -4,9 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpcal_bayes.core.linalg import quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import Budget
-from fpcal_bayes.infer.tasks.prediction import TaskPrediction
+from fpcal_bayes.infer.tasks.error import peak_to_peak
+from fpcal_bayes.infer.tasks.pose import FREEDOMS
+from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
 from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import Task
 
@@ -53,8 +56,8 @@ class TaskNumbers:
             median=float(1e3 * np.median(prediction.peak_to_peak)),
             least=float(least),
             most=float(most),
-            normal=_largest(np.degrees(prediction.angles.normal)),
-            turn=_largest(np.degrees(prediction.angles.turn)),
+            normal=_largest(np.degrees(prediction.pose.normal)),
+            turn=_largest(np.degrees(prediction.pose.turn)),
             tolerance=None if tolerance is None else 1e3 * tolerance,
             exceeds=None if tolerance is None else prediction.exceeds(tolerance),
             repeatable=_ranges(prediction.repeatable),
@@ -86,15 +89,51 @@ class TaskNumbers:
         return float(self.sd.max())
 
 
+@dataclass(frozen=True)
+class FreedomNumbers:
+    """Error of one degree of freedom along a path, in nm or deg; all NaN where it is not to be used."""
+
+    name: str  # ``beam`` (change of cavity length) or one of `FREEDOMS`
+    unit: str
+    median: float  # peak to peak
+    least: float  # lower edge of the band that holds 95 %
+    most: float
+    low: Floats  # (n_points,)
+    high: Floats  # (n_points,)
+    worst: int  # the point where the error is largest, root mean square
+    worst_sd: float
+    tolerance: float | None
+    exceeds: float | None  # probability of a larger peak to peak than the tolerance
+
+
+def freedom_numbers(prediction: TaskPrediction, tolerances: dict[str, float]) -> list[FreedomNumbers]:
+    """Every degree of freedom of a task; `tolerances` are largest peak to peaks by name, in um and rad."""
+    made, nan = [], float("nan")
+    for name in ("beam", *FREEDOMS):
+        errors = prediction.errors if name == "beam" else prediction.pose.of(name)
+        unit, scale = ("deg", float(np.degrees(1.0))) if name.startswith("r") else ("nm", 1e3)
+        limit = tolerances.get(name)
+        stated = None if limit is None else scale * limit
+        if not prediction.trust.usable:
+            unknown = np.full(errors.shape[-1], nan)
+            made.append(FreedomNumbers(name, unit, nan, nan, nan, unknown, unknown, 0, nan, stated, None))
+            continue
+        widths, sd = scale * peak_to_peak(errors), scale * np.sqrt((errors**2).mean(axis=0))
+        sd = scale * prediction.sd if name == "beam" else sd
+        least, most = quantile_band(widths, BAND).tolist()
+        low, high = scale * quantile_band(errors, BAND, axis=0)
+        worst, exceeds = int(np.argmax(sd)), None if stated is None else float((widths > stated).mean())
+        middle = float(np.median(widths))
+        made.append(
+            FreedomNumbers(name, unit, middle, least, most, low, high, worst, float(sd[worst]), stated, exceeds)
+        )
+    return made
+
+
 def judged(prediction: TaskPrediction, task: OwnTask) -> dict[str, float | None]:
-    """Probability that each tolerance of a task, by its name, is passed peak to peak; None where nothing tells yet."""
-    found: dict[str, float | None] = {}
-    for name, limit in task.tolerances.items():
-        about = prediction.angles.about
-        errors = {"beam": prediction.errors, "rx": about[..., 0], "ry": about[..., 1], "rz": about[..., 2]}.get(name)
-        usable = prediction.trust.usable
-        found[name] = None if errors is None or not usable else float((np.ptp(errors, axis=-1) > limit).mean())
-    return found
+    """Probability that each tolerance of a task, by its name, is passed peak to peak; None where nothing is known."""
+    found = {numbers.name: numbers.exceeds for numbers in freedom_numbers(prediction, task.tolerances)}
+    return {name: found[name] for name in task.tolerances}
 
 
 def _ranges(errors: Floats | None) -> tuple[float, float] | None:

@@ -35,6 +35,7 @@ _COMMANDS = (
     identify.task_error,
     identify.control,
     identify.check,
+    identify.certificate,
     keep.plan,
     keep.track,
     keep.decide,

@@ -4,13 +4,14 @@ import argparse
 import shlex
 from pathlib import Path
 
+from fpcal_bayes.analysis.history import since_calibration
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.campaign.page import write_campaign_report
-from fpcal_bayes.report.campaign.words import standing, verdict
+from fpcal_bayes.report.campaign.words import since_content, standing, verdict
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,7 +33,8 @@ def run(options: argparse.Namespace) -> int:
     said = verdict(facts)
     tasks = {outlook.name: standing(outlook, facts)[0] for outlook in facts.tasks}
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
-    write_result(options.json, "report", facts.estimate.content() | {"report": content})
+    since = since_content(since_calibration(facts))
+    write_result(options.json, "report", facts.estimate.content() | {"report": content | {"since_calibration": since}})
     for sentence in (f"{said.title}. {said.meaning}", *said.sentences, f"-> {options.output}"):
         out.say(sentence)
     warn([reason.text for reason in facts.trust.reasons])

@@ -15,7 +15,9 @@ from fpcal_bayes.report.tasks import (
     budget_content,
     budget_table,
     correlation_lines,
+    freedom_table,
     mechanism_lines,
+    not_evaluated_line,
     prediction_content,
     prediction_table,
     reach_warnings,
@@ -48,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         predictions.append(prediction)
         stated = own[name].tolerances if name in own else {}
         tolerances.append(stated.get("beam") if given is None else given)
-        content[task.name] = prediction_content(prediction, tolerances[-1], task)
+        content[task.name] = prediction_content(prediction, tolerances[-1], task, stated)
         if stated:
             found = judged(prediction, own[name])
             content[task.name]["tolerance_exceeds_probability"] = found
@@ -66,7 +68,8 @@ def run(options: argparse.Namespace) -> int:
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
     out.print(prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"))
-    for line in [*lines, *mechanism_lines(predictions)]:
+    out.print(freedom_table(predictions))
+    for line in [not_evaluated_line(cell), *lines, *mechanism_lines(predictions)]:
         out.say(line)
     for budget in budgets:
         out.print(budget_table(budget))

@@ -8,6 +8,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.decision.forecast import Forecaster, TaskForecast
+from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.drift import State
@@ -129,7 +130,8 @@ def expected_after(forecast: Forecaster, model: CavityModel, state: State, plan:
     Measurements in the plan are not looked at; `sigma` is the standard deviation of each change of cavity length, in
     um. The mean is that of the prediction, which the estimate of the controller follows.
     """
-    planned = plan.with_measurement(np.zeros(len(plan)), sigma)
+    planned = seen_by_all(plan, model.cell)
+    planned = planned.with_measurement(np.zeros(len(planned)), sigma)
     measurement = SweepMeasurement.of(forecast.drift, model, planned, state.mean)
     misfit, jacobian = measurement.linearise(state.mean)
     innovation = Innovation.of(misfit, jacobian, state.covariance, 0.0)

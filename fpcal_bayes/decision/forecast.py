@@ -19,8 +19,9 @@ from fpcal_bayes.core.linalg import quantile_band, symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS
+from fpcal_bayes.infer.tasks.pose import FREEDOMS, pose_jacobian
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.motion.tasks import find_task
+from fpcal_bayes.motion.tasks import Task, find_task
 from fpcal_bayes.tracking.drift import DriftModel, State
 
 #: Points of a circle, whose peak to peak they meet within 0.4 %, and of the other tasks, which are smoother.
@@ -43,7 +44,8 @@ class Goal:
     tolerance_nm
         Largest peak to peak of the error of any of the tasks.
     tasks
-        Names as in `TASKS`, or path files.
+        Names as in `TASKS`, of the cell's own, or path files. Tolerances that a task of the cell's own states for other
+        degrees of freedom hold too: their errors count as the same share of this tolerance.
     level
         Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
         modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
@@ -117,7 +119,8 @@ class Forecaster:
     goal: Goal  # what is to be held
     estimate: Floats  # mean of the state that the controller holds, shape (n_states,)
     jacobian: Floats  # of all points of all tasks by the states of cavity lengths, shape (n_points, n_lengths), in um
-    tasks: tuple[slice, ...]  # the points of each task
+    tasks: tuple[slice, ...]  # the points of each task, one degree of freedom after the other
+    counts: tuple[int, ...]  # how many degrees of freedom each task is held to
     # joint vectors of the aligned pose and of the ends and middle of each task, shape (n_poses, n_joints)
     poses: Floats
     # basis, factor: of `jacobian`, cut to what matters: shapes (n_points, rank) and (rank, n_lengths)
@@ -139,24 +142,20 @@ class Forecaster:
             find_task(model.cell, vector, name, radius=goal.radius_um, n_points=count).within_turns()
             for name, count in zip(goal.tasks, counts, strict=True)
         ]
-        ends = np.cumsum([0, *(len(task) for task in tasks)]).tolist()
         poses = np.vstack(
             [tasks[0].start, *(task.q[[0, len(task) // 2, -1]] for task in tasks if task.name != "circle")]
         )
-        new = None
-        if drift.motions is not None:
-            moving = mean[drift.n_parameters : drift.n_lengths]
-            found = [drift.motions.path(vector, moving, task, _DRAWS, goal.compensate) for task in tasks]
-            tasks, new = [task for task, _, _ in found], np.vstack([each for _, _, each in found])
-        jacobian = np.vstack([task_jacobian(model, values, task) for task in tasks]) * drift.scale
-        if drift.motions is not None:
-            jacobian = np.hstack([jacobian, np.vstack([states for _, states, _ in found])])
+        found = [_held(drift, model, goal, name, task, mean) for name, task in zip(goal.tasks, tasks, strict=True)]
+        jacobian = np.vstack([rows for rows, _ in found])
+        new = np.vstack([each for _, each in found if each is not None]) if machine else None
+        ends = np.cumsum([0, *(len(rows) for rows, _ in found)]).tolist()
+        held = tuple(len(rows) // len(task) for (rows, _), task in zip(found, tasks, strict=True))
         left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
         kept = singular > _NEGLIGIBLE * goal.tolerance_um
         factor = singular[kept, None] * right[kept]
         draws = np.random.default_rng(0).standard_normal((len(factor), _DRAWS))
         slices = tuple(slice(a, b) for a, b in pairwise(ends))
-        return cls(drift, goal, np.array(mean), jacobian, slices, poses, left[:, kept], factor, draws, new)
+        return cls(drift, goal, np.array(mean), jacobian, slices, held, poses, left[:, kept], factor, draws, new)
 
     def following(self, mean: Floats) -> "Forecaster":
         """The same for a controller that takes over another estimate; its tasks move by too little to matter."""
@@ -170,7 +169,10 @@ class Forecaster:
         change = offset[:, None] + symmetric_root(spread) @ self.draws
         # Points in rows: the peak to peak over them then runs over the draws side by side.
         errors = self.basis @ change if self.new is None else self.basis @ change + self.new
-        peaks = [peak_to_peak(errors[points].T) for points in self.tasks]
+        peaks = [
+            np.max([peak_to_peak(part.T) for part in np.split(errors[points], count)], axis=0)
+            for points, count in zip(self.tasks, self.counts, strict=True)
+        ]
         return TaskForecast(state.time_h, np.array(peaks))
 
     def ahead(self, state: State, hours: float) -> State:
@@ -206,3 +208,32 @@ class Forecaster:
     def _times(horizon_h: float) -> Iterator[float]:
         yield 0.0
         yield from (float(t) for t in np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS))
+
+
+def _held(
+    drift: DriftModel, model: CavityModel, goal: Goal, name: str, task: Task, mean: Floats
+) -> tuple[Floats, Floats | None]:
+    """Errors of a task by the states, (n_rows, n_lengths), and of a machine what is new each time, (n_rows, n_draws).
+
+    Rows are the points along the beam, then those of each degree of freedom that the cell states a tolerance for, all
+    in um of the goal's tolerance.
+    """
+    own = {each.name: each.tolerances for each in model.cell.tasks}.get(name, {})
+    shares = {freedom: goal.tolerance_um / limit for freedom, limit in own.items() if freedom != "beam"}
+    values, motions = drift.values(mean), drift.motions
+    states, new = np.zeros((len(task), 0)), None
+    if motions is not None:
+        moving = mean[drift.n_parameters : drift.n_lengths]
+        task, states, new = motions.path(model.vector(values), moving, task, _DRAWS, goal.compensate)
+    rows = [np.hstack([task_jacobian(model, values, task) * drift.scale, states])]
+    news = [new]
+    if shares:
+        slopes = pose_jacobian(model, values, task)[1] * drift.scale[:, None, None]
+        if motions is not None:
+            felt, fresh = motions.pose_path(model, values, moving, task, _DRAWS)
+            slopes = np.concatenate([slopes, felt])
+        for freedom, share in shares.items():
+            at = FREEDOMS.index(freedom)
+            rows.append(share * slopes[..., at].T)
+            news.append(None if motions is None else share * fresh[..., at].T)
+    return np.vstack(rows), None if motions is None else np.vstack([each for each in news if each is not None])

@@ -24,6 +24,7 @@ from fpcal_bayes.infer.design.candidates import (
 )
 from fpcal_bayes.infer.design.exchange import choose_sweeps
 from fpcal_bayes.infer.design.rows import sweep_rows
+from fpcal_bayes.measure.protocol import motions_alone, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps, as_plan, join
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.envelope import require_within_envelope
@@ -152,7 +153,8 @@ class Policy:
 
     def _power(self, state: State, sweeps: Sweeps, hours: float) -> float:
         """Probability that sweeps at the time of `state` show a jump of the watched parameter."""
-        planned = sweeps.with_measurement(np.zeros(len(sweeps)), np.full(len(sweeps), self.costs.sigma_um))
+        seen = seen_by_all(sweeps, self.model.cell)
+        planned = seen.with_measurement(np.zeros(len(seen)), np.full(len(seen), self.costs.sigma_um))
         found = session_power(self.drift, self.model, state, planned, hours, self.limits)
         return float(found[watched(self.drift, self.limits)])
 
@@ -165,11 +167,14 @@ class Policy:
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
         rows = rows * self.drift.scale
         if self.drift.motions is not None:
-            none = np.zeros(len(candidates))
+            seen = seen_by_all(candidates, self.model.cell)
+            none = np.zeros(len(seen))
             # Each by itself: no drift between them.
-            alone = replace(candidates.with_measurement(none, none + sigma), t_start_h=none, t_end_h=none)
+            alone = replace(seen.with_measurement(none, none + sigma), t_start_h=none, t_end_h=none)
             whitening, felt = self.drift.motions.rows(self.model, alone, values)
-            rows = (np.hstack([rows[0, :, 0] * sigma, felt]) / np.sqrt(whitening.variance)[:, None])[None, :, None]
+            lengths = rows[0].reshape(len(seen), -1) * sigma
+            rows = np.hstack([lengths, felt]) / np.sqrt(whitening.variance)[:, None]
+            rows = rows.reshape(1, len(candidates), -1, rows.shape[1])
         return _Pool(candidates, rows)
 
     def decide(
@@ -286,7 +291,7 @@ def _standing(
     # A robot that moved by itself is known as before its first calibration only.
     values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
     known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
-    calibration, visible = sweeps.of_session(track.outcomes[0].session), SweepLimits()
+    calibration, visible = motions_alone(sweeps.of_session(track.outcomes[0].session)), SweepLimits()
     if tilts(model, values, np.zeros((1, len(track.cell.joints))))[0] > visible.tilt:
         # Fringes were seen wherever the calibration stood.
         stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))

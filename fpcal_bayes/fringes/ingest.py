@@ -15,7 +15,8 @@ from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
 from fpcal_bayes.measure.campaign import DoubtfulRecord
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps, join
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.traces import WavelengthScan
 from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cell.cell import Cell

@@ -18,7 +18,8 @@ from fpcal_bayes.io.csv import Records
 from fpcal_bayes.io.hdf5 import Reader, put_array
 from fpcal_bayes.io.validate import shown
 from fpcal_bayes.measure.protocol import read_often, seen_by_all
-from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
 Column = NDArray[Any]

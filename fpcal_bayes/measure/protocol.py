@@ -10,7 +10,9 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.resources import paper_tables
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.chain import tool_pose
 
@@ -147,6 +149,15 @@ def seen_by_all(sweeps: Sweeps, cell: Cell) -> Sweeps:
         beam=np.where(alone, np.array(cell.beams)[place], spread.beam),
         shot=np.where(alone & (spread.shot == ""), np.array(shots), spread.shot),
     )
+
+
+def motions_alone(sweeps: Sweeps) -> Sweeps:
+    """What was driven, once whatever read it: `seen_by_all` turned round."""
+    moments = np.unique(Sharing.of(sweeps).end)
+    if len(moments) == len(sweeps):
+        return sweeps
+    driven, nothing = sweeps.take(moments), np.full(len(moments), "")
+    return replace(driven, beam=nothing, shot=nothing)
 
 
 def single_sweep(

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import Trace, WavelengthScan, check_scan, check_trace, plausible_wavelength
 from fpcal_bayes.model.cell.cell import Cell
 

@@ -34,6 +34,7 @@ KINDS: dict[str, bool] = {
     "mechanics": False,
     "residuals": False,
     "verification": False,
+    "priors": False,
     "mechanics-left-out": False,
     "unrecorded": False,
 }

@@ -4,20 +4,32 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.analysis.tasks import TaskNumbers, correlated_inputs
+from fpcal_bayes.analysis.tasks import FreedomNumbers, TaskNumbers, correlated_inputs, freedom_numbers
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import Task
 from fpcal_bayes.report.table import Table, plain_table
 
+#: What no change of length tells, and what is told up to something.
+NOT_EVALUATED = (
+    "the absolute place of the mirror across the beam",
+    "its absolute distance from the fibre",
+    "its absolute spin about the beam",
+    "a common turn of all moves about the beam",
+)
 
-def prediction_content(prediction: TaskPrediction, tolerance: float | None, task: Task) -> dict[str, Any]:
+
+def prediction_content(
+    prediction: TaskPrediction, tolerance: float | None, task: Task, tolerances: dict[str, float] | None = None
+) -> dict[str, Any]:
     """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
 
     tolerance: in um, or None.
     task: the whole task, of which the points that are ok are predicted; the others have nulls.
+    tolerances: of every degree of freedom that the cell states one for, in um and rad.
     """
     found = TaskNumbers.of(prediction, tolerance)
     content: dict[str, Any] = {
@@ -39,6 +51,11 @@ def prediction_content(prediction: TaskPrediction, tolerance: float | None, task
         },
         "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
         "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
+        "freedoms": {
+            freedom.name: _freedom_content(freedom, task) for freedom in freedom_numbers(prediction, tolerances or {})
+        },
+        "not_evaluated": list(NOT_EVALUATED),
+        "handedness_checked": task.cell.handedness_checked,
     }
     if found.repeatable is not None and found.returned is not None:
         content["repeatable_nm"] = dict(zip(("median", "high"), found.repeatable, strict=True))
@@ -103,20 +120,60 @@ def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
     return [*lines, f"return errors grow with the number of points of a path, here {' or '.join(points)}"]
 
 
+def freedom_table(predictions: list[TaskPrediction]) -> Table:
+    """One line per task: upper edge of the peak to peak of each degree of freedom since the start."""
+    heads = ["task", "along the beam [nm]", "x [nm]", "z [nm]", "rx [deg]", "ry, spin [deg]", "rz [deg]"]
+    table = plain_table(f"peak to peak by degree of freedom: at most this, with {0.5 + BAND / 2:.1%}", heads)
+    for prediction in predictions:
+        if not prediction.trust.usable:
+            table.add_row(prediction.task.name, "not to be used", *[""] * 5)
+            continue
+        told = freedom_numbers(prediction, {})
+        table.add_row(prediction.task.name, *(_told(f, f.most) for f in told))
+    return table
+
+
+def not_evaluated_line(cell: Cell) -> str:
+    """What no prediction speaks of, and which way the axes go."""
+    seen = "" if cell.handedness_checked else "; which way x and the turns go is not checked (handedness_checked)"
+    return f"not evaluated: {', '.join(NOT_EVALUATED)}{seen}"
+
+
 def tolerance_lines(task: OwnTask, found: dict[str, float | None]) -> list[str]:
-    """What is said of the tolerances of a cell's own task, and which of them nothing judges yet."""
+    """What is said of the tolerances of a cell's own task."""
     told = [
-        f"P({name} > {1e3 * limit:g} nm) = {found[name]:.3f}"
-        if name == "beam"
-        else f"P({name} > {np.degrees(limit):.4g} deg) = {found[name]:.3f}"
+        f"P({name} > {np.degrees(limit):.4g} deg) = {found[name]:.3f}"
+        if name.startswith("r")
+        else f"P({name} > {1e3 * limit:g} nm) = {found[name]:.3f}"
         for name, limit in task.tolerances.items()
         if found[name] is not None
     ]
-    silent = [name for name in task.tolerances if name in ("x", "z")]
-    lines = [f"task {task.name}: {', '.join(told)}"] if told else []
-    if silent:
-        lines.append(f"task {task.name}: the tolerance of {' and '.join(silent)} is not judged yet")
-    return lines
+    return [f"task {task.name}: {', '.join(told)}"] if told else []
+
+
+def _told(freedom: FreedomNumbers, value: float) -> str:
+    """A number with its digits; what rounding leaves is nothing."""
+    return angle_text(value) if freedom.unit == "deg" else f"{value:.1f}"
+
+
+def _freedom_content(found: FreedomNumbers, task: Task) -> dict[str, Any]:
+    unit = found.unit
+    content: dict[str, Any] = {
+        f"peak_to_peak_{unit}": {
+            "median": known(found.median),
+            "low": known(found.least),
+            "high": known(found.most),
+            "share": BAND,
+        },
+        "worst": {
+            "along": float(task.along[task.ok][found.worst]) if found.worst_sd == found.worst_sd else None,
+            f"sd_{unit}": known(found.worst_sd),
+        },
+        f"band_{unit}": {"share": BAND, "low": _whole(found.low, task), "high": _whole(found.high, task)},
+    }
+    if found.tolerance is not None:
+        content |= {f"tolerance_{unit}": found.tolerance, "exceeds_probability": found.exceeds}
+    return content
 
 
 def reach_warnings(task: Task) -> list[str]:

@@ -89,7 +89,12 @@ _PURPOSES = {
 def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
     """Peak to peak of the worst task now, after what is recommended, and at the horizon if nothing is measured."""
     heads = ["when", "time", "median [nm]", "95 % band [nm]", f"P(> {1e3 * goal.tolerance_um:g} nm)"]
-    table = plain_table(f"peak to peak of the worst of: {', '.join(goal.tasks)}", heads)
+    title = f"peak to peak of the worst of: {', '.join(goal.tasks)}"
+    others = [
+        f"{name} {' '.join(f'{key} {limit:g}' for key, limit in held.items())}"
+        for name, held in _other_tolerances(goal, track.cell).items()
+    ]
+    table = plain_table(f"{title}; as a share of the tolerance also {', '.join(others)}" if others else title, heads)
     after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),
@@ -102,6 +107,13 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
         shown = numbers if track.trust.usable else ["not to be used", "", ""]
         table.add_row(name, time_text(outlook.time_h, track.outcomes), *shown)
     return table
+
+
+def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
+    """What tasks of the cell's own are held to beside the cavity length, in nm and deg, by task."""
+    stated = {task.name: task.stated for task in cell.tasks if task.name in goal.tasks}
+    found = {name: {key: limit for key, limit in held.items() if key != "beam_nm"} for name, held in stated.items()}
+    return {name: held for name, held in found.items() if held}
 
 
 def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
@@ -141,6 +153,7 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "tolerance_nm": 1e3 * goal.tolerance_um,
         "attainable_nm": decision.attainable_nm if usable else None,
         "tasks": list(goal.tasks),
+        "other_tolerances": _other_tolerances(goal, track.cell),
         "sweeps": [] if decision.sweeps is None else sweeps_content(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},

@@ -16,8 +16,7 @@ from fpcal_bayes.model.mechanics.drive import Drive
 
 Function = Callable[[Floats], Floats]
 
-_STRIDE = 8
-_FEATURES, _GRID = 12, 401
+_STRIDE, _FEATURES, _GRID = 8, 12, 401
 
 
 @dataclass(frozen=True)
@@ -128,23 +127,21 @@ class Machine:
         if self.cell.further:
             lengths = np.empty(len(q))
             for number, (view, index) in enumerate(self.cell.views):
-                seen = np.full(len(q), number == 0) if beam is None else beam == number
+                seen = np.broadcast_to(0 if beam is None else beam, len(q)) == number
                 alone = replace(self, cell=view, vector=self.vector[index], drift=self.drift[number])
                 lengths[seen] = alone.lengths(q[seen], reached[seen], minutes[seen])
             return lengths
         fibre_at = self.vector[-3:] + self.drift * minutes[:, None]
-        turn, at = _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
+        turn, at = self.tools(q, reached)
         beta_et, theta_et, beta_wf, theta_wf, z_et = self.vector[-8:-3]
+        light, scale = _beam(self.cell, beta_wf, theta_wf), 1.0 + 1e-6 * self.settings.scale_ppm
         if self.cell.target == "corner-cube":
-            away = at + turn @ np.array([beta_et, theta_et, z_et]) - fibre_at
-            if self.cell.opd == "distance":
-                return np.asarray(np.linalg.norm(away, axis=1)) * (1.0 + 1e-6 * self.settings.scale_ppm)
-            return np.asarray(away @ _beam(self.cell, beta_wf, theta_wf)) * (1.0 + 1e-6 * self.settings.scale_ppm)
+            point = at + turn @ np.array([beta_et, theta_et, z_et]) - fibre_at
+            return np.asarray(scale * (np.linalg.norm(point, axis=1) if self.cell.opd == "distance" else point @ light))
         normal_in_tool = np.array(
             [np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)]
         )
         normal, origin = turn @ normal_in_tool, at + z_et * turn[:, :, 2]
-        light = _beam(self.cell, beta_wf, theta_wf)
         away = ((origin - fibre_at) * normal).sum(axis=1)
         facing = normal @ light if self.cell.opd == "axis" else np.ones(len(q))
         length = away / facing
@@ -153,7 +150,7 @@ class Machine:
         spot = fibre_at + along * length[:, None] - origin
         spot = spot - normal * (spot * normal).sum(axis=1, keepdims=True)
         sag = (spot**2).sum(axis=1) / (2.0 * self.settings.mirror_radius_m * 1e6)
-        result: Floats = (np.abs(length) - sag) * (1.0 + 1e-6 * self.settings.scale_ppm)
+        result: Floats = (np.abs(length) - sag) * scale
         return result
 
     def reach(self, poses: Floats, side: Floats) -> Floats:
@@ -199,15 +196,13 @@ class Machine:
     def _seen_by_beams(self, drive: Drive, sigma: float | Floats) -> Floats:
         """As `sweep`, of rows that several beams read at the same moments, one after the other in `drive`."""
         q, minutes, starts, ends = _poses(drive)
-        reached, beam = self.reach(q, self.side), self.cell.beam_numbers(drive.beam)
+        reached, beam, read = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), []
         noise = np.array([self._noise(len(q)) for _ in self.cell.beams])
-        read = []
         for at in (starts, ends):
-            length = self.lengths(q[at], reached[at], minutes[at], beam)
-            own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, at]
-            read.append(length + own * sigma / np.sqrt(2.0))
-        slow = np.array([self._slow(len(drive)) for _ in self.cell.beams])[beam, np.arange(len(drive))]
-        return np.asarray(read[1] - np.where(drive.absolute, 0.0, read[0]) + slow)
+            own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, at] * sigma / np.sqrt(2.0)
+            read.append(self.lengths(q[at], reached[at], minutes[at], beam) + own)
+        slow = np.array([self._slow(len(drive)) for _ in self.cell.beams])
+        return np.asarray(read[1] - np.where(drive.absolute, 0.0, read[0]) + slow[beam, np.arange(len(drive))])
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""
@@ -216,6 +211,10 @@ class Machine:
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
         changed: Floats = lengths[1:] - lengths[0]
         return changed
+
+    def tools(self, q: Floats, reached: Floats) -> tuple[Floats, Floats]:
+        """Orientation (n, 3, 3) and origin (n, 3) of the tool, as in `lengths`."""
+        return _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
@@ -376,9 +375,8 @@ def _chain(
             tilts = np.vstack([np.zeros((1, n)), tilts[1:]])
         tilt = _turn(axes[:, 0], tilts[0]) @ _turn(axes[:, 1], tilts[1]) @ _turn(axes[:, 2], tilts[2])
         # In the base frame: the carriage, tilted about the sheet's point, which is the lever behind the mirror.
-        carried = along[:, None] * ez
         arm = zero[i].T @ lever[i]
-        carried = carried + (axes @ shifts).T + (tilt @ arm - arm)
+        carried = along[:, None] * ez + (axes @ shifts).T + (tilt @ arm - arm)
         at = at + (turn @ carried[:, :, None])[:, :, 0]
         turn = turn @ tilt @ _turn(ez, angle)
     return turn, at
@@ -387,19 +385,16 @@ def _chain(
 def _axes(base: Floats) -> Floats:
     """Own axis, upward, across in world axes, as data sheets tell error motions."""
     own = base[:, 2]
-    up = np.array([0.0, 1.0, 0.0]) if abs(own[2]) > 0.9 else np.array([0.0, 0.0, 1.0])
-    up = up - own * (own @ up)
-    up = up / np.linalg.norm(up)
+    up = np.eye(3)[1 if abs(own[2]) > 0.9 else 2]
+    up = (up - own * (own @ up)) / np.linalg.norm(up - own * (own @ up))
     return np.column_stack([own, up, np.cross(own, up)])
 
 
 def _nominal_bases(cell: Cell) -> list[Floats]:
     """Base frames of the joints in the world, at joint zero of the nominal cell."""
-    vector, made, turn = cell.parameters.nominal, [], np.eye(3)
-    ex, ey, ez = np.eye(3)
+    vector, made, turn, (ex, ey, ez) = cell.parameters.nominal, [], np.eye(3), np.eye(3)
     for i in range(len(cell.joints)):
         beta, alpha, _, theta, *_ = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        turn = turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0]
-        made.append(turn)
-        turn = turn @ _turn(ez, np.array([theta]))[0]
+        made.append(turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0])
+        turn = made[-1] @ _turn(ez, np.array([theta]))[0]
     return made

@@ -14,7 +14,8 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.reference import fit_fringe
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint, no_trace
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace, WavelengthScan
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel

@@ -18,11 +18,13 @@ from fpcal_bayes.infer.mechanics.known import numbered, random_poses
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
+from fpcal_bayes.infer.tasks.pose import without_common_turn
 from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.mechanics import Design, Terms, design, path_design
+from fpcal_bayes.model.mechanics import Design, PathDesign, Terms, design, path_design
 from fpcal_bayes.model.mechanics.compensation import compensated_path
+from fpcal_bayes.model.mechanics.design import pose_designs
 from fpcal_bayes.model.mechanics.errors import approached, drifted, returned_errors
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, SINGLE_KINDS
@@ -121,7 +123,24 @@ class MotionStates:
             factor = float(self.factors[-2])
             q, added = compensated_path(self.terms, vector, self.basis @ mean, task.start, task.q, return_factor=factor)
             task = replace(task, q=q, added=added)
-        path = path_design(self.terms, vector, task.start, task.q)
+        states, new = self._along(path_design(self.terms, vector, task.start, task.q), n_draws)
+        return task, states, new + (states @ mean + (0.0 if task.added is None else task.added))[:, None]
+
+    def pose_path(
+        self, model: CavityModel, values: Floats, mean: Floats, task: Task, n_draws: int
+    ) -> tuple[Floats, Floats]:
+        """What the states and all else add to the mirror's place and direction along a path, as `path` does.
+
+        Both as changes of pose (see `PoseErrors`): shapes (n_states, n_points, 5) and (n_draws, n_points, 5).
+        """
+        paths = pose_designs(self.terms, model.vector(values), task.start, task.q)
+        states, new = (np.stack(part, axis=-1) for part in zip(*(self._along(p, n_draws) for p in paths), strict=True))
+        states = without_common_turn(model, values, task, np.moveaxis(states, 1, 0))
+        new = without_common_turn(model, values, task, np.moveaxis(new, 1, 0))
+        return states, new + np.tensordot(mean, states, axes=1)
+
+    def _along(self, path: PathDesign, n_draws: int) -> tuple[Floats, Floats]:
+        """Derivatives by the states, (n_points, n_states), and draws of all else, (n_points, n_draws)."""
         felt = path.motions * self.sizes
         states = felt @ self.directions
         rng, log = np.random.default_rng(6), np.repeat(np.log(self.factors)[None], n_draws, axis=0)
@@ -133,8 +152,7 @@ class MotionStates:
         ):
             new += part
         rest = felt - states @ self.directions.T
-        new += states @ mean + (0.0 if task.added is None else task.added)
-        return task, states, (new + rng.standard_normal((n_draws, rest.shape[1])) @ rest.T).T
+        return states, (new + rng.standard_normal((n_draws, rest.shape[1])) @ rest.T).T
 
     def knowledge(
         self, parameters: ParameterSet, scale: Floats, mean: Floats, covariance: Floats

@@ -24,6 +24,7 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
+from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -43,7 +44,7 @@ def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
     sd = parameters.prior_sd
-    random = candidate_sweeps(estimate.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
+    random = seen_by_all(candidate_sweeps(estimate.cell, n=N_SWEEPS, rng=np.random.default_rng(0)), estimate.cell)
     # Where no row tells a direction, the parameters themselves do: one row each, of their prior's size.
     jacobians, changes = [np.eye(len(sd))], [(draws - estimate.values) / sd]
     for asked in (random, sweeps.take(sweeps.kind != "path")):
@@ -67,7 +68,7 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
     """
     n = drift.n_parameters
     try:
-        asked = candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0))
+        asked = seen_by_all(candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0)), model.cell)
     except InputError:
         return drift
     rows = asked.laid_out(model)

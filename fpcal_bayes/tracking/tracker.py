@@ -325,9 +325,10 @@ def _identified(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[Identifi
 
 
 def _measurement(drift: DriftModel, found: Identification) -> Measurement | None:
-    """The rows of a calibration by which a trajectory can begin at the prior; None where that is not normal."""
+    """The rows by which a trajectory can begin at the prior; None where that is not normal and as stated."""
     problem = found.problem
-    if not found.converged or problem.prior.others or problem.considered is not None:
+    as_stated = np.array_equal(problem.prior.sd, problem.model.free.prior_sd)
+    if not found.converged or problem.prior.others or problem.considered is not None or not as_stated:
         return None
     return SweepMeasurement(drift, problem.model, problem.rows, problem.target, problem.whitening)
 

@@ -21,7 +21,8 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.mistakes import axis_sets, mend, mirror_sets
 from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.sweeps import Sweeps, check_sweeps
+from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.simulator.sweeps import simulate

@@ -177,6 +177,25 @@ def control(commands: Commands) -> None:
     add_json(parser)
 
 
+_CERTIFICATE = """\
+DIR gets certificate.json (calibrated or not, since when, until when, under which conditions, how uncertain each
+parameter and task is, hashes), chain.csv (the links in the parameters of Khalil and Kleinfinger) and, with mechanics,
+q1.csv and so on: error motions over the joint, named after ISO 230-1: EYX_nm is what an axis along X moves along Y,
+EAX_urad how it turns about X, each with the edges of its 95 % band. An estimate that is not to be used gets no such
+tables, and its certificate says so.
+"""
+
+
+def certificate(commands: Commands) -> None:
+    """Add ``fpcal certificate``."""
+    parser = add_command(commands, "certificate", "hand a calibration over", _CERTIFICATE)
+    add = parser.add_argument
+    add("file", metavar="ESTIMATE", help="estimate JSON")
+    add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
+    add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
+    add_json(parser)
+
+
 _CHECK = """\
 TRACE is a CSV with the columns part,t_s,q1_um .. q6_deg,irradiance_v. Lines of part `reference` come first: the robot
 stands at the start of the path, and the joint along the optical axis (q2) goes through one fringe or more and back.

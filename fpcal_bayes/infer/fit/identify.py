@@ -22,6 +22,7 @@ from fpcal_bayes.infer.fit.minimise import (
 )
 from fpcal_bayes.infer.fit.mistakes import axis_rivals, second_solution
 from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
+from fpcal_bayes.infer.fit.prior_sizes import with_likely_priors, wrong_priors
 from fpcal_bayes.infer.fit.problem import Problem, held_reasons, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
 from fpcal_bayes.infer.fit.spectrum import (
@@ -184,10 +185,18 @@ def identify(
         if not signs.complete:
             warnings.append("the search for the unknown signs was ended at its limit: other signs may fit better")
     whole, problem = problem, thinned(problem)
-    problem, solution, found, starts = _fit(problem, first, np.random.default_rng(seed), max_starts)
+    doubts: list[Reason] = []
+    rng = np.random.default_rng(seed)
+    problem, solution, found, starts = _fit(problem, first, rng, max_starts)
+    likely, factors = with_likely_priors(problem, solution)
+    if factors:
+        again = _fit(likely, likely.unknowns(problem.values(solution.unknowns)), rng, max_starts)
+        if chi2_tail(again[1].sum_of_squares, len(used)) >= RETRY_BELOW:
+            signs = None if signs is None else signs.rescaled(problem.prior.sd / likely.prior.sd)
+            (problem, solution, found, starts), doubts = again, [wrong_priors(factors)]
     others = distinct_minima(problem, solution, found)
     rival = second_solution(model.free.names, solution, others)
-    machine, doubts, lost = None, [], None
+    machine, lost = None, None
     if cell.mechanics is not None:
         many = len(whole.target) > len(problem.target)
         if many and whole.considered is not None:
@@ -198,7 +207,7 @@ def identify(
             lost = replace(solution, converged=False)
         else:
             problem, solution = machine.problem, machine.solution
-            doubts = [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+            doubts += [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
         if many and machine is not None:
             # Second solutions of the thinned rows, as all rows see them.
             others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])

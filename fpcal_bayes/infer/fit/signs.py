@@ -6,7 +6,7 @@ best-first search by that sum finds the best assignment, and every other one tha
 """
 
 import heapq
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -42,6 +42,10 @@ class SignDecision:
     complete: bool  # whether the search ended before its limit of fits
     # minima of other assignments that fit nearly as well, each away from the rest, best first
     rivals: tuple[Solution, ...]
+
+    def rescaled(self, factor: Floats) -> "SignDecision":
+        """The same where scores count `factor` (n_unknowns,) times as much."""
+        return replace(self, rivals=tuple(replace(each, unknowns=each.unknowns * factor) for each in self.rivals))
 
 
 def decide_signs(problem: Problem, start: Floats) -> SignDecision:

@@ -13,7 +13,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
-from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_of, predictive_p
+from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_of
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, left_out_each, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -81,7 +81,7 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
     the Gaussian likelihood.
     """
     allowed = {
-        "opd": get_args(Opd),
+        "opd": ("axis", "perpendicular"),
         "likelihood": get_args(Likelihood),
         "mechanics": ("stated", "none", *(f"no-{term}" for term in TERMS)),
     }
@@ -339,10 +339,11 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         )
     draws, refits = (min(draws, _POOR_DRAWS), _POOR_REFITS) if model.poor else (draws, _MOST_REFITS)
     # Rows are left out at the scales that the mechanics have with all of them.
-    known = charted_draws(model.identification, likelihood, draws, np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    known = charted_draws(model.identification, likelihood, draws, random)
     if known is not None:
         if likelihood != "gaussian":
-            p = predictive_p(known.target, known.equal(draws, np.random.default_rng(seed)), seed)
+            p = known.target.predictive_p(known.equal(draws, random), random)
             model = replace(model, misfit=misfit_of(known.target, p))
         loo = left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed)
         return replace(model, loo=loo)

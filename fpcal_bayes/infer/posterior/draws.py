@@ -1,8 +1,9 @@
 """The density of a posterior, and draws of it; apart from the sampler, since emcee takes half a second to import."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -31,8 +32,6 @@ _MOST_ROUNDS = 8
 #: The same of draws to which nothing else gives more, and the shape of their weights' tail that is allowed.
 _MOST_CHARTED = 24
 MOST_K = 0.7
-#: Repeats of the rows that they are compared with, at most.
-_REPEATS = 4000
 LOST = "no posterior draws travel with the estimate, too few could be made of this fit: bands are of first order"
 #: Digits kept after the point, in um and deg: a hundredth of a picometre on a task.
 _DIGITS = 10
@@ -106,11 +105,6 @@ def misfit_of(target: PosteriorTarget, predictive_p: float | None) -> str | None
     )
 
 
-def predictive_p(target: PosteriorTarget, points: Floats, seed: int) -> float:
-    """How many repeats of the rows, drawn at points of equal weight, are less likely than they are."""
-    return target.predictive_p(points[:: -(-len(points) // _REPEATS)], np.random.default_rng([seed, 3]))
-
-
 def make_target(
     identification: Identification, likelihood: Likelihood, noise_scale: bool = False
 ) -> tuple[PosteriorTarget, Floats]:
@@ -158,7 +152,7 @@ class WeightedDraws:
     @cached_property
     def worth(self) -> float:
         """How many equal draws they are worth (Kish)."""
-        return effective_draws(special.softmax(self.log_weights)) if len(self.log_weights) else 0.0
+        return 1.0 / float((special.softmax(self.log_weights) ** 2).sum()) if len(self.log_weights) else 0.0
 
     def equal(self, count: int, random: np.random.Generator) -> Floats:
         """Points of equal weight, shape (count, n_unknowns), by systematic resampling.
@@ -168,11 +162,6 @@ class WeightedDraws:
         places = (np.arange(count) + random.random()) / count
         chosen = np.searchsorted(np.cumsum(special.softmax(self.log_weights)), places)
         return self.points[np.minimum(chosen, len(self.points) - 1)]
-
-
-def effective_draws(weights: Floats) -> float:
-    """How many equal draws weighted ones are worth; the weights add up to one."""
-    return 1.0 / float((weights**2).sum())
 
 
 def smoothed_weights(log_weights: Floats, independent: float = 1.0) -> tuple[Floats, float]:
@@ -193,41 +182,30 @@ def smoothed_weights(log_weights: Floats, independent: float = 1.0) -> tuple[Flo
     return special.log_softmax(smoothed), float(np.nan_to_num(k, nan=np.inf, posinf=np.inf))
 
 
-def weighted_draws(
-    target: PosteriorTarget,
-    references: Floats,
-    worth: float,
-    batch: int,
-    rounds: int,
-    random: np.random.Generator,
-    least_pace: float = 0.0,
-) -> WeightedDraws:
-    """Independent draws that charts around `references` (n_charts, n_unknowns) propose, weighted by the posterior.
-
-    Batches are added until they are worth so many equal ones, so many rounds are over, or the pace at which they gain
-    is below `least_pace` of the one that is needed.
-    """
+def growing_draws(
+    found: Identification, likelihood: Likelihood, batch: int, random: np.random.Generator
+) -> Iterator[WeightedDraws]:
+    """Independent draws that charts around the minima propose, weighted by the posterior: more of them each time."""
+    target, references = make_target(found, likelihood)
     atlas, n = ProposalMixture(target, references), target.n_unknowns
-    known = WeightedDraws(target, np.zeros((0, n)), np.zeros(0))
-    for k in range(rounds):
+    points, log_weights = np.zeros((0, n)), np.zeros(0)
+    while True:
         solved = atlas.propose(random.standard_normal((batch, n)), random.random(batch))
         fresh = solved.log_density[solved.inside] - solved.log_proposal[solved.inside]
-        points, log_weights = np.vstack([known.points, solved.points[solved.inside]]), np.r_[known.log_weights, fresh]
-        known = WeightedDraws(target, points, log_weights)
-        if known.worth >= worth or known.worth < least_pace * worth * (k + 1) / rounds:
-            break
-    return known
+        points, log_weights = np.vstack([points, solved.points[solved.inside]]), np.r_[log_weights, fresh]
+        yield WeightedDraws(target, points, log_weights)
 
 
 def charted_draws(
     found: Identification, likelihood: Likelihood, draws: int, random: np.random.Generator
 ) -> WeightedDraws | None:
-    """Weighted draws around the minima that are worth `draws` equal ones; None where the charts do not tell enough."""
-    target, references = make_target(found, likelihood)
-    known = weighted_draws(target, references, draws, 2 * draws, _MOST_CHARTED, random, least_pace=0.5)
-    if known.worth < draws or smoothed_weights(known.log_weights)[1] > MOST_K:
-        return None
-    return known
+    """Weighted draws that are worth `draws` equal ones; None where the charts do not tell enough."""
+    for k, known in enumerate(islice(growing_draws(found, likelihood, 2 * draws, random), _MOST_CHARTED), 1):
+        if known.worth >= draws and smoothed_weights(known.log_weights)[1] <= MOST_K:
+            return known
+        if known.worth < _LEAST_WORTH * draws * k / _MOST_CHARTED:
+            break
+    return None
 
 
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
@@ -236,12 +214,11 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
     The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
     once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
-    target, references = make_target(found, "gaussian")
     random = np.random.default_rng(seed)
-    known = weighted_draws(target, references, _LEAST_WORTH * draws, draws, _MOST_ROUNDS, random)
-    if known.worth < _LEAST_WORTH * draws:
-        return np.zeros((0, len(found.free)))
-    return found.problem.values(known.equal(draws, random))[:, found.own]
+    for known in islice(growing_draws(found, "gaussian", draws, random), _MOST_ROUNDS):
+        if known.worth >= _LEAST_WORTH * draws:
+            return found.problem.values(known.equal(draws, random))[:, found.own]
+    return np.zeros((0, len(found.free)))
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:

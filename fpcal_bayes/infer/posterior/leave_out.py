@@ -20,7 +20,6 @@ from fpcal_bayes.infer.posterior.draws import (
     Posterior,
     WeightedDraws,
     charted_draws,
-    effective_draws,
     smoothed_weights,
 )
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
@@ -28,6 +27,8 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 #: What draws of a posterior without one row are worth, and draws of the whole one that are set against them.
 _REFIT_DRAWS = 300
 _WHOLE_DRAWS = 4096
+#: Weights of a larger k have no variance: a row with it is left out in earnest where that may be.
+_SURE_K = 0.5
 #: Draws, and draws times rows, that are looked at; of longer runs evenly spaced ones.
 _MOST_DRAWS, _MOST_CELLS = 16_384, 10_000_000
 _AT_ONCE = 256
@@ -107,8 +108,9 @@ def left_out_each(
         refitted=np.zeros(rows.shape[1], dtype=bool),
     )
     rng = np.random.default_rng(seed)
-    bad = np.flatnonzero(result.bad).tolist()
-    for row in bad if len(bad) <= most_refits else []:
+    again = np.flatnonzero(~(result.pareto_k <= min(_SURE_K, result.good_k)))
+    again = again if len(again) <= most_refits else np.flatnonzero(result.bad)
+    for row in again.tolist() if len(again) <= most_refits else []:
         some = rng.choice(len(points), _WHOLE_DRAWS, p=np.exp(log_weights))
         exact = _left_out(identification, known.target, likelihood, row, rows[some, row], rng)
         if exact is not None:
@@ -124,7 +126,7 @@ def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[flo
     """
     if np.ptp(row - log_weights) < _SAME:
         # No draw matters more than another.
-        return float(row.mean()), 0.0
+        return float(special.logsumexp(row) - np.log(len(row))), 0.0
     left, k = smoothed_weights(log_weights - row, independent)
     return (float(special.logsumexp(left + row)), k) if np.isfinite(k) else (float(row.min()), k)
 
@@ -184,7 +186,7 @@ def _left_out(
     if known is None:
         return None
     weights = np.exp(smoothed_weights(known.log_weights)[0])
-    return _bridge(with_row, rows_given_others(whole, known.points)[:, row], weights, effective_draws(weights))
+    return _bridge(with_row, rows_given_others(whole, known.points)[:, row], weights, known.worth)
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:

@@ -15,7 +15,7 @@ from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.posterior.checkpoint import Block, BlockStore, random_from_numbers, random_to_numbers
 from fpcal_bayes.infer.posterior.diagnostics import LEAST_LENGTH, Diagnostics, diagnose
-from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target, predictive_p
+from fpcal_bayes.infer.posterior.draws import Likelihood, Posterior, make_target
 from fpcal_bayes.infer.posterior.machine import MachineCharts, MachineLocalMove, MachineMove, MachineTarget
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture, learn_proposals
@@ -35,6 +35,8 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.1, 3.0
 #: A promise is taken with this much in hand.
 _IN_HAND = 1.05
 
+#: Repeats of the rows that they are compared with, at most.
+_REPEATS = 4000
 #: With mechanics every set of scales has a chart of rows by rows.
 MOST_ROWS = 1000
 
@@ -125,7 +127,8 @@ def sample(
             if likelihood == "gaussian" and not noise_scale:
                 return posterior
             points = posterior.points.reshape(-1, target.n_unknowns)
-            return replace(posterior, predictive_p=predictive_p(target, points, seed))
+            points = points[:: -(-len(points) // _REPEATS)]
+            return replace(posterior, predictive_p=target.predictive_p(points, np.random.default_rng([seed, 3])))
         next_look = min(_next_look(done * BLOCK_STEPS, posterior.diagnostics, draws), limit)
 
 

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.prior_sizes import kinds
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
 from fpcal_bayes.measure.sharing import Sharing
@@ -28,7 +28,6 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics.errors import known_task_errors
-from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.motion.tasks import Task
 
 #: Share of the probability inside the coverage interval, and draws of its Monte Carlo evaluation (JCGM 101).
@@ -130,7 +129,7 @@ def _machine_budget(estimate: Estimate, task: Task, conditions: Conditions) -> B
     worst = int(np.argmax(made.total.std(axis=0)))
     model = CavityModel.of(estimate.cell, estimate.parameters)
     row = task_jacobian(model, estimate.values, task)[worst]
-    effects = {name: change[:, members] @ row[members] for name, members in _blocks(estimate.parameters)}
+    effects = {name: change[:, members] @ row[members] for name, members in kinds(estimate.parameters)}
     effects |= {name: errors[:, worst] for name, errors in parts.items() if name != "geometry"}
     least = _LEAST_SHARE * float(made.total[:, worst].std())
     small = [name for name, errors in effects.items() if errors.std() < least]
@@ -167,21 +166,9 @@ def _budget(task: Task, worst: int, lines: list[Line], correlation: Floats) -> B
     return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, interval)
 
 
-def _blocks(parameters: ParameterSet) -> list[tuple[str, NDArray[np.int64]]]:
-    """Parameters that belong together, by name: angles and lengths of the robot, mirror, fibre."""
-    blocks: dict[str, list[int]] = {}
-    for i, parameter in enumerate(parameters):
-        if parameter.kind == "extrinsic":
-            name = "mirror on the tool" if parameter.name.endswith("_et") else "fibre in the world"
-        else:
-            name = {"deg": "robot angles", "um": "robot lengths", "ppm": "joint gains"}[parameter.unit]
-        blocks.setdefault(name, []).append(i)
-    return [(name, np.array(members, dtype=np.int64)) for name, members in blocks.items()]
-
-
 def _posterior_lines(estimate: Estimate, row: Floats) -> tuple[list[Line], Floats]:
     """Parameters by block as the estimate has them, with the correlations of their contributions."""
-    blocks = _blocks(estimate.parameters)
+    blocks = kinds(estimate.parameters)
     parts = np.zeros((len(blocks), len(row)))
     for k, (_, members) in enumerate(blocks):
         parts[k, members] = row[members]
@@ -220,7 +207,7 @@ def _prior_lines(estimate: Estimate, model: CavityModel, row: Floats, sweeps: Sw
     lines = [Line("fringe noise", "A", "normal", "um", 0.0, typical, fringe / typical)]
     if model.cell.repeatability.any():
         lines.append(Line("joint repeatability, calibration", "B", "normal", "um", 0.0, others, 1.0))
-    for name, members in _blocks(estimate.parameters):
+    for name, members in kinds(estimate.parameters):
         part = float(np.linalg.norm(seen[members]))
         lines.append(Line(f"prior of {name}", "B", "normal", "um", 0.0, part, 1.0))
     return lines, float(gain @ predicted)

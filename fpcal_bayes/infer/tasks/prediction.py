@@ -6,7 +6,7 @@ would count errors that the posterior, which bends with the gauges, does not hav
 surface already and are propagated as they are.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,17 +15,16 @@ from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import (
-    AngularErrors,
-    angular_errors,
     linear_task_sd,
     peak_to_peak,
     task_errors,
     task_jacobian,
     task_rows,
 )
+from fpcal_bayes.infer.tasks.pose import PoseErrors, pose_errors, without_common_turn
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
+from fpcal_bayes.model.mechanics.errors import known_pose_errors, known_task_errors, known_task_sd
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Reason, Trust
 from fpcal_bayes.motion.tasks import Task, find_task
@@ -35,8 +34,8 @@ BAND = 0.95
 #: No fit leaves a task with less, in um: what it rests on was taken as exact.
 _LEAST_SD = 1e-7
 OMITTED = Reason("omitted", "the task rests on held values alone, which were taken as exact: its error is not known")
-#: Draws of which the angular errors are worked out: they are told to two digits.
-_ANGLE_DRAWS = 2000
+#: Draws of which errors of place and direction are worked out: they are told to two digits.
+_POSE_DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class TaskPrediction(Result):
     task: Task  # as the controller drives it
     errors: Floats  # task error along the path, shape (n_draws, n_points), in um
     sd: Floats  # root mean square of the error along the path, shape (n_points,), in um
-    angles: AngularErrors  # angular errors along the path, of 2,000 of the draws at most
+    pose: PoseErrors  # errors of place and direction along the path, of 2,000 of the draws at most
     linear: bool  # whether the errors are propagated to first order from a covariance, or are those of posterior draws
     trust: Trust = field(default_factory=Trust)  # of what the prediction is made from
     # of a machine with error motions: what is the same each time the task is driven, and what return errors add, each
@@ -114,10 +113,10 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     jacobian = task_jacobian(model, estimate.values, task)
     factor = covariance_root(estimate.covariance, estimate.parameters.prior_sd)
     change = np.random.default_rng(seed).standard_normal((draws, len(factor))) @ factor.T
-    angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
+    pose = pose_errors(model, estimate.values + change[:_POSE_DRAWS], estimate.values, task, linear=True)
     sd = linear_task_sd(jacobian, estimate.covariance)
     trust = estimate.trust if sd.max() > _LEAST_SD else estimate.trust.because(OMITTED)
-    return TaskPrediction(task, change @ jacobian.T, sd, angles, linear=True, trust=trust)
+    return TaskPrediction(task, change @ jacobian.T, sd, pose, linear=True, trust=trust)
 
 
 def covariance_sd(estimate: Estimate, task: Task) -> Floats:
@@ -130,15 +129,18 @@ def covariance_sd(estimate: Estimate, task: Task) -> Floats:
 
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
     task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
-    made, change, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
+    made, _, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
-    angles = angular_errors(model, estimate.values + change[:_ANGLE_DRAWS], estimate.values, task, linear=True)
+    change, added = known_pose_errors(estimate, task.start, task.q, draws=min(draws, _POSE_DRAWS), seed=seed)
+    pose = pose_errors(model, estimate.values + change, estimate.values, task, linear=True)
+    changes = pose.changes + without_common_turn(model, estimate.values, task, added)
+    pose = replace(pose, changes=changes)
     sd = covariance_sd(estimate, task)
     without = None
     if task.plain is not None:
         plain, _, _ = known_task_errors(estimate, task.start, task.plain, draws=draws, seed=seed)
         without = float(np.median(peak_to_peak(plain.total)))
-    return TaskPrediction(task, made.total, sd, angles, True, estimate.trust, made.repeatable, made.returned, without)
+    return TaskPrediction(task, made.total, sd, pose, True, estimate.trust, made.repeatable, made.returned, without)
 
 
 def predict_from_draws(
@@ -151,8 +153,8 @@ def predict_from_draws(
     """
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
-    angles = angular_errors(model, draws[:: -(-len(draws) // _ANGLE_DRAWS)], values, task)
-    return TaskPrediction(task, errors, sd, angles, linear=False, trust=trust or Trust())
+    pose = pose_errors(model, draws[:: -(-len(draws) // _POSE_DRAWS)], values, task)
+    return TaskPrediction(task, errors, sd, pose, linear=False, trust=trust or Trust())
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float | None = None) -> Floats:

@@ -1,5 +1,6 @@
 """Tasks of one's own, as a cell's [[task]] tables state them."""
 
+import math
 from dataclasses import dataclass, field
 
 #: What moves, by the kind of task: position of the offset (x y z rx ry rz of the fibre frame); a circle moves two.
@@ -19,6 +20,16 @@ class OwnTask:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # offset of the middle: x, y, z in um
     # largest peak to peak by degree of freedom: ``beam``, ``x``, ``z`` in um, ``rx``, ``ry``, ``rz`` in rad
     tolerances: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The tolerances under their keys in the cell's file: ``beam_nm``, ``rx_deg``, ..."""
+        return {
+            f"{name}_deg" if name.startswith("r") else f"{name}_nm": math.degrees(limit)
+            if name.startswith("r")
+            else 1e3 * limit
+            for name, limit in self.tolerances.items()
+        }
 
     @property
     def turns(self) -> bool:

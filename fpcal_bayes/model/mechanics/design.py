@@ -9,7 +9,7 @@ from scipy import linalg
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.mechanics.basis import HARMONICS, LEGENDRE, harmonics, polynomials
 from fpcal_bayes.model.mechanics.drive import Drive, path_sides
-from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, responses
+from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, pose_responses, responses
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
 
 #: Slow reading errors: cosines over the order of the rows, at most so many and one per four rows.
@@ -49,6 +49,7 @@ class PathDesign:
     """What the same weights add to L(q) - L(q0) along a path."""
 
     motions: Floats  # of the shared weights, shape (n_points, motion_count)
+    scale: Ints  # position of each weight's scale in `Terms.scales`, shape (motion_count,)
     # of a sign per joint: the direction from which the start was reached, shape (n_points, n_joints)
     unknown_side: Floats
     drift: Floats  # of the drift's polynomials: change per um of fibre displacement in x, y, z, shape (n_points, 3)
@@ -308,33 +309,40 @@ def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
     return np.asarray(np.sqrt(2.0) * np.cos(angles) * weight, dtype=np.float64)
 
 
+def pose_designs(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> list[PathDesign]:
+    """As `path_design`, of the changes of place and direction of the mirror (see `pose_responses`)."""
+    found = pose_responses(terms.cell, vector, terms.told, np.vstack([start_q, q]))
+    return [_path_design(terms, start_q, q, at) for at in found]
+
+
 def path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
     """The design matrices of a path that is driven point by point from `start_q` (n_joints,); the last is kept."""
     key = vector.tobytes(), start_q.tobytes(), q.tobytes()
     made = terms.last_path.get(key)
     if made is None:
-        made = _path_design(terms, vector, start_q, q)
+        made = _path_design(terms, start_q, q, responses(terms.cell, vector, terms.told, np.vstack([start_q, q])))
         terms.last_path.clear()
         terms.last_path[key] = made
     return made
 
 
-def _path_design(terms: Terms, vector: Floats, start_q: Floats, q: Floats) -> PathDesign:
+def _path_design(terms: Terms, start_q: Floats, q: Floats, at: Responses) -> PathDesign:
     poses = np.vstack([start_q, q])
-    at = responses(terms.cell, vector, terms.told, poses)
-    columns = at_poses(terms, poses, at)
+    columns, scales = at_poses(terms, poses, at), _names(terms)[1]
     reversing = np.flatnonzero(terms.reversal > 0)
     parts = [columns[1:] - columns[:1]]
     _, side = path_sides(start_q, q)
     drive = at.drive * terms.reversal
     if len(reversing):
         parts.append((drive[1:] * side)[:, reversing])
+    scales += [terms.scales.index("approach")] * len(reversing)
     # Until a joint has moved, the side from which the start was reached counts at the point too.
     unknown = drive[1:] * (side == 0) - drive[:1]
     returned = at.drive * terms.return_sd
     moved = np.vstack([np.zeros(len(start_q), dtype=bool), np.diff(poses, axis=0) != 0])
     return PathDesign(
         motions=np.hstack(parts),
+        scale=np.array(scales, dtype=np.int64),
         unknown_side=unknown,
         drift=at.fibre[1:] - at.fibre[:1],
         returned_start=np.repeat(returned[:1], len(q), axis=0),

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.mechanics.design import PathDesign, drift_sd, path_design
+from fpcal_bayes.model.mechanics.design import PathDesign, drift_sd, path_design, pose_designs
 from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms
 
 #: The draws that an estimate hands on are a few hundred: more than this tell nothing new.
@@ -48,40 +49,102 @@ def known_task_errors(
     Returns the errors; the deviations of the estimate's parameters, shape (n_draws, n_parameters); and by its name what
     each cause adds along the path, shape (n_draws, n_points) each.
     """
-    knowledge, cell = estimate.mechanics, estimate.cell
-    if knowledge is None:
-        raise InputError("the estimate knows nothing of the cell's mechanics")
-    rng, draws = np.random.default_rng([seed, 2]), min(draws, _MOST_DRAWS)
-    terms, parameters = knowledge.terms(cell), estimate.parameters
-    model = CavityModel.of(cell, parameters)
+    drawn = _Drawn.of(estimate, draws, seed)
+    rng = drawn.rng()
+    terms, parameters = drawn.terms, estimate.parameters
+    model = CavityModel.of(estimate.cell, parameters)
     rows = model.rows(np.repeat(start[None], len(q), axis=0), q)
     _, jacobian = model.predict_with_jacobian(estimate.values, rows)
     path = path_design(terms, estimate.vector(), start, q)
-    chosen = rng.permutation(np.arange(draws) % len(knowledge.draws))
-    z, log_scales = knowledge.draws[chosen], knowledge.log_scales[chosen]
-    mean, factor = knowledge.geometry(parameters.names)
-    change = mean + z @ factor.T
-    names, mean, factor = knowledge.weights(knowledge.n_parameters)
-    weights = mean + z @ factor.T
-    words = [name.rpartition(" [")[0] for name in names]
-    drifting = np.array([word.startswith("drift along") for word in words], dtype=bool)
-
-    parts = {"geometry": change @ jacobian.T}
-    moved = np.flatnonzero(~drifting)
+    weights, moved = drawn.weights, np.flatnonzero(~drawn.drifting)
+    parts = {"geometry": drawn.change @ jacobian.T}
     if len(moved) != path.motions.shape[1]:
         raise InputError("the estimate was made with other mechanics than the cell states: identify the cell anew")
-    for word in dict.fromkeys(words[i] for i in moved):
-        own = [k for k, i in enumerate(moved) if words[i] == word]
+    for word in dict.fromkeys(drawn.words[i] for i in moved):
+        own = [k for k, i in enumerate(moved) if drawn.words[i] == word]
         parts[word] = weights[:, moved[own]] @ path.motions[:, own].T
-    parts |= approached(terms, path, log_scales, rng) | encoder_errors(terms, path, log_scales, rng)
-    if drifting.any():
-        parts["drift"] = drifted(terms, path, weights[:, drifting], knowledge.session_min, rng)
+    parts |= drawn.others(path, rng)
     if added is not None:
-        parts["compensation"] = np.repeat(added[None], draws, axis=0)
+        parts["compensation"] = np.repeat(added[None], len(weights), axis=0)
     repeatable = np.sum(list(parts.values()), axis=0)
-    returned = returned_errors(terms, path, log_scales, rng)
+    returned = returned_errors(terms, path, drawn.log_scales, rng)
     made = MechanicsTaskErrors(repeatable, np.sum([np.zeros_like(repeatable), *returned.values()], axis=0))
-    return made, change, parts | returned
+    return made, drawn.change, parts | returned
+
+
+def known_pose_errors(
+    estimate: Estimate, start: Floats, q: Floats, *, draws: int = 10_000, seed: int = 0
+) -> tuple[Floats, Floats]:
+    """What error motions and return add to place and direction of the mirror; as `known_task_errors`.
+
+    Returns the deviations of the estimate's parameters, shape (n_draws, n_parameters), and what is added, in the order
+    of `pose_responses`, shape (n_draws, n_points, 5). Weights that no length feels are drawn as the cell states them.
+    """
+    drawn, total = _Drawn.of(estimate, draws, seed), []
+    paths = pose_designs(drawn.terms, estimate.vector(), start, q)
+    weights = drawn.weights[:, ~drawn.drifting] + drawn.unfelt(paths[0].scale)
+    for path in paths:
+        rng = drawn.rng()
+        parts = drawn.others(path, rng) | returned_errors(drawn.terms, path, drawn.log_scales, rng)
+        total.append(np.sum([weights @ path.motions.T, *parts.values()], axis=0))
+    return drawn.change, np.stack(total, axis=-1)
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Draws of what an estimate knows of geometry and error motions."""
+
+    estimate: Estimate
+    seed: int
+    terms: Terms
+    change: Floats  # deviations of the parameters, shape (n_draws, n_parameters)
+    words: list[str]  # name of each weight's term
+    drifting: Bools  # whether it is of the drift, shape (n_weights,)
+    weights: Floats  # in units of their stated sizes, shape (n_draws, n_weights)
+    log_scales: Floats  # shape (n_draws, n_scales)
+
+    @classmethod
+    def of(cls, estimate: Estimate, draws: int, seed: int) -> "_Drawn":
+        knowledge = estimate.mechanics
+        if knowledge is None:
+            raise InputError("the estimate knows nothing of the cell's mechanics")
+        draws = min(draws, _MOST_DRAWS)
+        chosen = np.random.default_rng([seed, 2]).permutation(np.arange(draws) % len(knowledge.draws))
+        z = knowledge.draws[chosen]
+        at, slopes = knowledge.geometry(estimate.parameters.names)
+        names, mean, factor = knowledge.weights(knowledge.n_parameters)
+        words = [name.rpartition(" [")[0] for name in names]
+        drifting = np.array([word.startswith("drift along") for word in words], dtype=bool)
+        terms, log = knowledge.terms(estimate.cell), knowledge.log_scales[chosen]
+        return cls(estimate, seed, terms, at + z @ slopes.T, words, drifting, mean + z @ factor.T, log)
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers of what is new each time, the same at each call."""
+        rng = np.random.default_rng([self.seed, 2])
+        rng.permutation(len(self.log_scales))
+        return rng
+
+    def others(self, path: PathDesign, rng: np.random.Generator) -> dict[str, Floats]:
+        """What is the same each time but no weight that a task shares: first approach, encoders, drift."""
+        parts = approached(self.terms, path, self.log_scales, rng) | encoder_errors(
+            self.terms, path, self.log_scales, rng
+        )
+        if self.drifting.any():
+            assert self.estimate.mechanics is not None
+            session_min = self.estimate.mechanics.session_min
+            parts["drift"] = drifted(self.terms, path, self.weights[:, self.drifting], session_min, rng)
+        return parts
+
+    def unfelt(self, scale: Ints) -> Floats:
+        """Draws of the weights, of these scales, across what the estimate tells of them, (n_draws, n_weights)."""
+        knowledge = self.estimate.mechanics
+        assert knowledge is not None
+        _, _, factor = knowledge.weights(knowledge.n_parameters)
+        sizes = np.exp(self.log_scales[:, scale])
+        typical = np.sqrt((sizes**2).mean(axis=0))
+        told = linalg.orth(factor[~self.drifting] / typical[:, None])
+        free = np.random.default_rng([self.seed, 3]).standard_normal(sizes.shape)
+        return sizes * (free - free @ told @ told.T)
 
 
 def known_task_sd(estimate: Estimate, start: Floats, q: Floats, added: Floats | None = None) -> Floats:

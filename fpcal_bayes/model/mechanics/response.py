@@ -34,6 +34,7 @@ class Directions:
     in_base: Floats  # columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3)
     along_beam: NDArray[np.int64]  # which of the three is nearest to the optical axis at nominal, shape (n_joints,)
     lever: Floats  # from the point of the data sheet to the mirror, in the base frame, in um, shape (n_joints, 3)
+    in_world: Floats  # the same columns in the world at joint zero of the nominal cell, shape (n_joints, 3, 3)
 
 
 def directions(cell: Cell, levers_mm: Floats) -> Directions:
@@ -44,17 +45,18 @@ def directions(cell: Cell, levers_mm: Floats) -> Directions:
     vector = cell.parameters.nominal
     beam = chain.optical_axis(cell, vector).real
     bases = _frames(cell, vector, np.zeros((1, len(cell.joints)))).base[0]
-    in_base, along, lever = [], [], []
+    in_base, along, lever, in_world = [], [], [], []
     for base, arm in zip(bases, levers_mm, strict=True):
         own = base[:, 2]
         upward = np.array([0.0, 1.0, 0.0]) if abs(own[2]) > _STEEP else np.array([0.0, 0.0, 1.0])
         up = upward - own * (own @ upward)
         up /= np.linalg.norm(up)
         axes = np.column_stack([own, up, np.cross(own, up)])
+        in_world.append(axes)
         in_base.append(base.T @ axes)
         along.append(int(np.argmax(np.abs(beam @ axes))))
         lever.append(base.T @ arm * 1e3)
-    return Directions(np.array(in_base), np.array(along), np.array(lever))
+    return Directions(np.array(in_base), np.array(along), np.array(lever), np.array(in_world))
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,30 @@ def _of_point(cell: Cell, vector: Floats, told: Directions, frames: "_Frames", a
     tilts[..., 0] = np.where(cell.revolute, about_axis, tilts[..., 0])
     drive = np.where(cell.revolute, tilts[..., 0], moved[..., 0])
     return Responses(np.concatenate([moved, tilts], axis=2), drive, -beam, length)
+
+
+def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
+    """Derivatives of place and direction of the mirror point in the fibre frame: x, z, then turns about x, y, z.
+
+    As `responses`, in um and rad; the mirror point is the one that reflects at joint zero. They have no length.
+    """
+    zero = np.zeros(len(cell.joints))
+    in_mirror = np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)
+    in_tool = (chain.mirror_in_tool(cell, vector).real @ in_mirror)[:3]
+    frames, fibre = _frames(cell, vector, q), chain.fibre_in_world(vector)[:3, :3].real
+    points = (frames.origin + frames.tool @ in_tool)[:, None]
+    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
+    centres = frames.carried - (frames.base @ told.lever[None, :, :, None])[..., 0]
+    levers = np.repeat((points - centres)[:, :, None], 3, axis=2)
+    revolute = cell.revolute
+    levers[:, revolute, 0] = (points - frames.pivot)[:, revolute]
+    moved = np.concatenate([axes, np.cross(axes, levers)], axis=2) @ fibre
+    turned = np.concatenate([np.zeros_like(axes), axes], axis=2) @ fibre
+    made = []
+    for motion, of_fibre in [(moved[..., i], -fibre[:, i]) for i in (0, 2)] + [(turned[..., i], 0.0) for i in range(3)]:
+        drive = np.where(revolute, motion[..., ROLL], motion[..., OWN])
+        made.append(Responses(motion, drive, np.broadcast_to(of_fibre, (len(q), 3)), np.zeros(len(q))))
+    return made
 
 
 @dataclass(frozen=True)

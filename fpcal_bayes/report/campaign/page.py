@@ -6,7 +6,7 @@ from typing import Any
 from markupsafe import Markup
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, gather
-from fpcal_bayes.analysis.history import history, outlooks, residuals
+from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
 from fpcal_bayes.decision.forecast import Goal
@@ -18,6 +18,7 @@ from fpcal_bayes.report.campaign import charts as data
 from fpcal_bayes.report.campaign import figures, words
 from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
+from fpcal_bayes.report.tasks import freedom_table, not_evaluated_line
 from fpcal_bayes.report.track import sweep_table
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
@@ -73,6 +74,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
     seen = facts.observability
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
+    since = since_calibration(facts)
     at = words.shown_time(facts.now_h, facts)
     alarmed = {session for session, _, _ in track.alarms} if track is not None else set()
     drawn = {
@@ -102,9 +104,13 @@ def campaign_html(facts: CampaignFacts) -> str:
         level=f"{100 * facts.goal.level:g} %",
         warnings=_warnings(facts),
         tasks=words.task_table(facts),
+        freedoms=freedom_table([each.prediction for each in facts.tasks if each.prediction is not None]),
+        not_evaluated=not_evaluated_line(facts.cell),
         measured=words.measured_sentence(facts),
         sessions=words.session_table(facts),
         track_reason=facts.track_reason,
+        since=words.since_tables(since),
+        since_sentence=words.since_sentence(since),
         decision_reason=facts.decision_reason,
         log=log_table(facts),
         parameters=words.parameter_table(facts),

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from importlib.metadata import version
 from platform import python_version
+from typing import Any
 
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
-from fpcal_bayes.analysis.history import SessionResiduals, session_bounds, session_numbers
+from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds, session_numbers
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.version import __version__
@@ -17,7 +18,7 @@ from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
-from fpcal_bayes.report.tasks import angle_text
+from fpcal_bayes.report.tasks import angle_text, known
 from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
 from fpcal_bayes.tracking.session import SessionOutcome
 
@@ -107,7 +108,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
     """Where a task stands against the tolerance, in words, and the class of the style sheet."""
     if not facts.trust.usable:
         return "not known", "bad"
-    risk = None if outlook.numbers is None else outlook.numbers.exceeds
+    risk = outlook.risk
     if risk is None:
         return "cannot be driven", "bad"
     if risk <= facts.goal.level:
@@ -215,6 +216,52 @@ def parameter_table(facts: CampaignFacts) -> Table:
             figure_of(share, f"{100 * share:.1f} %"),
         )
     return table
+
+
+def since_content(since: SinceCalibration | None) -> dict[str, Any] | None:
+    """What changed since the last calibration, as JSON; null where two sessions cannot be compared."""
+    if since is None:
+        return None
+    changes = zip(since.parameters, since.change.tolist(), since.sd.tolist(), strict=True)
+    return {
+        "calibration": since.session,
+        "hours": since.hours,
+        "parameters": {p.name: {"change": change, "sd": known(sd), "unit": p.unit} for p, change, sd in changes},
+        "tasks": {
+            task.name: {"change_nm": task.change, "expected_nm": {"median": task.expected, "q97.5": task.most}}
+            for task in since.tasks
+        },
+        "chi2": since.chi2,
+        "dof": since.dof,
+        "p_value": since.p_value,
+        "drift_explains": since.explained,
+    }
+
+
+def since_sentence(since: SinceCalibration | None) -> str:
+    """Whether the stated drift explains what changed since the last calibration."""
+    if since is None:
+        return "There are no two sessions to compare."
+    told = f"chi-square {since.chi2:.1f} in {since.dof} directions, p = {since.p_value:.2g}"
+    word = "the stated drift explains it" if since.explained else "more than the stated drift explains"
+    advice = "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
+    return f"From {since.session} to the last session, {since.hours:.1f} h: {told}: {word}.{advice}"
+
+
+def since_tables(since: SinceCalibration | None) -> list[Table]:
+    """Change of each task and each parameter since the last calibration, beside what the stated drift lets expect."""
+    if since is None:
+        return []
+    title = "Driven with the calibration still, off by, peak to peak [nm]"
+    tasks = plain_table(title, ["task", "off by", "expected, median", "expected, 97.5 %"])
+    for task in since.tasks:
+        tasks.add_row(task.name, *(figure_of(size, f"{size:.1f}") for size in (task.change, task.expected, task.most)))
+    parameters = plain_table("Change of the parameters", ["parameter", "unit", "change", "expected sd", "in sd"])
+    for p, change, sd in zip(since.parameters, since.change.tolist(), since.sd.tolist(), strict=True):
+        if sd == sd:
+            shown = [figure_of(change, number(change, sd)), figure_of(sd, number(sd, sd))]
+            parameters.add_row(p.name, p.unit, *shown, figure_of(change / sd, f"{change / sd:+.1f}"))
+    return [tasks, parameters]
 
 
 def residual_table(parts: list[SessionResiduals]) -> Table:

@@ -61,11 +61,7 @@ def ingest(
     """
     found = read_index(index, cell, estimate=estimate, settings=settings)
     if not len(found.sweeps):
-        reasons: dict[str, list[str]] = {}
-        for label, why in zip(found.doubtful.label.tolist(), found.doubtful.reason.tolist(), strict=True):
-            reasons.setdefault(why, []).append(label)
-        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
-        raise InputError(f"{index.sweeps.file}: no sweep can be used; {told}")
+        raise InputError(f"{index.sweeps.file}: no sweep can be used; {'; '.join(_left_out(found.doubtful))}")
     return found
 
 
@@ -307,10 +303,7 @@ def _warnings(
     after: Sequence[ScanReading | None],
 ) -> list[str]:
     sweeps = index.sweeps
-    said = []
-    for label, why, others in zip(doubtful.label, doubtful.reason, doubtful.alternatives, strict=True):
-        also = f"; it may also be {', '.join(f'{dl:.3f}' for dl in others)} um" if others else ""
-        said.append(f"{label}: {why}{also}")
+    said = _left_out(doubtful)
     for i, scans in enumerate(zip(before, after, strict=True)):
         for name, scan in zip(("before", "after"), scans, strict=True):
             if scan is not None and not scan.good and sweeps.kind[i] != "absolute":
@@ -323,7 +316,7 @@ def _warnings(
         said.append(f"{sweeps.label[i]}: no sign: the scans say {told}, the trace +-{reading.dl:.3f} um")
     astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
     if astray:
-        names = ", ".join(each.label for each in astray[:5]) + (", ..." if len(astray) > 5 else "")
+        names = _some([each.label for each in astray])
         late = max(_missed(each) for each in astray)
         said.append(
             f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
@@ -332,6 +325,26 @@ def _warnings(
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")
     return said
+
+
+def _left_out(doubtful: DoubtfulRecord) -> list[str]:
+    """Why sweeps are left out, sweeps of one reason together; what one turn of the gain mends is said once."""
+    reasons: dict[str, list[str]] = {}
+    also, cut = {}, ""
+    for label, why, others in zip(doubtful.label, doubtful.reason, doubtful.alternatives, strict=True):
+        if why.startswith("refused: saturated"):
+            cut = cut or why
+            why = cut
+        reasons.setdefault(why, []).append(label)
+        also[why] = f"; it may also be {', '.join(f'{dl:.3f}' for dl in others)} um" if others else ""
+    return [
+        f"{labels[0]}: {why}{also[why]}" if len(labels) == 1 else f"{len(labels)} sweeps ({_some(labels)}): {why}"
+        for why, labels in reasons.items()
+    ]
+
+
+def _some(labels: Sequence[str]) -> str:
+    return ", ".join(labels[:5]) + (", ..." if len(labels) > 5 else "")
 
 
 def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:

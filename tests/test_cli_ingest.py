@@ -85,6 +85,17 @@ def test_doubtful_sweeps_are_left_out_of_a_csv_listed_and_drawn(
     assert content["warnings"] == [f"node1-ry: {content['sweeps'][1]['doubtful']}"]
 
 
+def test_the_gain_is_spoken_of_once(
+    tmp_path: Path, femto: Cell, index: TraceIndex, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = [replace(trace, irradiance=np.minimum(trace.irradiance, 2.0)) for trace in index.traces]
+    write_recordings(tmp_path / "index.h5", replace(index, traces=cut), femto)
+    assert main(["ingest", str(tmp_path / "index.h5"), "-o", str(tmp_path / "sweeps.csv"), "--no-plots"]) in (0, 2)
+    err = capsys.readouterr().err
+    assert err.count("lower the gain") == 1
+    assert f"{len(cut)} sweeps (" in err
+
+
 def test_a_campaign_keeps_doubtful_sweeps_and_traces_and_other_commands_take_it(
     tmp_path: Path, femto: Cell, spoilt: TraceIndex
 ) -> None:

@@ -125,7 +125,8 @@ def test_wavelength_and_air_scale_the_change(femto: Cell, campaign: TraceIndex) 
     air = {"temperature_c": np.array([20.0]), "pressure_hpa": np.array([1013.25]), "humidity_pct": np.array([50.0])}
     assert ingest(replace(part, **air), femto).sweeps.dl[0] / plain.dl[0] == pytest.approx(1 / 1.000268, rel=2e-6)
     vague = ingest(part, femto, settings=IngestSettings(wavelength_sd=1.56e-3, index_sd=1e-3)).sweeps
-    assert vague.sigma[0] == pytest.approx(0.04 * np.sqrt(2.0), rel=2e-2)
+    assert vague.sigma[0] == plain.sigma[0]
+    assert vague.scale_ppm[0] == pytest.approx(1000.0 * np.sqrt(2.0))
     cold = replace(part, **{**air, "temperature_c": np.array([-150.0])})
     with pytest.raises(InputError, match="air: "):
         ingest(cold, femto)

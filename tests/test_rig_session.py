@@ -17,15 +17,11 @@ from test_rig_files import with_columns
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign
-from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.sweeps import read_sweeps, write_csv
+from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.orders import orders_of
-from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
-from fpcal_bayes.rig.bench import Bench
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers.interface import DeviceError
 from fpcal_bayes.rig.reader import read_rig
@@ -184,41 +180,6 @@ def test_axes_that_a_kill_left_on_their_way_are_stopped_first(cell_live, femto, 
     assert done.index((0, True)) < done.index("move")
     assert summary.rows == 2
     assert np.abs(normalised(cell_live, read_sweeps(tmp_path / "second.h5", femto))).max() < 5.0
-
-
-def test_starts_are_reached_from_the_side_that_the_rows_say(tmp_path, monkeypatch):
-    """A start between the ends of the sweep before is reached from that sweep's end, to which rows say it stood."""
-    cell = load_cell()
-    plan = paper_protocol(cell, session="s1").take(np.arange(5))
-    q1 = np.array([[0, 100], [60, 20], [40, 120], [120, 40], [80, 0]], dtype=float)
-    start = np.zeros((5, 6))
-    start[:, 0] = q1[:, 0]
-    end = np.zeros((5, 6))
-    end[:, 0] = q1[:, 1]
-    write_csv(tmp_path / "t.csv", replace(plan, q_start=start, q_end=end), cell)
-    sides, read, halt = [], Bench.read, Halt()
-
-    def tell(progress):
-        if progress.done == 3:
-            halt.request("enough")
-
-    with live(cell, tmp_path, truth=constant(cell), speedup=1000.0) as found:
-
-        def noted(bench, target):
-            sides.append(found.lab.axes[0].approach)
-            return read(bench, target)
-
-        monkeypatch.setattr(Bench, "read", noted)
-        # What goes on after a kill comes from the last row's end as well.
-        with pytest.raises(Failed):
-            found.measure(tmp_path / "t.csv", tmp_path / "s.h5", halt=halt, tell=tell)
-        halt.close()
-        found.measure(tmp_path / "t.csv", tmp_path / "s.h5")
-    told = drive_of_sweeps(read_sweeps(tmp_path / "s.h5", cell), 1.0)
-    # Of each sweep the start, the end and the return to the start are read.
-    driven = np.array(sides).reshape(5, 3)
-    assert (told.start_side[1:, 0] == driven[1:, 0]).all()
-    assert (told.end_side[:, 0] == driven[:, 1]).all()
 
 
 def test_a_journal_of_another_ticket_is_refused(cell_live, femto, tmp_path):

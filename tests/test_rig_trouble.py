@@ -15,12 +15,14 @@ from fpcal_bayes.analysis.append import append
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign
-from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
+from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.sweeps import read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.io.tickets import read_ticket
+from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig import reader
-from fpcal_bayes.rig.bench import only_one
+from fpcal_bayes.rig.bench import Bench, only_one
 from fpcal_bayes.rig.clock import Clock, Halt
 from fpcal_bayes.rig.results import sweeps_of
 from fpcal_bayes.rig.session import Failed
@@ -178,6 +180,43 @@ def test_the_approach_is_the_last_way_that_was_gone():
     found = sweeps_of([Turned()], {0: {"doubt": "", "readings": readings}}, sigma=0.1, origin_s=0.0)
     assert found.approach.tolist() == ["+0", "-0"]
     assert (found.q_end[:, 1] == 0.0).all()
+
+
+def test_starts_are_reached_from_the_side_that_the_rows_say(tmp_path, monkeypatch):
+    """A start between the ends of the sweep before is reached from that sweep's end, to which rows say it stood."""
+    cell = load_cell()
+    plan = paper_protocol(cell, session="s1").take(np.arange(5))
+    q1 = np.array([[0, 100], [60, 20], [40, 120], [120, 40], [80, 0]], dtype=float)
+    start = np.zeros((5, 6))
+    start[:, 0] = q1[:, 0]
+    end = np.zeros((5, 6))
+    end[:, 0] = q1[:, 1]
+    write_csv(tmp_path / "t.csv", replace(plan, q_start=start, q_end=end), cell)
+    sides, read, halt = [], Bench.read, Halt()
+
+    def tell(progress):
+        if progress.done == 3:
+            halt.request("enough")
+
+    clock = SteppedClock(1.8e9)
+    monkeypatch.setattr(reader, "Clock", lambda *_: clock)
+    with live(cell, tmp_path, truth=constant(cell), timeout=20.0) as found:
+
+        def noted(bench, target):
+            sides.append(found.lab.axes[0].approach)
+            return read(bench, target)
+
+        monkeypatch.setattr(Bench, "read", noted)
+        # What goes on after a kill comes from the last row's end as well.
+        with pytest.raises(Failed):
+            found.measure(tmp_path / "t.csv", tmp_path / "s.h5", halt=halt, tell=tell)
+        halt.close()
+        found.measure(tmp_path / "t.csv", tmp_path / "s.h5")
+    told = drive_of_sweeps(read_sweeps(tmp_path / "s.h5", cell), 1.0)
+    # Of each sweep the start, the end and the return to the start are read.
+    driven = np.array(sides).reshape(5, 3)
+    assert (told.start_side[1:, 0] == driven[1:, 0]).all()
+    assert (told.end_side[:, 0] == driven[:, 1]).all()
 
 
 def test_a_ticket_that_expires_half_measured_is_followed_by_another(cell_live, femto, tmp_path, monkeypatch, capsys):

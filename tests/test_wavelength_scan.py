@@ -35,8 +35,6 @@ def test_a_falling_scan_and_air_are_taken_into_account() -> None:
     assert read.length == pytest.approx(930.0, abs=5 * read.sigma)
     without = read_wavelength_scan(falling, 920.0, 200.0)
     assert without.length - 930.0 == pytest.approx(930.0 * 2.6e-4, rel=0.05)
-    vague = read_wavelength_scan(falling, 920.0, 200.0, wavelength_share=1e-4)
-    assert vague.sigma == pytest.approx(np.hypot(without.sigma, 0.093), rel=1e-2)
 
 
 def test_scans_that_tell_nothing_are_refused() -> None:

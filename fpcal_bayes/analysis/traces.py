@@ -1,57 +1,113 @@
-"""What is made of recorded light: a fit to whole traces, a path that checks a calibration, a sweep that was read."""
+"""What is made of recorded light: rows of whole traces, a path that checks a calibration, a sweep that was read."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
-from fpcal_bayes.fringes.ingest import IngestSettings, ingest
+from fpcal_bayes.fringes.fit import fit_course
+from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
 from fpcal_bayes.fringes.path_check import PathCheck, starts_flat
-from fpcal_bayes.fringes.profile import lengths_at
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, estimated_profiles, lengths_at, prior_profiles
 from fpcal_bayes.fringes.samples import Samples
+from fpcal_bayes.fringes.solve import bins
 from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.traces.fit import TraceFit, fit_traces
 from fpcal_bayes.measure.recordings import TraceIndex
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 
+#: Polynomials of an expected course.
+_MOST = 12
+#: What no noise estimate of a sweep goes below, in um.
+_LEFT = 2e-5
+#: Averages of a fringe.
+_BINS = 32
 
-def identify_traces(
-    cell: Cell,
-    index: TraceIndex,
-    *,
-    session: str | None = None,
-    free: str | Sequence[str] = "all",
-    prior: Estimate | None = None,
-) -> TraceFit:
-    """The parameters by every sample of a session's traces, from what their ends and middles identify.
 
-    Traces that are doubtful, or whose mirror does not follow its joint, are left out and named. `InputError` if the
-    cell states error motions, of which the fit knows nothing.
+#: Where a sweep starts.
+_START = np.array([-1.0])
+
+
+def _places(n: int) -> Floats:
+    """Places on a sweep at which its trace becomes `n` rows, closer at the ends, the last at its end."""
+    return np.asarray(-np.cos(np.pi * np.arange(1, n + 1) / n))
+
+
+@dataclass(frozen=True)
+class WholeTraces:
+    """What all samples of a session's traces say, as rows that share errors."""
+
+    rows: Sweeps  # some for each sweep, with what they share in `common`
+    n_samples: int  # that they stand for
+    warnings: tuple[str, ...]  # sentences for the user
+
+
+def trace_rows(
+    cell: Cell, index: TraceIndex, *, session: str | None = None, prior: Estimate | None = None
+) -> WholeTraces:
+    """All samples of a session's traces as rows for `identify` and `sample`, near what ends and middles identify.
+
+    On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
+    of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
+    their fringes, at their middle and their end: at more places the errors that grow on the way between the ends (lost
+    motion, return) are not those that the mechanics know. Traces that are doubtful, or whose mirror sets out late, are
+    left out and named.
     """
-    if cell.mechanics is not None:
-        raise InputError(
-            f"cell {cell.name!r} states error motions, of which the fit of whole traces knows nothing: expected "
-            "--mechanics none, or rows instead of traces"
-        )
-    of = index.sweeps.of_session(session).sessions[0]
-    index = index.take(np.flatnonzero((index.sweeps.session == of) & (index.sweeps.kind == "sweep")))
+    sessions = index.sweeps.of_session(session).sessions
+    of = np.isin(index.sweeps.session, sessions) & (index.sweeps.kind == "sweep")
+    index = index.take(np.flatnonzero(of))
+    sweeps, errs = index.sweeps, cell.mechanics is not None
     found = ingest(index, cell, settings=IngestSettings(points=1))
     # A trace of less than a fringe has no dL of its own, but its samples tell as much as others.
-    told = [r is not None and (r.good or r.fringes < 1.0) and not (r.uneven or r.late) for r in found.readings]
-    follows = np.array(told)
-    if not follows.any():
-        raise InputError(f"{index.sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
-    start = identify(cell, found.sweeps, free=free, prior=prior).estimate
-    fit = fit_traces(cell, index.take(np.flatnonzero(follows)), start, free=free, prior=prior)
-    if follows.all():
-        return fit
-    names = ", ".join(index.sweeps.label[~follows][:5])
-    said = f"{int((~follows).sum())} traces are left out, doubtful or of a mirror off its joint's course ({names})"
-    return replace(fit, warnings=(*fit.warnings, said))
+    told = [
+        r is not None and (r.good or (r.fringes < 1.0 and not errs)) and not (r.late or (r.uneven and not errs))
+        for r in found.readings
+    ]
+    used = np.flatnonzero(told)
+    if not len(used):
+        raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
+    along = []
+    # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
+    expected = estimated_profiles(identify(cell, found.sweeps, prior=prior).estimate, sweeps, _MOST)
+    priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
+    for i in used.tolist():
+        reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
+        if reading is None or samples is None or reading.fit is None:
+            raise ValueError(f"row {i} has no trace")
+        # The reading may be the mirror image of the course.
+        seen = reading.fit.profile[:DEGREE]
+        seen = np.append(np.copysign(1.0, seen @ near[:DEGREE]) * seen, near[DEGREE:])
+        if errs:
+            places = np.array([0.0, 1.0])
+            changes, covariance = reading.changes(places)
+            common = covariance_root(covariance)
+            changes = np.copysign(1.0, changes @ (lengths_at(near, places) - lengths_at(near, _START))) * changes
+        else:
+            fit = fit_course(
+                samples.binned(bins(near[None, :DEGREE], reading.phase_per_um, _BINS)),
+                DisplacementProfile(near, priors[i]),
+                seen if reading.good else near,
+                reading.phase_per_um,
+                nuisance=reading.fit.nuisance,
+                noise=reading.noise,
+                mirror_light=1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain),
+            )
+            places = _places(fit.modes.shape[1])
+            changes, common = fit.told(places)
+        rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
+        wide = np.pad(common, ((0, 0), (0, DEGREE - common.shape[1])))
+        along.append(replace(rows, common=wide))
+    said = []
+    if len(used) < len(told):
+        names = ", ".join(np.delete(sweeps.label, used)[:5])
+        said = [
+            f"{len(told) - len(used)} traces are left out: doubtful, or the mirror is off its joint's course ({names})"
+        ]
+    return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used.tolist()), tuple(said))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+import fpcal_bayes.analysis as analysis
+import fpcal_bayes.io as io
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
@@ -25,7 +27,7 @@ from fpcal_bayes.report.verification import verification_lines
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    sweeps = read_sweeps(options.file, cell).of_session(options.session)
+    sweeps = rows_of(options, cell)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     cell.select(options.free)
@@ -53,6 +55,18 @@ def run(options: argparse.Namespace) -> int:
         out.say(line)
     warn(result.warnings)
     return 0 if result.converged else 1
+
+
+def rows_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
+    """The rows of the session that is asked for; with ``--traces`` what its recordings say."""
+    if not options.traces:
+        return read_sweeps(options.file, cell).of_session(options.session)
+    warm_up(cell)
+    # What reads traces loads much that rows do without, when it is first called.
+    found = analysis.trace_rows(cell, io.read_recordings(options.file, cell), session=options.session)
+    warn(found.warnings)
+    rows: Sweeps = found.rows
+    return rows
 
 
 def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:

@@ -224,8 +224,7 @@ def _run(words: list[str], *, alone: bool) -> int:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")
     options = make_parser().parse_args(words)
-    # What reads whole traces loads much that rows do without.
-    name = getattr(options, "module", None) or options.command.replace("-", "_")
+    name = options.command.replace("-", "_")
     command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
     if alone:
         gc.freeze()

@@ -72,11 +72,8 @@ def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, ag
     if is_recording(rig):
         make_folder(agenda.folder)
     if agenda.resumed:
-        warn(
-            [
-                f"{options.output}: goes on after {len(agenda.outcomes)} of {len(agenda.orders)} sweeps; its axes are stopped first"
-            ]
-        )
+        done = f"{len(agenda.outcomes)} of {len(agenda.orders)} sweeps"
+        warn([f"{options.output}: goes on after {done}; its axes are stopped first"])
     halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
     try:
         with only_one(rig), halt.on_signals():

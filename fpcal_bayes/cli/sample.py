@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
-from fpcal_bayes.cli.identify import with_prior, with_source
+from fpcal_bayes.cli.identify import rows_of, with_prior, with_source
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import exclusive, make_folder
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -17,7 +17,6 @@ from fpcal_bayes.infer.posterior.checkpoint import BlockStore
 from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
-from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures
 
@@ -28,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
     pairs = _pairs(options, cell)
-    sweeps = read_sweeps(options.file, cell).of_session(options.session)
+    sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     warm_up(cell)
     result = with_source(identify(cell, sweeps, prior=prior), options.file, sweeps, before)

@@ -50,7 +50,8 @@ class Reading:
     #: see `DisplacementProfile`.
     profile: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     profile_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    #: Relative standard deviation of wavelength over index, which scales all changes alike; part of `sigma`.
+    #: Relative standard deviation of wavelength over index, which scales the lengths of all traces alike; part of
+    #: `sigma` where the sign is not known.
     wavelength_share: float = 0.0
     #: fit, phase_per_um: What was fitted and its 4 pi n / wavelength, for figures; None where refused.
     fit: Fit | None = field(default=None, repr=False)
@@ -60,6 +61,11 @@ class Reading:
     def good(self) -> bool:
         """Whether the number may be used."""
         return not self.refused and not self.doubt
+
+    @property
+    def scale_ppm(self) -> Floats:
+        """The same in ppm where it is no part of `sigma`, else NaN, shape (1,)."""
+        return np.array([1e6 * self.wavelength_share if self.signed and self.wavelength_share else np.nan])
 
     def changes(self, s: Floats) -> tuple[Floats, Floats]:
         """Changes of L from the start to places on the sweep, with their full covariance.
@@ -71,7 +77,8 @@ class Reading:
         degree = len(self.profile)
         rows = legendre(np.maximum(s, self.set_out), degree)[:, 1:] - legendre(np.array([self.set_out]), degree)[:, 1:]
         changes = rows @ self.profile
-        covariance = rows @ self.profile_covariance @ rows.T + self.wavelength_share**2 * np.outer(changes, changes)
+        scaled = np.zeros_like(changes) if self.signed else self.wavelength_share * changes
+        covariance = rows @ self.profile_covariance @ rows.T + np.outer(scaled, scaled)
         # Where the mirror was at the start is common to all changes.
         return changes, covariance + (0.0 if self.fit is None else self.fit.ends_variance)
 

@@ -8,6 +8,7 @@ and Learning Algorithms, chapter 28) weighs profiles and envelopes of different 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import legder
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
@@ -18,6 +19,8 @@ from fpcal_bayes.fringes.samples import Samples
 _WIDENED = 1.3
 #: Modes of a profile whose effect stays below this, in um, are left out.
 _LEAST_MODE = 1e-5
+#: Variance that a signal leaves of a mode's unit variance beyond which it says nothing of it.
+_TOLD_NOTHING = 1.0 - 1e-6
 #: Second and third harmonic relative to the fringe amplitude, as standard deviations.
 _HARMONIC_SDS = (0.014, 0.014, 0.005, 0.005)
 #: Standard deviations of the logarithm of the amplitude, and of the mean in amplitudes.
@@ -53,6 +56,7 @@ class Fit:
     #: profile, covariance: Coefficients of the profile in um, DEGREE or more, and their covariance.
     profile: Floats
     covariance: Floats
+    modes: Floats  # what the last unknowns, of standard normal priors, add to the profile, shape (degree, n_modes)
     #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
     unknowns: Floats
     unknowns_covariance: Floats
@@ -79,30 +83,66 @@ class Fit:
         """Mean amplitude of the fringes in V."""
         return float(np.exp(self.unknowns[self.nuisance.counts[0]]))
 
+    def told(self, s: Floats) -> tuple[Floats, Floats]:
+        """Changes of L from the start to places on the sweep by the signal alone, without the prior of the profile.
+
+        Returns in um, shape (n,), and a square root of their covariance, shape (n, n_modes).
+        """
+        n = self.modes.shape[1]
+        z, spread = self.unknowns[-n:], self.unknowns_covariance[-n:, -n:]
+        variance, vectors = np.linalg.eigh(spread)
+        # A normal prior of unit variance is taken off; a direction that the signal does not tell stays at its mean.
+        left = 1.0 - np.clip(variance, 0.0, _TOLD_NOTHING)
+        start, degree = np.array([-1.0]), len(self.profile)
+        rows = (legendre(s, degree) - legendre(start, degree))[:, 1:]
+        alone = vectors @ ((vectors.T @ z) / left)
+        changes = rows @ (self.profile + self.modes @ (alone - z))
+        return changes, rows @ self.modes @ vectors * np.sqrt((1.0 - left) / left)
+
     def phase(self, s: Floats, phase_per_um: float) -> Floats:
         """Phase of the fringes at places `s` (n,), in rad."""
         at = sum(self.nuisance.counts) + 1 + HARMONICS
         return np.asarray(self.unknowns[at] + phase_per_um * lengths_at(self.profile, s))
 
-    def signal(self, s: Floats, time: Floats, phase_per_um: float, turn: Floats | float = 0.0) -> Floats:
-        """The fitted signal in V at places `s` and times `time` from -1 to 1, (n,); `turn` is added to its phase."""
+    def signal(self, s: Floats, time: Floats, phase_per_um: float, spread: Floats | float = 0.0) -> Floats:
+        """The fitted signal in V at places `s` and times `time` from -1 to 1, (n,), or its average around them.
+
+        `spread` is the variance of the places that are averaged.
+        """
+        level, height = self.levels(s, time)
+        return (
+            level + height * damping(self.profile, s, spread, phase_per_um) * self.wave(self.phase(s, phase_per_um))[0]
+        )
+
+    def levels(self, s: Floats, time: Floats) -> tuple[Floats, Floats]:
+        """Mean of the signal and height of its fringes in V, (n,) each."""
         n_offset, n_gain, n_fade = self.nuisance.counts
-        u = self.unknowns
-        over_time, over_place = legendre(time), legendre(s)
-        offset = over_time[:, :n_offset] @ u[:n_offset]
-        logarithm = over_time[:, :n_gain] @ u[n_offset : n_offset + n_gain]
-        at = n_offset + n_gain
-        envelope = np.exp(logarithm + over_place[:, 1 : n_fade + 1] @ u[at : at + n_fade])
-        at += n_fade
-        f = self.phase(s, phase_per_um) + turn
-        cyclic = np.stack([np.cos(2 * f), np.sin(2 * f), np.cos(3 * f), np.sin(3 * f)], axis=1)
-        wave = np.cos(f) + cyclic @ u[at + 1 : at + 1 + HARMONICS]
-        return np.asarray(offset + u[at] * envelope**2 + envelope * wave)
+        u, at = self.unknowns, n_offset + n_gain
+        over_time = legendre(time, max(n_offset, n_gain) - 1)
+        logarithm = over_time[:, :n_gain] @ u[n_offset:at] + legendre(s, n_fade)[:, 1:] @ u[at : at + n_fade]
+        height = np.exp(logarithm)
+        return over_time[:, :n_offset] @ u[:n_offset] + u[at + n_fade] * height**2, height
+
+    def wave(self, phase: Floats) -> tuple[Floats, Floats]:
+        """Fringes of unit height with their harmonics at phases in rad, and their derivatives, (n,) each."""
+        at = sum(self.nuisance.counts) + 1
+        h1, h2, h3, h4 = self.unknowns[at : at + HARMONICS]
+        turned = np.exp(1j * phase)
+        second, third = (h1 - 1j * h2) * turned**2, (h3 - 1j * h4) * turned**3
+        return (turned + second + third).real, -(turned + 2.0 * second + 3.0 * third).imag
 
     def misses(self, samples: Samples, phase_per_um: float) -> float:
         """Sum over readings of the squared residuals of averages, times their count, in V^2."""
-        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um)
+        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um, samples.spread)
         return float(samples.count @ left**2)
+
+
+def damping(profile: Floats, s: Floats, spread: Floats | float, phase_per_um: float) -> Floats:
+    """What averages over places of a `spread` (n,) around `s` (n,) leave of the height of the fringes, (n,)."""
+    if not np.any(spread):
+        return np.ones(len(s))
+    slope = phase_per_um * (legendre(s, len(profile) - 1) @ legder([0.0, *profile]))
+    return np.asarray(np.exp(-0.5 * slope**2 * spread))
 
 
 def fit_course(
@@ -155,6 +195,7 @@ def fit_course(
     cost = fit_signal(
         over_time,
         over_place,
+        damping(first, samples.s, samples.spread, phase_per_um),
         np.array(nuisance.counts, dtype=np.int64),
         base,
         modes,
@@ -175,6 +216,7 @@ def fit_course(
     return Fit(
         profile=mean + modes_um @ unknowns[own],
         covariance=modes_um @ inverse[own, own] @ modes_um.T,
+        modes=modes_um,
         unknowns=unknowns,
         unknowns_covariance=inverse,
         nuisance=nuisance,

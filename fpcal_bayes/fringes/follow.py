@@ -29,16 +29,18 @@ _LAGS = np.geomspace(2e-3, 0.2, 8)
 #: Polynomials of an uneven course, with its size in um to begin with; fits in which the size settles.
 _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
-#: Odds of a late start where nothing speaks for it.
+#: Odds of a late start, or of a lag, where nothing speaks for it.
 _LATE_ODDS = 0.01
 #: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
 _IMAGES = np.linspace(0.5, 2.0, 13)
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
+#: Share of the evidence by which one uneven course is told from another.
+_CLEARLY = 0.5
 #: Length in fringes over which the phase is averaged to begin with, and averages of a fringe.
 _AVERAGED, _BINS = 0.4, 16
-#: Below this probability noise alone does not explain what a fit leaves.
-UNLIKELY = 1e-4
+#: Below these probabilities noise alone does not explain what a fit leaves, and may not.
+UNLIKELY, DOUBTED = 1e-4, 0.02
 
 #: Fits samples from another fit, on the joint's course unless told otherwise.
 _Fitter = Callable[..., Fit]
@@ -64,6 +66,12 @@ class Followed:
     def uneven(self) -> bool:
         """Whether the course has polynomials that no joint makes."""
         return self.size > 0.0
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of how likely the best fit makes the trace, with the odds of such a mirror."""
+        rare = self.set_out > -1.0 or self.lag > 0.0
+        return self.solution.best.evidence + (float(np.log(_LATE_ODDS)) if rare else 0.0)
 
     @property
     def astray(self) -> bool:
@@ -123,25 +131,26 @@ def follow(
     if len(places) > 2:
         tries.append(_set_out(samples, size, places, tries[0], fit))
     tries.append(_lagged(samples, size, tries[0], fit))
-    best = max(tries, key=lambda each: each.solution.best.evidence)
+    best = max(tries, key=lambda each: each.evidence)
     if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
     # The flexible fits tell the noise, and by that noise all are weighed.
-    best = max(tries, key=lambda each: each.solution.best.evidence)
+    best = max(tries, key=lambda each: each.evidence)
     noise = noise_of(best.solution.best, noise)
     weighed = []
-    ranked = sorted(tries, key=lambda each: -each.solution.best.evidence)[:3]
+    ranked = sorted(tries, key=lambda each: -each.evidence)[:3]
     for each in {id(each): each for each in (tries[0], *ranked)}.values():
         old, moved = each.solution.best, each.solution.samples
         prior = loosened(profile, len(old.profile), each.size) if each.uneven else profile
         new = replace(fit(moved, old, prior, old.profile), ends=old.ends)
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
-    best = max(weighed, key=lambda each: each.solution.best.evidence)
-    # Courses that do about as well may end elsewhere.
-    chosen, fits = best.solution.best, [each.solution.best for each in weighed]
-    share = np.exp(np.array([each.evidence for each in fits]) - chosen.evidence)
-    apart = np.array([each.change[0] - chosen.change[0] for each in fits])
+    best = max(weighed, key=lambda each: each.evidence)
+    # Courses that do about as well may end elsewhere. None of those that are uneven is as rough as the stage's own, so
+    # that they are told apart less clearly than their evidence says.
+    chosen = best.solution.best
+    share = np.exp((_CLEARLY if best.uneven else 1.0) * np.array([each.evidence - best.evidence for each in weighed]))
+    apart = np.array([each.solution.best.change[0] - chosen.change[0] for each in weighed])
     wide = replace(chosen, ends_variance=chosen.ends_variance + float(share @ apart**2 / share.sum()))
     return replace(best, solution=replace(best.solution, fits=(wide,)))
 
@@ -157,15 +166,18 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
     extreme = np.pi * np.ceil(first / np.pi)
     # A start that explains hardly more than the fit is left to the fit.
     least, found = -2.0 * fit.noise**2, first
-    for image in (extreme + (extreme - first) * _IMAGES).tolist():
-        early = np.cumsum(ahead * phase > image) == 0
-        few = samples.part(early)
-        stands, moves = (
-            few.count @ (few.signal - fit.signal(few.s, few.time, phase_per_um, turn)) ** 2
-            for turn in (ahead * image - phase[early], 0.0)
-        )
-        if stands - moves < least:
-            least, found = float(stands - moves), image
+    images = extreme + (extreme - first) * _IMAGES
+    few = samples.part(np.cumsum(ahead * phase > images[-1]) == 0)
+    level, height = fit.levels(few.s, few.time)
+    if not len(few):
+        return 0.0
+    phase, signal = ahead * phase[: len(few)], few.signal - level
+    moves = few.count * (signal - height * fit.wave(ahead * phase)[0]) ** 2
+    for image, still in zip(images.tolist(), fit.wave(ahead * images)[0].tolist(), strict=True):
+        early = slice(len(few) if phase.max() <= image else int(np.argmax(phase > image)))
+        more = few.count[early] @ (signal[early] - height[early] * still) ** 2 - moves[early].sum()
+        if more < least:
+            least, found = float(more), image
     odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
     return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
 
@@ -180,11 +192,7 @@ def _searched(samples: Samples, profile: DisplacementProfile, phase_per_um: floa
 
 def _chunked(samples: Samples, size: int) -> Samples:
     """Averages of `size` samples, so that all courses are held against the same numbers."""
-    first = np.arange(0, len(samples), size)
-    count = np.add.reduceat(samples.count, first)
-    parts = (samples.s, samples.time, samples.signal)
-    s, time, signal = (np.add.reduceat(samples.count * part, first) / count for part in parts)
-    return Samples(s, time, signal, count)
+    return samples.summed(lambda values: np.add.reduceat(values, np.arange(0, len(values), size)))
 
 
 def _late(samples: Samples, place: float) -> Samples:

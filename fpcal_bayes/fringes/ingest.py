@@ -21,6 +21,7 @@ from fpcal_bayes.measure.traces import WavelengthScan
 from fpcal_bayes.model.air_index import air_index
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.mechanics import Terms
 
 #: Share of the full scale below which a higher gain is proposed.
 _LITTLE = 0.25
@@ -60,11 +61,7 @@ def ingest(
     """
     found = read_index(index, cell, estimate=estimate, settings=settings)
     if not len(found.sweeps):
-        reasons: dict[str, list[str]] = {}
-        for label, why in zip(found.doubtful.label.tolist(), found.doubtful.reason.tolist(), strict=True):
-            reasons.setdefault(why, []).append(label)
-        told = "; ".join(f"{', '.join(labels)}: {why}" for why, labels in reasons.items())
-        raise InputError(f"{index.sweeps.file}: no sweep can be used; {told}")
+        raise InputError(f"{index.sweeps.file}: no sweep can be used; {'; '.join(_left_out(found.doubtful))}")
     return found
 
 
@@ -94,9 +91,9 @@ def read_index(
         if reading is not None and reading.good:
             parts.append(sweep_rows(sweeps, i, reading, settings.points))
         elif reading is None and (scan := after[i]) is not None and scan.good:
-            parts.append(absolute_rows(sweeps, i, None, scan))
+            parts.append(absolute_rows(sweeps, i, None, scan, reader.share[i]))
         if reading is not None and settings.absolute:
-            parts.append(absolute_rows(sweeps, i, before[i], after[i]))
+            parts.append(absolute_rows(sweeps, i, before[i], after[i], reader.share[i]))
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
     rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
@@ -148,7 +145,6 @@ class _IndexReader:
                     humidity_pct=float(index.humidity_pct[i]),
                     noise=optics.noise,
                     full_scale=optics.full_scale,
-                    wavelength_share=float(self.share[i]),
                 )
         return tuple(readings)
 
@@ -163,6 +159,8 @@ class _IndexReader:
         profiles, fading = prior_profiles(self.cell, sweeps), fading_priors(self.cell, sweeps)
         expected = None if estimate is None else estimated_profiles(estimate, sweeps)
         made: list[Recorded | None] = []
+        sizes = self.cell.mechanics
+        encoder = np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder
         for i, trace in enumerate(self.index.traces):
             if sweeps.kind[i] == "absolute":
                 made.append(None)
@@ -195,6 +193,7 @@ class _IndexReader:
                     wavelength_share=float(self.share[i]),
                     fading=fading[i],
                     errs=self.cell.mechanics is not None,
+                    ripple=float(encoder[joint] / np.sqrt(2.0)),
                     sign_sources=tuple(sign_sources),
                 )
             )
@@ -221,28 +220,33 @@ def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> S
     one = sweeps.take(np.array([row]))
     if points == 0:
         one = one.with_measurement(np.array([reading.dl]), reading.sigma)
-        return replace(one, signed=np.array([reading.signed]), group=np.array([""]))
+        return replace(one, signed=np.array([reading.signed]), group=np.array([""]), scale_ppm=reading.scale_ppm)
     s, changes, sigma = reading.grouped(points)
-    rows = one.take(np.zeros(points + 1, dtype=np.int64))
+    changes = changes if reading.signed else np.abs(changes)
+    rows = replace(rows_along(one, s), signed=np.full(len(s), reading.signed))
+    return replace(rows, scale_ppm=np.repeat(reading.scale_ppm, len(s))).with_measurement(changes, sigma)
+
+
+def rows_along(one: Sweeps, s: Floats) -> Sweeps:
+    """Rows of `one` sweep that end at places on it, shape (n,), the last of which is its end; they share its start."""
+    n = len(s)
+    rows = one.take(np.zeros(n, dtype=np.int64))
     label = str(one.label[0]) or f"row {one.rows[0]}"
-    names = [f"{label}-mid"] if points == 1 else [f"{label}-{i}of{points + 1}" for i in range(1, points + 1)]
+    names = [f"{label}-mid"] if n == 2 else [f"{label}-{i}of{n}" for i in range(1, n)]
     share = (s[:, None] + 1.0) / 2.0
     q_end = rows.q_start + share * (rows.q_end - rows.q_start)
     q_end[-1] = one.q_end[0]
-    if not reading.signed:
-        changes = np.abs(changes)
-    rows = replace(
-        rows,
-        q_end=q_end,
-        label=np.array([*names, label], dtype=np.str_),
-        group=np.array([label] * (points + 1), dtype=np.str_),
-        signed=np.full(points + 1, reading.signed),
-    )
-    return rows.with_measurement(changes, sigma)
+    labels = np.array([*names, label], dtype=np.str_)
+    return replace(rows, q_end=q_end, label=labels, group=np.array([label] * n, dtype=np.str_))
 
 
-def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None) -> Sweeps:
-    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good."""
+def absolute_rows(
+    sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None, share: float = 0.0
+) -> Sweeps:
+    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good.
+
+    share: relative standard deviation of wavelength over index.
+    """
     one = sweeps.take(np.array([row]))
     here = one.q_start, one.q_end
     good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]
@@ -260,6 +264,7 @@ def absolute_rows(sweeps: Sweeps, row: int, before: ScanReading | None, after: S
         group=np.full(len(kept), "", dtype=np.str_),
         signed=np.ones(len(kept), dtype=bool),
         trace=np.full(len(kept), "", dtype=np.str_),
+        scale_ppm=np.full(len(kept), 1e6 * share if share else np.nan),
     )
     lengths, sigmas = (np.array([getattr(scan, name) for scan, *_ in kept]) for name in ("length", "sigma"))
     return rows.with_measurement(lengths, sigmas)
@@ -298,10 +303,7 @@ def _warnings(
     after: Sequence[ScanReading | None],
 ) -> list[str]:
     sweeps = index.sweeps
-    said = []
-    for label, why, others in zip(doubtful.label, doubtful.reason, doubtful.alternatives, strict=True):
-        also = f"; it may also be {', '.join(f'{dl:.3f}' for dl in others)} um" if others else ""
-        said.append(f"{label}: {why}{also}")
+    said = _left_out(doubtful)
     for i, scans in enumerate(zip(before, after, strict=True)):
         for name, scan in zip(("before", "after"), scans, strict=True):
             if scan is not None and not scan.good and sweeps.kind[i] != "absolute":
@@ -314,7 +316,7 @@ def _warnings(
         said.append(f"{sweeps.label[i]}: no sign: the scans say {told}, the trace +-{reading.dl:.3f} um")
     astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
     if astray:
-        names = ", ".join(each.label for each in astray[:5]) + (", ..." if len(astray) > 5 else "")
+        names = _some([each.label for each in astray])
         late = max(_missed(each) for each in astray)
         said.append(
             f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
@@ -323,6 +325,26 @@ def _warnings(
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")
     return said
+
+
+def _left_out(doubtful: DoubtfulRecord) -> list[str]:
+    """Why sweeps are left out, sweeps of one reason together; what one turn of the gain mends is said once."""
+    reasons: dict[str, list[str]] = {}
+    also, cut = {}, ""
+    for label, why, others in zip(doubtful.label, doubtful.reason, doubtful.alternatives, strict=True):
+        if why.startswith("refused: saturated"):
+            cut = cut or why
+            why = cut
+        reasons.setdefault(why, []).append(label)
+        also[why] = f"; it may also be {', '.join(f'{dl:.3f}' for dl in others)} um" if others else ""
+    return [
+        f"{labels[0]}: {why}{also[why]}" if len(labels) == 1 else f"{len(labels)} sweeps ({_some(labels)}): {why}"
+        for why, labels in reasons.items()
+    ]
+
+
+def _some(labels: Sequence[str]) -> str:
+    return ", ".join(labels[:5]) + (", ..." if len(labels) > 5 else "")
 
 
 def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:

@@ -90,6 +90,7 @@ def floating_fits(
 def normal_equations(
     over_time: Floats,
     over_place: Floats,
+    damping: Floats,
     counts: NDArray[np.int64],
     base: Floats,
     modes: Floats,
@@ -104,6 +105,7 @@ def normal_equations(
     """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
 
     over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (n, ..).
+    damping: what averaging over a part of a fringe leaves of its height, shape (n,).
     counts: coefficients of A, of log B over time, of log B over the place.
     base, modes: known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
     signal, weight: signal and inverse variances, shape (n,).
@@ -142,7 +144,8 @@ def normal_equations(
         for j in range(n_fade):
             logarithm += over_place[k, j + 1] * unknowns[fade_at + j]
         b = np.exp(logarithm)
-        wave = b * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
+        d = b * damping[k]
+        wave = d * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
         light = mirror * b * b
         change = wave + 2.0 * light
         for j in range(n_gain):
@@ -150,9 +153,9 @@ def normal_equations(
         for j in range(n_fade):
             row[fade_at + j] = change * over_place[k, j + 1]
         row[mirror_at] = b * b
-        row[harmonic_at], row[harmonic_at + 1] = b * c2, b * s2
-        row[harmonic_at + 2], row[harmonic_at + 3] = b * c3, b * s3
-        slope = b * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
+        row[harmonic_at], row[harmonic_at + 1] = d * c2, d * s2
+        row[harmonic_at + 2], row[harmonic_at + 3] = d * c3, d * s3
+        slope = d * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
         row[phase_at] = slope
         for j in range(n_modes):
             row[phase_at + 1 + j] = slope * modes[k, j]
@@ -209,6 +212,7 @@ def damped_step(matrix: Floats, gradient: Floats, damping: float, factor: Floats
 def fit_signal(
     over_time: Floats,
     over_place: Floats,
+    damping: Floats,
     counts: NDArray[np.int64],
     base: Floats,
     modes: Floats,
@@ -227,12 +231,13 @@ def fit_signal(
     p = unknowns.size
     gradient, factor, step = np.empty(p), np.zeros((p, p)), np.empty(p)
     trial, trial_matrix, trial_gradient = np.empty(p), np.empty((p, p)), np.empty(p)
-    damping, cost = 1e-3, np.inf
+    damped, cost = 1e-3, np.inf
     trial[:] = unknowns
     for number in range(max_steps + 1):
         reached = normal_equations(
             over_time,
             over_place,
+            damping,
             counts,
             base,
             modes,
@@ -248,17 +253,17 @@ def fit_signal(
             gain = cost - reached
             unknowns[:], matrix[:], gradient[:] = trial, trial_matrix, trial_gradient
             cost = reached
-            damping = max(0.1 * damping, 1e-9)
+            damped = max(0.1 * damped, 1e-9)
             if gain < 1e-4:
                 break
         else:
-            damping *= 8.0
-            if damping > 1e8:
+            damped *= 8.0
+            if damped > 1e8:
                 break
         if number == max_steps:
             break
-        while not damped_step(matrix, gradient, damping, factor, step):
-            damping = max(10.0 * damping, 1e-3)
+        while not damped_step(matrix, gradient, damped, factor, step):
+            damped = max(10.0 * damped, 1e-3)
         trial[:] = unknowns + step
     return cost
 

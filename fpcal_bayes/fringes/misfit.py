@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.fit import Fit
+from fpcal_bayes.fringes.fit import Fit, damping
 from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.fringes.samples import Samples
 
@@ -45,11 +45,12 @@ class PhaseErrors:
         root, turn = np.sqrt(samples.count), np.zeros(len(samples))
         edges = np.unique(np.rint(len(samples) * _EDGES).astype(np.int64))
         sizes, total = np.diff(edges), np.zeros(len(edges) - 1)
+        level, height = fit.levels(samples.s, samples.time)
+        signal, phase = root * (samples.signal - level), fit.phase(samples.s, phase_per_um)
+        height *= root * damping(fit.profile, samples.s, samples.spread, phase_per_um)
         for _ in range(_ROUNDS):
-            before, here, after = (
-                fit.signal(samples.s, samples.time, phase_per_um, turn + d) * root for d in (-1e-3, 0.0, 1e-3)
-            )
-            left, slope = samples.signal * root - here, (after - before) / 2e-3
+            wave, slope = fit.wave(phase + turn)
+            left, slope = signal - height * wave, height * slope
             weight = np.add.reduceat(slope**2, edges[:-1]) + 1e-12
             found = np.clip(np.add.reduceat(left * slope, edges[:-1]) / weight, -1.0, 1.0)
             total, turn = total + found, turn + np.repeat(found, sizes)

@@ -104,10 +104,10 @@ def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
     return [DisplacementProfile(rows.mean(axis=0), np.cov(rows.T)) for rows in kept.transpose(1, 0, 2)]
 
 
-def estimated_profiles(estimate: Estimate, sweeps: Sweeps) -> list[DisplacementProfile]:
-    """Courses of sweeps by an estimate and its covariance, to first order."""
+def estimated_profiles(estimate: Estimate, sweeps: Sweeps, degree: int = DEGREE) -> list[DisplacementProfile]:
+    """Courses of sweeps by an estimate and its covariance, to first order, in polynomials up to `degree`."""
     model = CavityModel.of(estimate.cell, estimate.parameters)
-    q, fit = _nodes(sweeps)
+    q, fit = _nodes(sweeps, degree)
     lengths, jacobian = model.predict_with_jacobian(estimate.values, model.pose_rows(q))
     means = _coefficients(lengths[None], fit)[0]
     slopes = _coefficients(jacobian.T, fit)
@@ -115,12 +115,12 @@ def estimated_profiles(estimate: Estimate, sweeps: Sweeps) -> list[DisplacementP
     return [DisplacementProfile(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
 
 
-def _nodes(sweeps: Sweeps) -> tuple[Floats, Floats]:
+def _nodes(sweeps: Sweeps, degree: int = DEGREE) -> tuple[Floats, Floats]:
     """Joint vectors at the nodes of all sweeps (n_sweeps * nodes, n_joints), and what makes coefficients of lengths."""
     s, _ = np.polynomial.legendre.leggauss(_NODES)
     middle, half = (sweeps.q_start + sweeps.q_end) / 2.0, (sweeps.q_end - sweeps.q_start) / 2.0
     q = middle[:, None] + s[None, :, None] * half[:, None]
-    return q.reshape(-1, q.shape[2]), np.linalg.pinv(legendre(s))[1:]
+    return q.reshape(-1, q.shape[2]), np.linalg.pinv(legendre(s, degree))[1:]
 
 
 def _coefficients(lengths: Floats, fit: Floats) -> Floats:

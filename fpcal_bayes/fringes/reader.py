@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import Legendre
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import UNLIKELY, Followed, follow, hidden_start
+from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden_start
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -20,6 +21,8 @@ SPARSE, SPARSEST = 3.0, 2.1
 _FAINT = 5.0
 #: Above this standard deviation, in um, a count is not certain: a fit near its edges is not as normal as it says.
 _VAGUE = 0.03
+#: The same of a mirror that goes its own way past so few fringes: it may have turned back between two of them.
+_VAGUE_ASTRAY, _FEW_ASTRAY = 0.01, 4.0
 #: Fringes below which amplitude and profile cannot be told apart for certain.
 _FEWEST_FRINGES = 0.9
 #: Residuals this much above the campaign's noise mean that the sweep was not what it should have been.
@@ -60,6 +63,7 @@ class Recorded:
     wavelength_share: float = 0.0  # its relative standard deviation
     fading: Nuisance = LIVELY  # how visibility may fade along it
     errs: bool = False  # whether the cell states error motions, which no joint's course has
+    ripple: float = 0.0  # standard deviation of the joint's periodic error, which no course follows, in um or rad
     #: Changes that others expect, the most trustworthy first; the cell's priors need not be named.
     sign_sources: tuple[SignSource, ...] = ()
 
@@ -113,7 +117,7 @@ def _followed(
 ) -> Followed | None:
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
-    if smooth is not None and smooth.errors.probability > UNLIKELY and not each.errs:
+    if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
         hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
         fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
         return replace(smooth, solution=replace(smooth.solution, fits=fits))
@@ -130,16 +134,17 @@ def _followed(
         found.errors,
         rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
     )
+    best = found.solution.best
+    slopes = Legendre([0.0, *best.profile]).deriv()(np.array(best.ends)) * 2.0 / (each.end - each.start)
+    added = each.ripple**2 * float(slopes @ slopes)
     jumps = found.uneven and errors.worst > _MAY_JUMP
     if jumps or errors.probability < UNLIKELY:
-        off = max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
+        added += 2.0 * max(float(np.mean(errors.phase**2 - errors.sd**2)), 0.0) / each.phase_per_um**2
         if jumps:
             # A hop leaves half of itself to either side, at half height of the fringe.
-            best = found.solution.best
-            off += 2.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
-        wide = [replace(fit, ends_variance=fit.ends_variance + 2.0 * off) for fit in solution.fits]
-        solution = replace(solution, fits=tuple(wide))
-    return replace(found, solution=solution)
+            added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
+    wide = tuple(replace(fit, ends_variance=fit.ends_variance + added) for fit in solution.fits)
+    return replace(found, solution=replace(solution, fits=wide))
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:
@@ -249,7 +254,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
     if density < SPARSE or least < SPARSEST:
         seen = f"{min(density, least):.2g} samples a fringe"
         return replace(known, refused=f"sparse: {seen}, expected {SPARSE:g} or more")
-    sigma = float(np.hypot(sd, each.wavelength_share * dl))
+    sigma = sd if verdict.signed else float(np.hypot(sd, each.wavelength_share * dl))
     return replace(
         known,
         dl=sign * dl,
@@ -261,7 +266,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
         set_out=found.set_out,
         late=(found.set_out + 1.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
-        doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, found.astray),
+        doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),
         profile=sign * fit.profile,
         profile_covariance=fit.covariance,
@@ -272,7 +277,7 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
 def _doubt(verdict: CountDecision, sd: float, excess: float, fringes: float, astray: bool) -> str:
     if verdict.doubtful:
         return f"another count of fringes is possible (probability {verdict.other_counts:.2g})"
-    if astray and sd > _VAGUE:
+    if astray and sd > (_VAGUE if fringes > _FEW_ASTRAY else _VAGUE_ASTRAY):
         return f"the signal does not follow a smooth sweep (sigma {1e3 * sd:.0f} nm)"
     if fringes < _FEWEST_FRINGES or sd > _VAGUE:
         return f"too few fringes to measure with ({fringes:.2f}, sigma {1e3 * sd:.0f} nm)"

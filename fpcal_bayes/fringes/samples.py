@@ -1,5 +1,6 @@
 """A trace made ready: held to its sweep, looked through for faults, and laid along the sweep."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,13 +32,15 @@ class Samples:
     time: Floats  # from -1 at the first sample to 1 at the last, shape (n,)
     signal: Floats  # in V, shape (n,)
     count: Floats  # readings averaged in each, shape (n,)
+    spread: Floats | float = 0.0  # variance of the places averaged in each, shape (n,)
 
     def __len__(self) -> int:
         return len(self.signal)
 
     def part(self, kept: NDArray[np.bool_]) -> "Samples":
         """Those samples that are kept."""
-        return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept])
+        spread = self.spread if isinstance(self.spread, float) else self.spread[kept]
+        return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept], spread)
 
     def binned(self, n_bins: int) -> "Samples":
         """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""
@@ -45,11 +48,15 @@ class Samples:
             return self
         low, high = self.s.min(), self.s.max()
         place = np.minimum(((self.s - low) * (n_bins / (high - low))).astype(np.int64), n_bins - 1)
-        count = np.bincount(place, self.count, n_bins)
+        return self.summed(lambda values: np.bincount(place, values, n_bins))
+
+    def summed(self, into: Callable[[Floats], Floats]) -> "Samples":
+        """Averages over the parts that `into` sums values (n,) over, shape (n_parts,); empty ones are left out."""
+        count = into(self.count)
         filled = count > 0
-        sums = (np.bincount(place, self.count * values, n_bins)[filled] for values in (self.s, self.time, self.signal))
-        s, time, signal = (total / count[filled] for total in sums)
-        return Samples(s, time, signal, count[filled])
+        parts = (self.s, self.time, self.signal, self.spread + self.s**2)
+        s, time, signal, square = (into(self.count * part)[filled] / count[filled] for part in parts)
+        return Samples(s, time, signal, count[filled], np.maximum(square - s**2, 0.0))
 
 
 def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:

@@ -67,7 +67,6 @@ def read_wavelength_scan(
     humidity_pct: float = np.nan,
     noise: float | None = None,
     full_scale: float | None = None,
-    wavelength_share: float = 0.0,
 ) -> ScanReading:
     """Read the absolute cavity length.
 
@@ -75,7 +74,6 @@ def read_wavelength_scan(
     temperature_c, pressure_hpa, humidity_pct: of the air; without all three the index is 1.
     noise: standard deviation of one sample in V to begin with.
     full_scale: voltage at which the converter is at its end.
-    wavelength_share: relative standard deviation of the laser's wavelength, which scales the length.
     """
     index = air_index(scan.wavelength, temperature_c, pressure_hpa, humidity_pct)
     wave_number = index / scan.wavelength
@@ -92,12 +90,10 @@ def read_wavelength_scan(
     solution = solve(samples, DisplacementProfile(mean, covariance), 4.0 * np.pi, noise)
     if solution is None:
         return ScanReading(refused="no fringes are seen")
-    return _reading(solution, samples, float(middle), float(half), wavelength_share)
+    return _reading(solution, samples, float(middle), float(half))
 
 
-def _reading(
-    solution: FringeSolution, samples: Samples, middle: float, half: float, wavelength_share: float
-) -> ScanReading:
+def _reading(solution: FringeSolution, samples: Samples, middle: float, half: float) -> ScanReading:
     best = solution.best
     fringes = path_fringes(best.profile, 4.0 * np.pi)
     if best.amplitude < 3.0 * best.noise:
@@ -122,4 +118,4 @@ def _reading(
         doubt = f"{fringes:.1f} fringes, expected {FEWEST_FRINGES:g} or more"
     elif others > _RISK:
         doubt = f"another length is possible (probability {others:.2g})"
-    return ScanReading(length, float(np.hypot(sd, wavelength_share * length)), fringes, doubt=doubt)
+    return ScanReading(length, sd, fringes, doubt=doubt)

@@ -29,7 +29,6 @@ _PLACES = {
     "doubts_of": "mechanics.judge",
     "estimate_ground": "design.problem",
     "fit_mechanics": "mechanics.fit",
-    "fit_traces": "traces.fit",
     "identify": "fit.identify",
     "in_short_order": "design.order",
     "independent_draws": "posterior.draws",

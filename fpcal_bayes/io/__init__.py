@@ -5,6 +5,7 @@ from fpcal_bayes.core.lazy import lazy
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
     "load_cell": "cell",
+    "read_recordings": "recordings",
     "read_sweeps": "sweeps",
     "write_csv": "sweeps",
     "write_sweeps": "sweeps",

@@ -58,6 +58,7 @@ COLUMNS = {
         ColumnSpec("approach", "optional", text=True),
         ColumnSpec("beam", "optional", text=True),
         ColumnSpec("shot", "optional", text=True),
+        ColumnSpec("scale_ppm", "optional", may_be_empty=True),
         ColumnSpec("readings", "plan", may_be_empty=True),
         ColumnSpec("expires_h", "plan", may_be_empty=True),
         ColumnSpec("expires_utc", "plan", text=True),
@@ -84,6 +85,7 @@ SCANS = ("scan_before", "scan_after")
 PLAUSIBLE = {
     "sigma_um": (1e-6, 1e4, "expected a standard deviation above zero, in um: 1e-06 to 10000"),
     "temperature_c": (-200.0, 200.0, "expected a temperature in degrees Celsius, -200 to 200"),
+    "scale_ppm": (0.0, 1e5, "expected a standard deviation in parts per million, 0 to 100000"),
 }
 
 _UNITS = ("um", "deg", "h", "c", "nm", "hpa", "pct", "s", "v")

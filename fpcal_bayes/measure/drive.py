@@ -31,9 +31,9 @@ def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
     if len(moments) < len(end):
         # What several beams read at one moment is one motion.
         driven = _of_session(sweeps.take(moments), minutes_per_sweep).take(place)
-        return replace(driven, absolute=sweeps.absolute, beam=sweeps.beam)
+        return replace(driven, absolute=sweeps.absolute, beam=sweeps.beam, scaled=sweeps.scaled)
     driven = _of_motions(sweeps, minutes_per_sweep)
-    return replace(driven, beam=sweeps.beam)
+    return replace(driven, beam=sweeps.beam, scaled=sweeps.scaled)
 
 
 def _of_motions(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:

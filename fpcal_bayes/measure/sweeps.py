@@ -59,6 +59,12 @@ class Sweeps:
         Name of the beam that read each row, shape (n,); empty: the only one.
     shot
         Rows of one session with the same non-empty shot were read at one moment, shape (n,).
+    scale_ppm
+        Standard deviation of one scale of all lengths, the laser's wavelength over the index of the air, that `sigma`
+        does not hold, or NaN, shape (n,).
+    common
+        What independent errors of unit variance that the rows of a group share add to each beside `sigma`, in um, shape
+        (n, n_common); rows that have none share half of their variance. Files do not hold it.
     file, rows
         Where the sweeps were read: file name and line of each, shape (n,); used in messages.
     """
@@ -81,6 +87,8 @@ class Sweeps:
     approach: Texts
     beam: Texts
     shot: Texts
+    scale_ppm: Floats
+    common: Floats
     file: str
     rows: NDArray[np.int64]
 
@@ -130,6 +138,8 @@ class Sweeps:
         approach: str | Sequence[str] = "",
         beam: str | Sequence[str] = "",
         shot: str | Sequence[str] = "",
+        scale_ppm: float | Floats = np.nan,
+        common: Floats | None = None,
         file: str = "sweeps",
         rows: NDArray[np.int64] | None = None,
     ) -> "Sweeps":
@@ -162,6 +172,8 @@ class Sweeps:
             approach=texts(approach),
             beam=texts(beam),
             shot=texts(shot),
+            scale_ppm=numbers(scale_ppm),
+            common=np.zeros((n, 0)) if common is None else common,
             file=file,
             rows=np.arange(2, n + 2) if rows is None else rows,
         )
@@ -189,6 +201,11 @@ class Sweeps:
     def absolute(self) -> NDArray[np.bool_]:
         """Rows whose `dl` is the cavity length at `q_end`, shape (n,)."""
         return np.asarray(self.kind == "absolute")
+
+    @property
+    def scaled(self) -> Floats:
+        """What one standard deviation of the common scale adds to each row, in um, shape (n,)."""
+        return np.nan_to_num(1e-6 * self.scale_ppm * self.dl)
 
     def laid_out(self, model: CavityModel) -> Rows:
         """The rows laid out for the kernels of a model."""
@@ -245,6 +262,8 @@ class Sweeps:
 def join(parts: Sequence[Sweeps], file: str = "sweeps") -> Sweeps:
     """Sweeps of several sets, one after the other, counted anew as rows of `file`."""
     names = [f.name for f in fields(Sweeps) if f.name not in ("file", "rows")]
+    most = max(part.common.shape[1] for part in parts)
+    parts = [replace(part, common=np.pad(part.common, ((0, 0), (0, most - part.common.shape[1])))) for part in parts]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Sweeps(**joined, file=file, rows=np.arange(2, sum(map(len, parts)) + 2))
 

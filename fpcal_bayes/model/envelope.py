@@ -128,15 +128,18 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
         if over[worst] <= 0:
             return low, high
         pose = box[worst]
-        back = np.tile(pose, (len(pose), 1))
-        step = np.minimum(_CUT * width, np.abs(pose - at))
-        np.fill_diagonal(back, pose - np.sign(pose - at) * step)
-        ends = ((pose == low) | (pose == high)) & (step > 0)
-        gains = np.where(ends, (over[worst] - excess(back)) / np.where(ends, step, 1.0) * width, 0.0)
+        away = pose != at
+        # A little of the way to joint zero; or where that gains nothing all of it, also of a joint inside its range.
+        for reach, able in ((_CUT * width, away & ((pose == low) | (pose == high))), (width, away)):
+            back, step = np.tile(pose, (len(pose), 1)), np.minimum(reach, np.abs(pose - at))
+            np.fill_diagonal(back, pose - np.sign(pose - at) * step)
+            gains = np.where(able, (over[worst] - excess(back)) / np.where(able, step, 1.0) * width, -np.inf)
+            if gains.max() > 0:
+                break
         joint = int(np.argmax(gains))
         # As far as the slope says, but in steps, for other poses and joints may come to matter more.
         far = width[joint] * np.clip(over[worst] / max(gains[joint], 1e-9), _CUT / 4.0, 4.0 * _CUT)
-        side = high if pose[joint] == high[joint] else low
+        side = high if pose[joint] > at[joint] else low
         side[joint] = pose[joint] - np.sign(pose[joint] - at[joint]) * min(far, abs(pose[joint] - at[joint]))
 
 

@@ -95,14 +95,11 @@ class Bench:
         self._returned = False
 
     def prepare(self) -> None:
-        """Connect to all devices and hold them to what safe moves and good readings need.
-
-        Axes that an earlier program left on their way are stopped first: where they are read to be they stand.
-        """
+        """Connect to all devices, stop axes that were left on their way; hold all to what moves and readings need."""
         for stage in self.stages:
             stage.prepare()
-        for doubt in self._unsure():
-            raise InputError(doubt)
+            if self._moves(stage):
+                raise InputError(f"{stage.name}: its axes do not stop")
         if self.instrument is not None:
             try:
                 self.instrument.prepare()
@@ -319,21 +316,25 @@ class Bench:
             link.obeys = False
         doubts = []
         for stage in self.stages:
-            end, why = time.monotonic() + _STOP_S, "it moves"
-            while time.monotonic() < end:
-                try:
-                    if stage.stopped():
-                        why = ""
-                        break
-                except DeviceError as error:
-                    why = str(error)
-                    break
-                time.sleep(_SHORTEST_PAUSE)
+            try:
+                why = self._moves(stage)
+            except DeviceError as error:
+                why = str(error)
             if why:
                 doubts.append(f"{stage.name}: not sure that its axes stand ({why})")
         for link in self._links:
             link.obeys = True
         return doubts
+
+    @staticmethod
+    def _moves(stage: Stage) -> str:
+        """Wait until the axes of a controller stand; what is said if they do not."""
+        end = time.monotonic() + _STOP_S
+        while not stage.stopped():
+            if time.monotonic() > end:
+                return "it moves"
+            time.sleep(_SHORTEST_PAUSE)
+        return ""
 
     def close(self) -> None:
         """Let go of all connections."""

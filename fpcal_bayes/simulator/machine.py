@@ -16,8 +16,7 @@ from fpcal_bayes.model.mechanics.drive import Drive
 
 Function = Callable[[Floats], Floats]
 
-_STRIDE = 8
-_FEATURES, _GRID = 12, 401
+_STRIDE, _FEATURES, _GRID = 8, 12, 401
 
 
 @dataclass(frozen=True)
@@ -371,9 +370,8 @@ def _chain(
             tilts = np.vstack([np.zeros((1, n)), tilts[1:]])
         tilt = _turn(axes[:, 0], tilts[0]) @ _turn(axes[:, 1], tilts[1]) @ _turn(axes[:, 2], tilts[2])
         # In the base frame: the carriage, tilted about the sheet's point, which is the lever behind the mirror.
-        carried = along[:, None] * ez
         arm = zero[i].T @ lever[i]
-        carried = carried + (axes @ shifts).T + (tilt @ arm - arm)
+        carried = along[:, None] * ez + (axes @ shifts).T + (tilt @ arm - arm)
         at = at + (turn @ carried[:, :, None])[:, :, 0]
         turn = turn @ tilt @ _turn(ez, angle)
     return turn, at
@@ -382,18 +380,16 @@ def _chain(
 def _axes(base: Floats) -> Floats:
     """Own axis, upward, across in world axes, as data sheets tell error motions."""
     own = base[:, 2]
-    up = np.array([0.0, 1.0, 0.0]) if abs(own[2]) > 0.9 else np.array([0.0, 0.0, 1.0])
+    up = np.eye(3)[1 if abs(own[2]) > 0.9 else 2]
     up = (up - own * (own @ up)) / np.linalg.norm(up - own * (own @ up))
     return np.column_stack([own, up, np.cross(own, up)])
 
 
 def _nominal_bases(cell: Cell) -> list[Floats]:
     """Base frames of the joints in the world, at joint zero of the nominal cell."""
-    vector, made, turn = cell.parameters.nominal, [], np.eye(3)
-    ex, ey, ez = np.eye(3)
+    vector, made, turn, (ex, ey, ez) = cell.parameters.nominal, [], np.eye(3), np.eye(3)
     for i in range(len(cell.joints)):
         beta, alpha, _, theta, *_ = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        turn = turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0]
-        made.append(turn)
-        turn = turn @ _turn(ez, np.array([theta]))[0]
+        made.append(turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0])
+        turn = made[-1] @ _turn(ez, np.array([theta]))[0]
     return made

@@ -7,6 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
+from fpcal_bayes.infer.mechanics.rows import with_scale
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel, Rows
 from fpcal_bayes.tracking.drift import DriftModel
@@ -94,7 +95,8 @@ class SweepMeasurement:
         """The measurement of `sweeps`; what joints add is carried through the model at the state `mean`."""
         rows, values = sweeps.laid_out(model), drift.values(mean)
         if drift.motions is None:
-            return cls(drift, model, rows, sweeps.dl, whitening_of(model, sweeps, values))
+            whitening = with_scale(whitening_of(model, sweeps, values), sweeps)
+            return cls(drift, model, rows, sweeps.dl, whitening)
         return cls(drift, model, rows, sweeps.dl, *drift.motions.rows(model, sweeps, values))
 
     @property

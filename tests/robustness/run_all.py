@@ -21,6 +21,7 @@ PROGRAMS = (
     (("semantic.py", "--draws", "2"), 0.1),
     (("../rig_faults.py", "150"), 0.09),
     (("rig_weeks.py", "--weeks", "2", "--days", "0.5"), 0.05),
+    (("serve_load.py", "--reads", "2000"), 0.1),
     (("posterior_kills.py", str(CASE_A), "--kills", "12", "--draws", "1000"), 0.12),
     (("determinism.py",), 0.15),
     (("soak.py", "--weeks", "2", "--kills", "1"), 0.15),

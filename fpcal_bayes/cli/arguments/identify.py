@@ -24,6 +24,9 @@ see it only together with others: its value is the prior's); fixed (held).
 """
 
 
+_TRACES = "take every sample of recorded traces in place of rows (FILE: what fpcal ingest reads or made)"
+
+
 def identify(commands: Commands) -> None:
     """Add ``fpcal identify``."""
     parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
@@ -35,13 +38,7 @@ def identify(commands: Commands) -> None:
     add_prior(parser)
     add("--hold-out", type=share, metavar="SHARE", help="leave this share of the sweeps out, and verify with them")
     add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
-    add(
-        "--traces",
-        dest="module",
-        action="store_const",
-        const="identify_traces",
-        help="fit every sample of recorded traces (FILE: what fpcal ingest reads or made)",
-    )
+    add("--traces", action="store_true", help=_TRACES)
     add_json(parser)
 
 
@@ -58,6 +55,7 @@ def sample(commands: Commands) -> None:
     add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
     add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
     add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
+    add("--traces", action="store_true", help=_TRACES)
     add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add(
@@ -119,6 +117,7 @@ def task_error(commands: Commands) -> None:
     add_task_options(parser, required=False)
     add("--tolerance-nm", type=positive, metavar="T", help="probability that the peak to peak exceeds T")
     add("--estimate", metavar="ESTIMATE", help="with draws: what the controller holds")
+    add("--traces", action="store_true", help=_TRACES)
     add("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
     add("--seed", type=seed, default=0, help="of these draws (default: 0)")
     add("--budget", action="store_true", help="print the uncertainty budget of each task")

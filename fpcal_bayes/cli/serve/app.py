@@ -182,6 +182,6 @@ def make_app(served: Served) -> FastAPI:
             kinds = ((HeldError, 423, "held"), (StateError, 409, "state"), (InputError, 422, "request"))
             code, kind = next((code, kind) for of, code, kind in kinds if isinstance(error, of))
         shown = 200 if "always_200=1" in request.url.query else code
-        return answer(shown, {"error": {"kind": kind, "message": message, **more}})
+        return answer(shown, {"error": {"kind": kind, "message": message, **more}}, getattr(error, "headers", None))
 
     return app

@@ -167,19 +167,25 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
         ends = model.joint_jacobian(values, sweeps.q_end, beam) * repeatability
         starts = model.joint_jacobian(values, sweeps.q_start, beam) * repeatability
         starts[sweeps.absolute] = 0.0
-    return shared_whitening(Sharing.of(sweeps), sweeps.sigma, sweeps.absolute, starts, ends)
+    return shared_whitening(Sharing.of(sweeps), sweeps.sigma, sweeps.absolute, starts, ends, sweeps.common)
 
 
-def shared_whitening(sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats) -> Whitening:
-    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each."""
+def shared_whitening(
+    sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats, stated: Floats
+) -> Whitening:
+    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each.
+
+    `stated` is what rows say that they share with their group beside `sigma`, shape (n, n_stated).
+    """
     missed = (ends**2).sum(axis=1)
-    variance = sigma**2 + missed + (starts**2).sum(axis=1)
+    variance = sigma**2 + missed + (starts**2).sum(axis=1) + (stated**2).sum(axis=1)
     # Of a group's rows: half of the reading's variance and the joints at the start are common.
-    own, reading = sigma**2 / 2.0, sigma / np.sqrt(2.0)
+    alone = stated.any(axis=1)
     if sharing.several:
         # The ends are shared too; a length that stands alone has no reading at a start.
-        own, reading, missed = np.where(absolute, sigma**2, own), np.where(absolute, 0.0, reading), 0.0 * missed
-    common = sharing.columns(reading, starts[:, starts.any(axis=0)], ends)
+        alone, missed = alone | absolute, 0.0 * missed
+    own, reading = np.where(alone, sigma**2, sigma**2 / 2.0), np.where(alone, 0.0, sigma / np.sqrt(2.0))
+    common = np.hstack([sharing.columns(reading, starts[:, starts.any(axis=0)], ends), stated])
     by_size: dict[int, list[Ints]] = {}
     for members in sharing.blocks:
         by_size.setdefault(len(members), []).append(members)

@@ -108,7 +108,7 @@ def _white_beyond(fit: MechanicsFit) -> bool:
     returned = fit.design.matrix[:, fit.design.scale == fit.terms.scales.index("return")]
     parts = (returned, fit.design.returned, fit.design.reached_start, fit.design.reached_end)
     sizes = sum(float((part**2).sum()) for part in parts) / len(returned)
-    noise = float((fit.noise.sigma**2).mean())
+    noise = float((fit.noise.sigma**2 + (fit.noise.stated**2).sum(axis=1)).mean())
     found = np.exp(2.0 * fit.scales.log[:, -2:]) @ [sizes, noise]
     return bool(np.quantile(found, 0.025) > _BEYOND**2 * sizes + np.exp(2.0 * LOG_SD_NOISE) * noise)
 

@@ -22,11 +22,16 @@ def row_whitening(model: CavityModel, sweeps: Sweeps, values: Floats, log_scales
     """
     sizes = model.cell.mechanics
     if sizes is None:
-        return whitening_of(model, sweeps, values)
+        return with_scale(whitening_of(model, sweeps, values), sweeps)
     terms = Terms.of(model.cell, sizes, model.free.names)
     made = design(terms, model.vector(values), drive_of_sweeps(sweeps, sizes.minutes_per_sweep), sweeps.sigma)
     log = np.zeros(len(terms.scales)) if log_scales is None else log_scales
     return scaled_whitening(RowNoise.of(sweeps, made), made, log)
+
+
+def with_scale(base: Whitening, sweeps: Sweeps) -> Whitening:
+    """The whitening of rows of which `base` does not know that they share a scale of all lengths."""
+    return MarginalWhitening.around(base, sweeps.scaled[:, None]) if sweeps.scaled.any() else base
 
 
 def scaled_whitening(noise: "RowNoise", made: Design, log: Floats) -> MarginalWhitening:
@@ -44,6 +49,8 @@ class RowNoise:
     ----------
     sigma
         Stated standard deviation of the rows' readings in um, shape (n,).
+    stated
+        What rows say that they share with their sweep beside it, in um, shape (n, n_stated).
     absolute
         Rows that have no start, shape (n,).
     sharing
@@ -53,6 +60,7 @@ class RowNoise:
     """
 
     sigma: Floats
+    stated: Floats
     absolute: Bools
     sharing: Sharing
     design: Design
@@ -60,14 +68,16 @@ class RowNoise:
     @classmethod
     def of(cls, sweeps: Sweeps, design: Design) -> "RowNoise":
         """Of the rows of a session."""
-        return cls(sweeps.sigma, sweeps.absolute, Sharing.of(sweeps), design)
+        return cls(sweeps.sigma, sweeps.common, sweeps.absolute, Sharing.of(sweeps), design)
 
     def dense(self) -> tuple[Floats, Floats]:
         """Covariances (n, n) of the readings and of the return errors, each at its stated size."""
         firsts = (self.sharing.reading, self.sharing.start, self.sharing.end)
         alike, same, moment = (first[:, None] == first for first in firsts)
-        readings = 0.5 * alike * np.outer(self.sigma, self.sigma)
+        halved = np.where(self.stated.any(axis=1), 0.0, self.sigma)
+        readings = 0.5 * alike * np.outer(halved, halved)
         readings[np.diag_indices_from(readings)] = self.sigma**2
+        readings += alike * (self.stated @ self.stated.T)
         common, ends = np.hstack([self.design.reached_start, self.design.returned]), self.design.reached_end
         returns = same * (common @ common.T)
         if self.sharing.several:
@@ -80,7 +90,7 @@ class RowNoise:
         """The map that whitens rows whose readings and return errors are `noise` and `returned` times as stated."""
         common = returned * np.hstack([self.design.reached_start, self.design.returned])
         ends = returned * self.design.reached_end
-        return shared_whitening(self.sharing, noise * self.sigma, self.absolute, common, ends)
+        return shared_whitening(self.sharing, noise * self.sigma, self.absolute, common, ends, noise * self.stated)
 
     def draw(self, noise: Floats, returned: Floats, rng: np.random.Generator) -> Floats:
         """Errors of the rows at factors (n_draws,) on readings and return errors, shape (n_draws, n)."""
@@ -88,8 +98,12 @@ class RowNoise:
         readings = rng.standard_normal((2, n_draws, n))
         common = np.hstack([self.design.reached_start, self.design.returned])
         there = common.any(axis=0)
-        shared = readings[0] + readings[1][:, self.sharing.reading]
+        alone = self.stated.any(axis=1)
+        shared = np.where(alone, np.sqrt(2.0) * readings[0], readings[0] + readings[1][:, self.sharing.reading])
         result: Floats = noise[:, None] * self.sigma / np.sqrt(2.0) * shared
+        if alone.any():
+            drawn = rng.standard_normal((n_draws, *self.stated.shape))[:, self.sharing.reading]
+            result += noise[:, None] * (drawn * self.stated).sum(axis=2)
         if there.any():
             kept = rng.standard_normal((n_draws, n, int(there.sum())))[:, self.sharing.start]
             result += returned[:, None] * (kept * common[:, there]).sum(axis=2)

@@ -130,7 +130,7 @@ class Expected:
     def weights_columns(self, log: Floats) -> Floats:
         """What error motions of unit weight add to the rows at scales exp(log), shape (n, n_weights), in um."""
         if self.design is None:
-            return np.zeros((len(self.fitted), 0))
+            return self.problem.sweeps.scaled[:, None]
         return np.asarray(self.design.matrix * np.exp(log)[self.design.scale])
 
     def score(self) -> float:

@@ -18,7 +18,7 @@ _MOST_SLOW = 24
 _KNEE = 0.35
 #: Beginnings of the names of weights that each session has anew, and of those of sessions before the last.
 _EARLIER = "earlier "
-_OWN = ("drift", "slow", "first approach", "return of", "position of", _EARLIER)
+_OWN = ("drift", "slow", "wavelength", "first approach", "return of", "position of", _EARLIER)
 #: Errors of positions that several rows share are weights of their own, at most so many of a kind, if they reach this
 #: share of the readings' noise. The rest is new in each sweep, and in longer files than this all is.
 _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
@@ -201,6 +201,10 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
         parts.append(slow)
         names += ["slow reading error"] * slow.shape[1]
         scales += [index["slow noise"]] * slow.shape[1]
+    if drive.scaled.any():
+        parts.append(drive.scaled[:, None])
+        names += ["wavelength"]
+        scales += [index["noise"]]
 
     travel = np.stack([-begun * start.drive, end.drive])
     values = np.stack([drive.q_start, drive.q_end])

@@ -32,6 +32,8 @@ class Drive:
     # number of the session that each row was read in, shape (n,): each begins at minute zero, with every joint reached
     # from an unknown side
     session: Ints
+    # what one standard deviation of a scale that all rows share adds to each, in um, shape (n,)
+    scaled: Floats
     beam: NDArray[np.str_]  # name of the beam that read each row, or empty: the first, shape (n,)
 
     def __len__(self) -> int:
@@ -89,7 +91,8 @@ def drive_of(
         span = np.where(known, 0.0, span)
     session = np.zeros(len(q_end), dtype=np.int64)
     sides = (start_side, end_side, start_reach, end_reach)
-    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, np.full(len(q_end), ""))
+    alike = np.zeros(len(q_end)), np.full(len(q_end), "")
+    return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, *alike)
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -91,7 +91,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
     normal = frames.tool @ in_tool
     origin = frames.origin + z_et * frames.tool[:, :, 2]
-    light = chain.optical_axis(cell, vector).real
+    light = np.asarray(chain.optical_axis(cell, vector).real, dtype=np.float64)
     distance = ((origin - fibre) * normal).sum(axis=1)
     if cell.opd == "axis":
         facing = normal @ light

@@ -1,1 +1,0 @@
-"""The fit to whole traces."""

@@ -82,3 +82,22 @@ def test_inputs_need_not_be_contiguous(femto: Cell, case_a: ReferenceCase) -> No
     rows = model.rows(q, case_a.q_end[:, ::-1][:, ::-1])
     expected = model.predict(truth, model.rows(case_a.q_start, case_a.q_end))
     assert_allclose(model.predict(wide, rows), [expected, expected], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("values", [np.zeros(20), np.zeros(22), np.zeros((2, 20)), np.zeros((2, 2, 21))])
+def test_vectors_of_another_length_are_refused(femto, values):
+    """The kernels look at no shape: they would read beside the array."""
+    model = CavityModel.of(femto)
+    rows = model.pose_rows(np.zeros((3, 6)))
+    for call in (model.predict, model.predict_with_jacobian):
+        with pytest.raises(ValueError, match=r"expected \(21,\) or \(n_vectors, 21\)"):
+            call(values, rows)
+    with pytest.raises(ValueError, match="parameter vectors have shape"):
+        model.mirrors(values, np.zeros((3, 6)))
+
+
+def test_joint_vectors_of_another_length_are_refused(femto):
+    model = CavityModel.of(femto)
+    for call in (model.pose_rows, lambda q: model.mirrors(np.zeros(21), q)):
+        with pytest.raises(ValueError, match=r"joint vectors have shape \(3, 5\), expected \(n, 6\)"):
+            call(np.zeros((3, 5)))

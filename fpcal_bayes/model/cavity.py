@@ -48,11 +48,17 @@ class PoseGroups:
         return len(self.group_q)
 
 
-def group_poses(cell: Cell, q: Floats) -> PoseGroups:
-    """Lay out joint vectors `q`, shape (n, n_joints) in um and rad, for the kernels."""
+def joint_vectors(cell: Cell, q: Floats) -> Floats:
+    """Joint vectors as the kernels read them, which look at no shape; raises ValueError where it is another one."""
     q = np.ascontiguousarray(q, dtype=float)
     if q.ndim != 2 or q.shape[1] != len(cell.joints):
         raise ValueError(f"joint vectors have shape {q.shape}, expected (n, {len(cell.joints)})")
+    return q
+
+
+def group_poses(cell: Cell, q: Floats) -> PoseGroups:
+    """Lay out joint vectors `q`, shape (n, n_joints) in um and rad, for the kernels."""
+    q = joint_vectors(cell, q)
     turns = np.flatnonzero(cell.revolute)
     order = np.concatenate([turns, np.flatnonzero(~cell.revolute)])
     # Sorted by the revolute joints first, so that the poses of a group follow each other.
@@ -217,7 +223,7 @@ class CavityModel:
         rows: from `rows` or `pose_rows`.
         Returns shape (n_rows,) or (n_vectors, n_rows), in um.
         """
-        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
             for beam, at, part in rows.parts:
@@ -237,7 +243,7 @@ class CavityModel:
         Returns predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
         one; in um, and um per um or rad.
         """
-        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
             jacobian = np.zeros((*result.shape, len(self.free)))
@@ -247,6 +253,14 @@ class CavityModel:
         else:
             result, jacobian = self._differentiated(many, rows, self._columns)
         return (result[0], jacobian[0]) if np.ndim(values) == 1 else (result, jacobian)
+
+    def _vectors(self, values: Floats) -> Floats:
+        """Parameter vectors (n_vectors, n) as the kernels read them, which look at no shape."""
+        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        if many.ndim != 2 or many.shape[1] != len(self.free):
+            n = len(self.free)
+            raise ValueError(f"parameter vectors have shape {np.shape(values)}, expected ({n},) or (n_vectors, {n})")
+        return many
 
     def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
         kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
@@ -269,7 +283,7 @@ class CavityModel:
         n_joints = len(self.cell.joints)
         links = np.arange(n_joints) * STRIDE
         wanted = np.concatenate([links + np.where(self.cell.revolute, THETA, R), links + R]).astype(np.int64)
-        many = np.ascontiguousarray(values, dtype=float)[None]
+        many = self._vectors(values)
         _, columns = self._differentiated(many, self.pose_rows(q), self._columns_of(wanted))
         moved, along = columns[0][:, :n_joints], columns[0][:, n_joints:]
         link_values = self.vector(values)[: STRIDE * n_joints].reshape(n_joints, STRIDE)
@@ -288,8 +302,8 @@ class CavityModel:
         """
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
-        many = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
-        joints = np.ascontiguousarray(q, dtype=float)
+        many = self._vectors(values)
+        joints = joint_vectors(self.cell, q)
         if self.cell.further:
             view, own = self.views[0]
             return view.mirrors(values[..., own], q)

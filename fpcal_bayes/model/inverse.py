@@ -112,6 +112,11 @@ class InverseModel:
         Returns shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
         """
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
+        if many.shape[1] != len(self.cell.parameters) or np.shape(q)[-1] != len(self.cell.joints):
+            raise ValueError(
+                f"model vectors {np.shape(vectors)} and joint vectors {np.shape(q)}: expected rows of "
+                f"{len(self.cell.parameters)} and {len(self.cell.joints)}"
+            )
         joints = np.ascontiguousarray(q if np.ndim(q) == 3 else q[None], dtype=float)
         poses = batch_tool_poses(many, self.cell.revolute, joints)
         return poses[0] if np.ndim(vectors) == 1 else poses

@@ -14,7 +14,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope, safe_ranges
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.inverse import InverseModel, JointSolutions
+from fpcal_bayes.model.inverse import InverseModel, JointSolutions, check_poses
 from fpcal_bayes.model.margin import estimate_draws, prior_draws
 from fpcal_bayes.motion.compensation import compensated, compensated_joints
 from fpcal_bayes.motion.placement import Placement, turns
@@ -129,6 +129,7 @@ class Controller:
             If a pose is not finite or its rotation is not orthonormal.
         """
         self._warn_if_stale()
+        check_poses(poses)
         tools = self._placement.tool_poses(np.asarray(poses, dtype=float))
         return self._compensated(self._inverse.solve(self._vector, tools, near=self._q, follow=follow))
 
@@ -147,6 +148,7 @@ class Controller:
             stays where it is then.
         """
         self._warn_if_stale()
+        check_poses(pose)
         tools = self._placement.tool_poses(np.asarray(pose, dtype=float))
         plain = self._inverse.solve(self._vector, tools, near=self._q)
         reached = self._go(self._compensated(plain))

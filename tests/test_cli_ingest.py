@@ -85,6 +85,16 @@ def test_doubtful_sweeps_are_left_out_of_a_csv_listed_and_drawn(
     assert content["warnings"] == [f"node1-ry: {content['sweeps'][1]['doubtful']}"]
 
 
+def test_who_measured_with_what_travels_with_the_campaign(tmp_path: Path, femto: Cell, index: TraceIndex) -> None:
+    write_recordings(tmp_path / "index.h5", index, femto)
+    out = tmp_path / "campaign.h5"
+    assert (
+        main(["ingest", str(tmp_path / "index.h5"), "-o", str(out), "--about", "A. Name; q1 S/N 7 & <8>", "--quiet"])
+        == 0
+    )
+    assert read_campaign(out, femto).about == "A. Name; q1 S/N 7 & <8>"
+
+
 def test_the_gain_is_spoken_of_once(
     tmp_path: Path, femto: Cell, index: TraceIndex, capsys: pytest.CaptureFixture[str]
 ) -> None:

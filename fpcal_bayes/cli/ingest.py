@@ -73,7 +73,8 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
         ]
         command = " ".join(["fpcal ingest", Path(options.index).name, *filter(None, extras)])
         campaign = Campaign.of(found.sweeps, cell, command=command)
-        campaign = replace(campaign, recordings=index, doubtful=found.doubtful if len(found.doubtful) else None)
+        doubtful = found.doubtful if len(found.doubtful) else None
+        campaign = replace(campaign, recordings=index, doubtful=doubtful, about=options.about)
         write_campaign(options.output, campaign, cell)
     else:
         write_sweeps(options.output, found.sweeps, cell)

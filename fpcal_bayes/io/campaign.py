@@ -60,6 +60,8 @@ def write_campaign(
         root.attrs["schema_version"] = SCHEMA_VERSION
         if campaign.seed is not None:
             root.attrs["seed"] = campaign.seed
+        if campaign.about:
+            put_text(root, "about", campaign.about)
         put_columns(root.create_group("sweeps"), table)
         if campaign.truth is not None:
             truth = root.create_group("truth")
@@ -116,6 +118,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         )
         opd = _opd(path, reader.text_attribute(root, "opd"))
         seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
+        about = reader.text_attribute(root, "about") if "about" in root.attrs else ""
         _require_cell(path, name, sha256, opd, cell)
         table = get_columns(reader, reader.group(root, "sweeps"), cell, plan=plan)
         truth = _truth(reader) if reader.has(root, "truth") else None
@@ -140,6 +143,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         track=track,
         recordings=recordings,
         doubtful=doubtful,
+        about=about,
     )
 
 

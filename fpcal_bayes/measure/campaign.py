@@ -77,6 +77,8 @@ class Campaign:
         The traces that the sweeps were read from, or None.
     doubtful
         Sweeps of the recordings that gave no reliable number and are no rows of `sweeps`, or None.
+    about
+        Who measured with which instruments, in words: operator, serial numbers.
     """
 
     sweeps: Sweeps
@@ -91,6 +93,7 @@ class Campaign:
     track: TrackRecord | None = None
     recordings: TraceIndex | None = None
     doubtful: DoubtfulRecord | None = None
+    about: str = ""
 
     @classmethod
     def of(

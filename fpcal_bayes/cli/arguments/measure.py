@@ -120,6 +120,12 @@ def ingest(commands: Commands) -> None:
     add("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
     add("--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength")
     add("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
+    add(
+        "--about",
+        metavar="TEXT",
+        default="",
+        help="operator, serial numbers: kept in an HDF5 FILE, shown by the report",
+    )
     add("--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior")
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(

@@ -97,6 +97,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         file=facts.file,
         cell=facts.cell,
         summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows; as of {at}",
+        about="" if facts.campaign is None else facts.campaign.about,
         style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
         scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),
         data=charts,

@@ -329,7 +329,8 @@ def _covariance(made, blocks):
     first = rows.copy()
     for block in blocks:
         first[block] = block[0]
-    noise = RowNoise(np.zeros(len(rows)), np.zeros(len(rows), dtype=bool), Sharing(first, first, rows), made)
+    silent = np.zeros(len(rows)), np.zeros((len(rows), 0)), np.zeros(len(rows), dtype=bool)
+    noise = RowNoise(*silent, Sharing(first, first, rows), made)
     return columns @ columns.T + noise.dense()[1]
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from fault_child import meaning
 
 #: The only values that tell how long a run took (in `fit`, `sampler` or beside a model), and the hash that covers them.
-TIMED = {"seconds", "content_sha256"}
+TIMED = {"seconds", "content_sha256", "issued_utc"}
 
 #: What is needed first, and then each command that writes JSON; the slower ones on a small task.
 INPUTS = (
@@ -42,6 +42,7 @@ COMMANDS = {
     "track": "track sweeps.csv",
     "decide": "decide sweeps.csv",
     "doctor": "doctor sweeps.csv",
+    "certificate": "certificate estimate.json -o .",
     "report": "report sweeps.csv -o report.html",
     "plan": "plan --n 2 --draws 2 --candidates 40 -o plan.csv",
     "compare": "compare sweeps.csv --models opd=axis,opd=perpendicular",

@@ -4,7 +4,6 @@ import asyncio
 import json
 import re
 import secrets
-import socket
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import parse_qs
@@ -101,8 +100,6 @@ class _Patient(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        # asyncio does so only where the listener names its protocol; else an answer waits 40 ms for its second part.
-        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._left = -1
         if len(self.connections) > _MOST_CONNECTIONS:
             transport.abort()

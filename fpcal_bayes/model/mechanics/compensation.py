@@ -20,7 +20,7 @@ _WORTH = 0.2
 #: The directions of approach follow from the path that they change.
 _ROUNDS = 3
 #: A round that moves no point by more than this changes nothing, in um.
-_SAME_UM = 1e-7
+_SAME_UM = 1e-10
 
 
 def compensated_path(

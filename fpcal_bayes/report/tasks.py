@@ -123,7 +123,9 @@ def mechanism_lines(predictions: list[TaskPrediction]) -> list[str]:
 def freedom_table(predictions: list[TaskPrediction]) -> Table:
     """One line per task: upper edge of the peak to peak of each degree of freedom since the start."""
     heads = ["task", "along the beam [nm]", "x [nm]", "z [nm]", "rx [deg]", "ry, spin [deg]", "rz [deg]"]
-    table = plain_table(f"peak to peak by degree of freedom: at most this, with {0.5 + BAND / 2:.1%}", heads)
+    table = plain_table(
+        f"Peak to peak by degree of freedom, at most so much with {100 * (0.5 + BAND / 2):.1f} %", heads, words=(0,)
+    )
     for prediction in predictions:
         if not prediction.trust.usable:
             table.add_row(prediction.task.name, "not to be used", *[""] * 5)

@@ -253,7 +253,7 @@ def since_tables(since: SinceCalibration | None) -> list[Table]:
     if since is None:
         return []
     title = "Driven with the calibration still, off by, peak to peak [nm]"
-    tasks = plain_table(title, ["task", "off by", "expected, median", "expected, 97.5 %"])
+    tasks = plain_table(title, ["task", "off by", "expected, median", "expected, 97.5 %"], words=(0,))
     for task in since.tasks:
         tasks.add_row(task.name, *(figure_of(size, f"{size:.1f}") for size in (task.change, task.expected, task.most)))
     parameters = plain_table("Change of the parameters", ["parameter", "unit", "change", "expected sd", "in sd"])

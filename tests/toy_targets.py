@@ -16,6 +16,7 @@ class ToyTarget:
     """A target whose residuals and derivatives a subclass gives."""
 
     n_unknowns: int
+    at_once = 1000
 
     def data_batch(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise NotImplementedError

@@ -7,7 +7,7 @@ from emcee.moves import Move
 from emcee.state import State
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.posterior.proposal import ProposalMixture, Solved
+from fpcal_bayes.infer.posterior.proposal import ProposalMixture, Solved, in_parts
 from fpcal_bayes.infer.posterior.target import Target
 
 
@@ -65,14 +65,11 @@ class LocalMove(Move):  # type: ignore[misc]
         """Move every walker once."""
         random = model.random
         scale = SCALES[random.randint(len(SCALES))]
-        _, jacobian = self.target.data_batch(state.coords)
-        factor = _factors(jacobian)
+        factor, _ = self._metric(state.coords)
         normal = random.standard_normal(state.coords.shape)
         log_uniform = np.log(random.random_sample(len(normal)))
         points = state.coords + scale * np.linalg.solve(factor.transpose(0, 2, 1), normal[:, :, None])[:, :, 0]
-        residuals, jacobian = self.target.data_batch(points)
-        density = self.target.log_density(residuals, points)
-        back = _factors(jacobian)
+        back, density = self._metric(points)
         returned = (back.transpose(0, 2, 1) @ (points - state.coords)[:, :, None])[:, :, 0] / scale
         forward = _log_determinant(factor) - 0.5 * (normal**2).sum(axis=1)
         backward = _log_determinant(back) - 0.5 * (returned**2).sum(axis=1)
@@ -82,11 +79,14 @@ class LocalMove(Move):  # type: ignore[misc]
             blobs[accepted] = self.atlas.log_proposal(points[accepted])
         return self.update(state, State(points, log_prob=density, blobs=blobs), accepted), accepted
 
-
-def _factors(jacobian: Floats) -> Floats:
-    """Lower Cholesky factors of J'J + I, shape (n_points, n, n)."""
-    n = jacobian.shape[2]
-    return np.linalg.cholesky(jacobian.transpose(0, 2, 1) @ jacobian + np.eye(n))
+    def _metric(self, points: Floats) -> tuple[Floats, Floats]:
+        """Lower Cholesky factors of J'J + I, shape (n_points, n, n), and log densities, of few points at a time."""
+        factors, density = np.empty((*points.shape, points.shape[1])), np.empty(len(points))
+        for part in in_parts(len(points), self.target.at_once):
+            residuals, jacobian = self.target.data_batch(points[part])
+            factors[part] = np.linalg.cholesky(jacobian.transpose(0, 2, 1) @ jacobian + np.eye(points.shape[1]))
+            density[part] = self.target.log_density(residuals, points[part])
+        return factors, density
 
 
 def _log_determinant(factor: Floats) -> Floats:

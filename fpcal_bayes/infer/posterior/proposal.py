@@ -37,6 +37,11 @@ class Solved:
         return Solved(self.points[chosen], self.log_density[chosen], self.log_proposal[chosen], self.inside[chosen])
 
 
+def in_parts(n_points: int, step: int) -> list[slice]:
+    """Points, `step` at a time."""
+    return [slice(i, i + step) for i in range(0, n_points, step)]
+
+
 class Proposal:
     """The map around one reference point (n,) of a target; a minimum of the sum of squares serves best."""
 
@@ -59,8 +64,7 @@ class Proposal:
         h, log_density = np.empty_like(points), np.empty(len(points))
         slopes = np.empty((*points.shape, points.shape[1]))
         # A few points at a time: their derivatives stay in the cache.
-        for i in range(0, len(points), _AT_ONCE):
-            part = slice(i, i + _AT_ONCE)
+        for part in in_parts(len(points), min(_AT_ONCE, self.target.at_once)):
             residuals, jacobian = self.target.data_batch(points[part])
             h[part] = self._projected(residuals, points[part])
             np.matmul(self._on_data.T, jacobian, out=slopes[part])

@@ -26,6 +26,10 @@ class Target(Protocol):
     def n_unknowns(self) -> int:
         """Number of unknowns."""
 
+    @property
+    def at_once(self) -> int:
+        """At how many points derivatives are worked out together, so that they take little memory."""
+
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         """Residuals (n_points, n_rows) and derivatives (n_points, n_rows, n) at points (n_points, n).
 
@@ -78,8 +82,6 @@ class PosteriorTarget:
         self.problem, self.dof, self.noise = problem, dof, noise
         self._count = [0]
         self._tangent: StudentTangent | None = None
-        # Large problems are evaluated a few points at a time, so that memory stays small.
-        self._block = max(1, 20_000_000 // (len(problem.target) * problem.n_unknowns))
         sweeps = problem.sweeps
         folded = ~(sweeps.signed | sweeps.absolute)
         self._folded = np.flatnonzero(folded) if problem.whitening.mix is None else np.zeros(0, dtype=np.int64)
@@ -101,6 +103,11 @@ class PosteriorTarget:
     def n_unknowns(self) -> int:
         """Number of unknowns: those of the problem, and that of the noise."""
         return self.problem.n_unknowns + (self.noise is not None)
+
+    @property
+    def at_once(self) -> int:
+        """See `Target`: derivatives of 32 MB."""
+        return max(1, 4_000_000 // (len(self.problem.target) * self.problem.n_unknowns))
 
     def centred(self, reference: Floats) -> Self:
         """The same density, with residuals made for the neighbourhood of `reference` (n_unknowns,).
@@ -133,11 +140,7 @@ class PosteriorTarget:
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
         """Residuals and derivatives at `points`, as the charts take them."""
         own = points[:, : self.problem.n_unknowns]
-        if len(points) <= self._block:
-            residuals, jacobian = self.problem.data_batch(own)
-        else:
-            parts = [self.problem.data_batch(own[i : i + self._block]) for i in range(0, len(own), self._block)]
-            residuals, jacobian = np.concatenate([r for r, _ in parts]), np.concatenate([j for _, j in parts])
+        residuals, jacobian = self.problem.data_batch(own)
         self._count[0] += len(points)
         if len(self._near):
             jacobian[:, self._near] *= self._shrink[:, None]

@@ -230,8 +230,8 @@ class CavityModel:
                 view, own = self.views[beam]
                 result[:, at] = view.predict(many[:, own], part)
         elif self.cell.target == "plane-mirror":
-            # Vectors fill the lanes of the kernel, or groups of poses where there are more of these.
-            groups_fill = self._turns_as_told and len(rows.poses.group_q) > max(LANES, len(many))
+            # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
+            groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
             result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
         else:
             result, _ = batch_points(*self._arguments(many, rows), self._columns[:0])

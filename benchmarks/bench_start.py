@@ -13,11 +13,7 @@ ROOT = Path(__file__).parents[1]
 SWEEPS = ROOT / "tests" / "data" / "case_a.csv"
 
 #: Most seconds of processor time that a program may take; machine code is on disk.
-PROGRAMS = {
-    "--help": 0.25,
-    "identify --help": 0.25,
-    f"identify {SWEEPS} --json out.json --quiet": 1.1,
-}
+PROGRAMS = {"--help": 0.25, "identify --help": 0.25, f"identify {SWEEPS} --json out.json --quiet": 1.1}
 
 
 def processor_time() -> float:

@@ -58,9 +58,7 @@ def main() -> None:
     axis.axhspan(-2, 2, color="0.9")
     axis.set_xticks(range(len(names)), names, rotation=90)
     axis.set(
-        ylabel="identified less truth [sd]",
-        ylim=(-8.5, 8.5),
-        title="Tables II to VII anew (beyond 8 sd: at the edge)",
+        ylabel="identified less truth [sd]", ylim=(-8.5, 8.5), title="Tables II to VII anew (beyond 8 sd: at the edge)"
     )
     axis.legend(ncols=5, fontsize=8, loc="upper left")
     inside = np.mean(np.abs(pulls) < 2)

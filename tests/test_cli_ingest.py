@@ -171,10 +171,7 @@ T_S = r"index_traces/1\.csv: row 3, column t_s: expected a "
         (rewrite("index_traces/3.csv", r"\n0.0,-20.0,", "\n0.0,-12.0,"), "3.csv: column joint: the start at -12 um"),
         (drop, r"index\.csv: row 3, column trace: 'index_traces/2\.csv': no such file"),
         (rewrite("index.csv", "index_traces/1.csv", "../index_traces/1.csv"), "expected a path inside the folder"),
-        (
-            rewrite("index.csv", "node0-rx,0,0,0,-3", "node0-rx,0,0,0,-30"),
-            "row 2, column q4_start_deg: -30 deg",
-        ),
+        (rewrite("index.csv", "node0-rx,0,0,0,-3", "node0-rx,0,0,0,-30"), "row 2, column q4_start_deg: -30 deg"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(

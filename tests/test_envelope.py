@@ -264,11 +264,7 @@ def test_what_leaves_of_many_draws(femto):
     ("old", "new", "expected"),
     [
         ("gap_sd_um = 5.0\n", "", "key envelope.gap_sd_um: expected gap_um and gap_sd_um together"),
-        (
-            "least_gap_um = 100.0",
-            "least_gap_um = 1000.0",
-            "key envelope.gap_um: the gap of 920 um is below",
-        ),
+        ("least_gap_um = 100.0", "least_gap_um = 1000.0", "key envelope.gap_um: the gap of 920 um is below"),
         ("least_gap_um = 100.0", "least_gap_um = 0", "key envelope.least_gap_um: expected a number"),
         ("mirror_radius_um = 2500.0", "", "key envelope.mirror_radius_um: expected a finite number, found None"),
         ("max_tilt_deg = 30.0", "max_tilt_deg = 85", "key envelope.max_tilt_deg: expected a number"),

@@ -105,10 +105,7 @@ def test_octave_makes_up_for_error_motions_as_the_controller_does(tmp_path, opd,
     random = np.random.default_rng(3)
     offsets = random.uniform(-1, 1, (12, 6)) * np.array([50, 10, 50, 1.0, 20.0, 1.0])
     found = per_offset(
-        tmp_path,
-        suffix,
-        offsets,
-        "fprintf('%.17g ', fpcal_ik(now, offsets(i, :), [1 2 3 0.1 5 0.1])); fprintf('\\n');",
+        tmp_path, suffix, offsets, "fprintf('%.17g ', fpcal_ik(now, offsets(i, :), [1 2 3 0.1 5 0.1])); fprintf('\\n');"
     )
     at = np.array([1, 2, 3, 0.1, 5, 0.1]) * cell.joint_scales
     controller, plain = Controller(estimate, at), Controller(estimate, at, compensate=False)

@@ -15,14 +15,7 @@ from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.mechanics import (
-    JointMechanics,
-    Mechanics,
-    Terms,
-    design,
-    drive_of,
-    path_design,
-)
+from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design, drive_of, path_design
 from fpcal_bayes.model.mechanics.basis import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge

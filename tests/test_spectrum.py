@@ -16,9 +16,7 @@ def with_spectrum(values: list[float], n_rows: int, seed: int = 0) -> np.ndarray
 
 
 @given(
-    exponents=st.lists(st.floats(-4, 4), min_size=1, max_size=8),
-    n_null=st.integers(0, 3),
-    seed=st.integers(0, 1000),
+    exponents=st.lists(st.floats(-4, 4), min_size=1, max_size=8), n_null=st.integers(0, 3), seed=st.integers(0, 1000)
 )
 def test_rank_gap_and_null_space(exponents, n_null, seed):
     values = sorted(10.0 ** np.array(exponents), reverse=True)

@@ -103,12 +103,7 @@ class Followed:
 
 
 def follow(
-    file: str | Path,
-    cell: Cell,
-    *,
-    now: str | float | None = None,
-    posterior: str | None = None,
-    anew: bool = False,
+    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
 ) -> Followed:
     """Follow a campaign, from where a saved track ends.
 

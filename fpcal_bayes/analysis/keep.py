@@ -31,12 +31,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def follow_saved(
-    file: str | Path,
-    cell: Cell,
-    *,
-    now: str | float | None = None,
-    posterior: str | None = None,
-    anew: bool = False,
+    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
 ) -> Followed:
     """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
 

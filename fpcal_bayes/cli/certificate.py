@@ -109,10 +109,7 @@ def chain_table(estimate: Estimate) -> dict[str, Any]:
     sd = np.full(len(vector), np.nan)
     if estimate.trust.usable:
         sd[estimate.parameters.slots] = np.where(estimate.sd > 0, estimate.sd, np.nan)
-    table: dict[str, Any] = {
-        "joint": np.arange(1, n + 1),
-        "kind": np.array([joint.kind for joint in cell.joints]),
-    }
+    table: dict[str, Any] = {"joint": np.arange(1, n + 1), "kind": np.array([joint.kind for joint in cell.joints])}
     for slot, stem in enumerate(LINK_SLOTS):
         unit, own = UNITS[stem], slice(slot, slot + len(LINK_SLOTS) * n, len(LINK_SLOTS))
         if slot < _GEOMETRY or vector[own].any() or np.isfinite(sd[own]).any():

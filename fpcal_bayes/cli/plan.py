@@ -35,13 +35,7 @@ from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import (
-    accuracy_table,
-    draw_frontier,
-    frontier_content,
-    plan_content,
-    sweeps_table,
-)
+from fpcal_bayes.report.plan import accuracy_table, draw_frontier, frontier_content, plan_content, sweeps_table
 from fpcal_bayes.tracking.drift import propagated
 
 #: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.

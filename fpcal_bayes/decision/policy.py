@@ -178,11 +178,7 @@ class Policy:
         return _Pool(candidates, rows)
 
     def decide(
-        self,
-        forecast: Forecaster,
-        state: State,
-        calibration_due: str | None = None,
-        diagnosed_h: float | None = None,
+        self, forecast: Forecaster, state: State, calibration_due: str | None = None, diagnosed_h: float | None = None
     ) -> Decision:
         """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
 
@@ -202,11 +198,7 @@ class Policy:
         return decision
 
     def measure_now(
-        self,
-        forecast: Forecaster,
-        state: State,
-        calibration_due: str | None = None,
-        diagnosed_h: float | None = None,
+        self, forecast: Forecaster, state: State, calibration_due: str | None = None, diagnosed_h: float | None = None
     ) -> Decision:
         """What to measure at the time of `state`, when a session was planned for it; arguments as in `decide`."""
         decision = self._decide(forecast, state, calibration_due, measure=True)

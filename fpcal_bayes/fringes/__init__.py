@@ -3,9 +3,6 @@
 from fpcal_bayes.core.lazy import lazy
 
 #: Names that are used outside the package, and the module of the room in which each stands.
-_PLACES = {
-    "Ingested": "ingest",
-    "Reading": "count",
-}
+_PLACES = {"Ingested": "ingest", "Reading": "count"}
 
 __all__, __getattr__, __dir__ = lazy(__name__, _PLACES)

@@ -149,10 +149,7 @@ class _IndexReader:
         return tuple(readings)
 
     def recorded(
-        self,
-        estimate: Estimate | None,
-        before: Sequence[ScanReading | None],
-        after: Sequence[ScanReading | None],
+        self, estimate: Estimate | None, before: Sequence[ScanReading | None], after: Sequence[ScanReading | None]
     ) -> list[Recorded | None]:
         """Each row with what is expected of it; None for absolute lengths."""
         sweeps = self.index.sweeps

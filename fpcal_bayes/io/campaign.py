@@ -23,14 +23,7 @@ SCHEMA = "fpcal-campaign"
 SCHEMA_VERSION = 1
 
 #: Arrays of a track record and their number of axes.
-_TRACK_ARRAYS = {
-    "mean": 2,
-    "covariance": 3,
-    "jump": 2,
-    "onset_response": 3,
-    "onset_information": 3,
-    "onset_score": 2,
-}
+_TRACK_ARRAYS = {"mean": 2, "covariance": 3, "jump": 2, "onset_response": 3, "onset_information": 3, "onset_score": 2}
 #: Texts and numbers of a doubtful record, the numbers with their units.
 _DOUBTFUL_TEXTS = ("session", "label", "reason")
 _DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}

@@ -106,12 +106,7 @@ class Estimate(Result):
         matrix = self.covariance[np.ix_(uncertain, uncertain)] / np.outer(scales, scales)
         return {
             "parameters": {
-                p.name: {
-                    **shown[p.name],
-                    "unit": p.unit,
-                    "prior_sd": p.shown(p.prior_sd),
-                    "status": status,
-                }
+                p.name: {**shown[p.name], "unit": p.unit, "prior_sd": p.shown(p.prior_sd), "status": status}
                 for p, status in zip(self.parameters, self.status, strict=True)
             },
             "covariance": {"names": [self.parameters.names[i] for i in uncertain], "matrix": matrix.tolist()},

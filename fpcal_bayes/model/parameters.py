@@ -25,14 +25,7 @@ UNITS = {
     **dict.fromkeys(("d", "r", "runout_cos", "runout_sin", "x_et", "y_et", "z_et", "x_wf", "y_wf", "z_wf"), "um"),
     "gain": "ppm",
 }
-_LATEX = {
-    "beta": r"\beta",
-    "alpha": r"\alpha",
-    "theta": r"\theta",
-    "gain": "g",
-    "runout_cos": "c",
-    "runout_sin": "s",
-}
+_LATEX = {"beta": r"\beta", "alpha": r"\alpha", "theta": r"\theta", "gain": "g", "runout_cos": "c", "runout_sin": "s"}
 
 
 @dataclass(frozen=True)

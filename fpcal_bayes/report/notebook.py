@@ -73,10 +73,7 @@ def shown(result: Any) -> Shown:
 def _(result: Estimate) -> Shown:
     at = f"{result.cell.name} at {result.time_h:g} h"
     return Shown(
-        parameter_table(result, at),
-        lambda: _parameter_columns(result),
-        lambda: _moved_figure(result, at),
-        result.trust,
+        parameter_table(result, at), lambda: _parameter_columns(result), lambda: _moved_figure(result, at), result.trust
     )
 
 
@@ -119,12 +116,7 @@ def _(result: Posterior) -> Shown:
         with off_screen():
             return prior_posterior_figure(arviz_tree(result))
 
-    return Shown(
-        posterior_table(result, repr(result)),
-        columns,
-        draw,
-        result.trust,
-    )
+    return Shown(posterior_table(result, repr(result)), columns, draw, result.trust)
 
 
 @shown.register
@@ -143,12 +135,7 @@ def _(result: TaskPrediction) -> Shown:
         axis.legend(frameon=False)
         return figure
 
-    return Shown(
-        prediction_table([result], [None], result.task.cell.name),
-        columns,
-        draw,
-        result.trust,
-    )
+    return Shown(prediction_table([result], [None], result.task.cell.name), columns, draw, result.trust)
 
 
 @shown.register
@@ -169,13 +156,7 @@ def _(result: Track) -> Shown:
         axis.legend(frameon=False)
         return figure
 
-    return Shown(
-        session_table(result, repr(result)),
-        columns,
-        draw,
-        result.trust,
-        verdict_lines(result),
-    )
+    return Shown(session_table(result, repr(result)), columns, draw, result.trust, verdict_lines(result))
 
 
 def _parameter_columns(estimate: Estimate) -> dict[str, Any]:

@@ -21,14 +21,7 @@ from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS
-from fpcal_bayes.rig.drivers.interface import (
-    CommandLog,
-    DeviceError,
-    Disturbed,
-    Interferometer,
-    Recorder,
-    Stage,
-)
+from fpcal_bayes.rig.drivers.interface import CommandLog, DeviceError, Disturbed, Interferometer, Recorder, Stage
 from fpcal_bayes.rig.drivers.link import Link
 from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
 from fpcal_bayes.rig.drivers.pi import PIStage

@@ -29,15 +29,7 @@ from fpcal_bayes.rig.settings import (
 SCHEMA = "fpcal-rig/1"
 
 #: Kinds of faults, see `emulate.faults`.
-FAULTS = (
-    "no-answer",
-    "half-line",
-    "end-stop",
-    "following-error",
-    "reset",
-    "slow-settling",
-    "lost-fringe",
-)
+FAULTS = ("no-answer", "half-line", "end-stop", "following-error", "reset", "slow-settling", "lost-fringe")
 
 _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "attocube-ids": attocube.DEFAULT_PORT}
 

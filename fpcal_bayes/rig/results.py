@@ -20,11 +20,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def sweeps_of(
-    orders: Sequence[Order],
-    outcomes: Mapping[int, Mapping[str, Any]],
-    *,
-    sigma: float,
-    origin_s: float,
+    orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]], *, sigma: float, origin_s: float
 ) -> Sweeps | None:
     """The rows of all orders that gave reliable numbers; None if there is none.
 

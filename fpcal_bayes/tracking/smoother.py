@@ -89,11 +89,7 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
 
 
 def with_measurements(
-    drift: DriftModel,
-    model: CavityModel,
-    limits: Limits,
-    outcomes: Sequence[SessionOutcome],
-    parts: Sequence[Sweeps],
+    drift: DriftModel, model: CavityModel, limits: Limits, outcomes: Sequence[SessionOutcome], parts: Sequence[Sweeps]
 ) -> list[SessionOutcome]:
     """Outcomes from the calibration on with their measurements; sessions of an earlier run are read again."""
     found = list(outcomes[:1])

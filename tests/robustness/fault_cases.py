@@ -88,10 +88,7 @@ SLOW = (
 
 def make_inputs(folder: Path, *, quick: bool) -> None:
     """One valid file of every kind that a command reads."""
-    lines = [
-        "simulate -o sweeps.csv --protocol paper-mid",
-        "identify sweeps.csv --json estimate.json",
-    ]
+    lines = ["simulate -o sweeps.csv --protocol paper-mid", "identify sweeps.csv --json estimate.json"]
     with contextlib.chdir(folder):
         shutil.copy(data_file("femto-st.toml"), "cell.toml")
         Path("truth.toml").write_text("[parameters]\nalpha_2 = -90.1\nz_et = 12.0\n")

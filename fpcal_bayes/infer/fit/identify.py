@@ -25,14 +25,7 @@ from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
 from fpcal_bayes.infer.fit.prior_sizes import with_likely_priors, wrong_priors
 from fpcal_bayes.infer.fit.problem import Problem, held_reasons, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
-from fpcal_bayes.infer.fit.spectrum import (
-    GoodnessOfFit,
-    Spectrum,
-    Status,
-    goodness_of_fit,
-    spectrum_of,
-    statuses,
-)
+from fpcal_bayes.infer.fit.spectrum import GoodnessOfFit, Spectrum, Status, goodness_of_fit, spectrum_of, statuses
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
 from fpcal_bayes.infer.mechanics.known import covariance_of, knowledge_of_fit
@@ -356,12 +349,7 @@ def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
 
 
 def _estimate(
-    cell: Cell,
-    sweeps: Sweeps,
-    problem: Problem,
-    covariance: Floats,
-    status: dict[str, Status],
-    unknowns: Floats,
+    cell: Cell, sweeps: Sweeps, problem: Problem, covariance: Floats, status: dict[str, Status], unknowns: Floats
 ) -> Estimate:
     """Free parameters by `status`, uncertain ones that are held, and those held as exact, in the cell's order."""
     free = problem.model.free

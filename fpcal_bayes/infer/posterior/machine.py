@@ -129,11 +129,7 @@ class MachineCharts:
         return self._mixed(np.array([each.log_proposal(own) for each in charts])) + linear
 
     def propose(
-        self,
-        log_scales: Floats,
-        random: Any,
-        made: dict[bytes, tuple[float, Floats]] | None = None,
-        widen: float = 1.0,
+        self, log_scales: Floats, random: Any, made: dict[bytes, tuple[float, Floats]] | None = None, widen: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
         """Geometries for sets of scales: points (n_points, n_unknowns), their log density and log proposal density."""
         count = len(log_scales)

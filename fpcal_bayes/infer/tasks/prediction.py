@@ -14,13 +14,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.tasks.error import (
-    linear_task_sd,
-    peak_to_peak,
-    task_errors,
-    task_jacobian,
-    task_rows,
-)
+from fpcal_bayes.infer.tasks.error import linear_task_sd, peak_to_peak, task_errors, task_jacobian, task_rows
 from fpcal_bayes.infer.tasks.pose import PoseErrors, pose_errors, without_common_turn
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate

@@ -13,10 +13,7 @@ OpticalAxis = Literal["minus-y", "z"]
 Target = Literal["plane-mirror", "corner-cube"]
 
 #: Paths along which a target's length is counted.
-PATHS: dict[Target, tuple[Opd, ...]] = {
-    "plane-mirror": ("axis", "perpendicular"),
-    "corner-cube": ("axis", "distance"),
-}
+PATHS: dict[Target, tuple[Opd, ...]] = {"plane-mirror": ("axis", "perpendicular"), "corner-cube": ("axis", "distance")}
 #: Between a parameter's name and that of the further beam which it belongs to.
 AT = "@"
 

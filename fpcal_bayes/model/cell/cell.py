@@ -18,14 +18,7 @@ from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.optics import Interferometer
 from fpcal_bayes.model.cell.own_tasks import OwnTask
-from fpcal_bayes.model.parameters import (
-    EXTRINSICS,
-    LINK_SLOTS,
-    POINT_EXTRINSICS,
-    UNITS,
-    Parameter,
-    ParameterSet,
-)
+from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, POINT_EXTRINSICS, UNITS, Parameter, ParameterSet
 from fpcal_bayes.model.priors import Marginal
 
 

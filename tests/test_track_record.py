@@ -102,11 +102,6 @@ def test_a_resumed_track_is_smoothed_like_a_whole_one(saved, whole):
         np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
-def test_a_calibration_may_be_given(whole):
-    given = track(CELL, early("s1"), calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
-    np.testing.assert_allclose(given.last.state.mean, whole.outcomes[1].state.mean, atol=1e-6)
-
-
 def test_decisions_are_saved_with_the_track():
     _, sweeps = campaign(1, sessions=1)
     found = track(CELL, sweeps)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.core.linalg import chi2_tail, covariance_root
@@ -18,7 +19,7 @@ from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.record import decisions_of
 from fpcal_bayes.tracking.session import SessionOutcome
-from fpcal_bayes.tracking.tracker import Track, innovation_bounds, smooth_track
+from fpcal_bayes.tracking.tracker import Track, smooth_track
 
 #: Times of the grid at most, and at least so many between two sessions.
 _MOST_TIMES, _LEAST_BETWEEN, _LEAST_AHEAD = 480, 3, 24
@@ -102,8 +103,7 @@ class TaskChange:
 class SinceCalibration:
     """What changed between the last calibration and the last session, held against the stated drift.
 
-    Under that drift the change of the filter's mean is normal, with the covariance predicted from the calibration less
-    the one that is left: what the sessions since have told.
+    Under it the change of the filter's mean is normal, its covariance what the sessions since have told.
     """
 
     session: str  # the calibration
@@ -299,7 +299,10 @@ def _stored(facts: CampaignFacts) -> tuple[tuple[str, float, dict[str, tuple[flo
 
 def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
     """95 % bounds of the innovation of a session, or None where no rows of it are tested."""
-    return innovation_bounds(outcome.dof) if outcome.dof else None
+    if not outcome.dof:
+        return None
+    low, high = special.chdtri(outcome.dof, [0.975, 0.025]).tolist()
+    return low, high
 
 
 def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:

@@ -77,9 +77,8 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
 def axis_tables(estimate: Estimate) -> dict[int, dict[str, Floats]]:
     """Error motions by joint position, as columns over the joint's value, named after ISO 230-1.
 
-    E, the direction (X Y Z of a displacement, A B C of a turn about them, each the world axis that is nearest to it),
-    then the axis of motion: EYX is what a joint along X moves along Y. Each has its mean and the edges of its 95 %
-    band: what is added to where the joint should be, at the point of the data sheet; to compensate subtract it.
+    EYX is what a joint along X moves along Y: the nearest world axes, A B C for turns. Mean and edges of the 95 % band
+    of what is added at the point of the data sheet; to compensate subtract it.
     """
     knowledge, tables = estimate.mechanics, dict[int, dict[str, Floats]]()
     if knowledge is None:

@@ -38,10 +38,9 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
 
 
 def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
-    """A track as a campaign file holds it.
+    """A track as a campaign file holds it; `decisions` are what was decided meanwhile, JSON objects in order of time.
 
-    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
-    decided meanwhile, one JSON object each, in order of time.
+    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
     """
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
@@ -85,8 +84,8 @@ def resume(
 ) -> tuple[Track | None, str]:
     """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    The track is taken up before the first session that is new, was changed, or came in between late. `parts` are the
-    sweeps of each session in order of time. `InputError` if the track is of another cell, or cannot be understood.
+    It ends before the first of the sessions `parts` that is new, was changed, or came in between late. `InputError` if
+    the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(

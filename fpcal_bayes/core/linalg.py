@@ -29,10 +29,7 @@ def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Ei
 
 
 def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.linalg.eigh) -> Floats:
-    """The symmetric matrix whose square is `covariance` (n, n); it moves smoothly with it, as no other root does.
-
-    Eigenvalues below `least` are raised to it.
-    """
+    """The symmetric matrix whose square is `covariance` (n, n), eigenvalues raised to `least`; only it is smooth."""
     values, vectors = eigh(covariance)
     root: Floats = (vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T
     return root

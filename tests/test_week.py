@@ -133,7 +133,7 @@ def test_report(week):
             assert any(line.startswith(start) for line in lines), (session.name, start)
 
 
-def test_campaign_holds_everything(week, estimates):
+def test_campaign_holds_everything(week):
     campaign = read_campaign(week / "campaign.h5", CELL)
     assert campaign.command == "fpcal week --sigma-nm 5 --seed 3 --between steady"
     assert campaign.seed == 3
@@ -141,11 +141,6 @@ def test_campaign_holds_everything(week, estimates):
     assert len(campaign.sweeps) == 5 * 69
     assert campaign.truth is not None
     assert campaign.truth.times_h.tolist() == [0.0, 24.0, 48.0, 192.0]
-    assert set(campaign.estimates) == set(NAMES)
-    for name, stored in campaign.estimates.items():
-        told = {key: value for key, value in estimates[name].items() if key not in ("fit", "content_sha256")}
-        assert {key: value for key, value in stored.items() if key != "fit"} == told
-        assert stored["fit"] == {key: value for key, value in estimates[name]["fit"].items() if key != "seconds"}
 
 
 @pytest.mark.parametrize("name", ["full-T0", "full-day2", "full-day8"])

@@ -42,8 +42,6 @@ class History:
     smooth_hours: Floats  # (s,), the sessions
     smooth_mean: Floats  # (s, n), given all of them
     truth: Floats | None  # (t, n), what a simulation was made from, NaN where unknown
-    #: Estimates that the file holds: session, hours, values and sds by name.
-    stored: tuple[tuple[str, float, dict[str, tuple[float, float]]], ...]
     #: Session, hours and verdict of each session that was not as modelled.
     alarms: tuple[tuple[str, float, str], ...]
 
@@ -185,7 +183,6 @@ def history(facts: CampaignFacts) -> History | None:
         smooth_hours=np.array([state.time_h for state in smoothed]),
         smooth_mean=np.array([parameters.to_shown(drift.values(state.mean)) for state in smoothed]),
         truth=_truth(facts, hours, parameters.names),
-        stored=_stored(facts),
         alarms=tuple((o.session, o.time_h, o.verdict) for o in followed.outcomes if o.verdict != "as-modelled"),
     )
 
@@ -274,27 +271,6 @@ def _truth(facts: CampaignFacts, hours: Floats, names: tuple[str, ...]) -> Float
         if name in truth.parameters:
             result[:, i] = known[:, truth.parameters.position(name)]
     return result
-
-
-def _stored(facts: CampaignFacts) -> tuple[tuple[str, float, dict[str, tuple[float, float]]], ...]:
-    """Estimates of the file that are of its sessions; entries that are not numbers are passed over."""
-    if facts.campaign is None:
-        return ()
-    found = []
-    for session, content in facts.campaign.estimates.items():
-        if session not in facts.sweeps.sessions:
-            continue
-        stated = content.get("parameters")
-        values = {}
-        for name, entry in stated.items() if isinstance(stated, dict) else ():
-            if not isinstance(entry, dict) or entry.get("status") == "fixed":
-                continue
-            value, sd = entry.get("value"), entry.get("sd")
-            if isinstance(value, (int, float)) and isinstance(sd, (int, float)) and np.isfinite([value, sd]).all():
-                values[str(name)] = (float(value), float(sd))
-        time_h = float(facts.sweeps.of_session(session).time_h.max())
-        found.append((session, time_h, values))
-    return tuple(sorted(found, key=lambda entry: entry[1]))
 
 
 def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:

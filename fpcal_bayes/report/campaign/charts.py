@@ -18,21 +18,16 @@ _DIGITS = 6
 
 
 def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
-    """Each parameter through time: filter with band, sessions alone, truth, alarms."""
+    """Each parameter through time: filter with band, truth, alarms."""
     assert facts.track is not None
     hours = _increasing(found.hours)
-    at = [_after(found, time_h) for _, time_h, _ in found.stored]
     alarms = [_after(found, time_h) for _, time_h, _ in found.alarms]
     parameters = []
     for i, parameter in enumerate(facts.track.drift.parameters):
         mean, sd = found.mean[:, i], found.sd[:, i]
-        alone = np.full(len(hours), np.nan)
-        for place, (_, _, values) in zip(at, found.stored, strict=True):
-            if parameter.name in values:
-                alone[place] = values[parameter.name][0]
         marked = np.full(len(hours), np.nan)
         marked[alarms] = mean[alarms]
-        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "session alone": alone, "alarm": marked}
+        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "alarm": marked}
         if found.truth is not None:
             series["truth"] = found.truth[:, i]
         parameters.append(

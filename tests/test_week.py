@@ -15,7 +15,6 @@ from fpcal_bayes.io.traces import read_path_trace
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.study.paper_week import CHECK_HOURS, SESSIONS, identify_session, measure_week, week_truth
 from fpcal_bayes.tracking.drift import DriftModel
-from fpcal_bayes.tracking.record import decisions_of
 
 pytestmark = pytest.mark.slow
 
@@ -228,15 +227,10 @@ def test_the_policy_holds_the_circle_where_the_papers_protocol_does_not(week):
     assert shares["policy"] > 95.0 > shares["filter, the same sweeps"] > shares["the paper's protocol"]
 
 
-def test_the_policys_campaign_holds_its_track_and_decisions(week):
+def test_the_policys_campaign_holds_its_track(week):
     campaign = read_campaign(week / "policy.h5", CELL)
     assert campaign.track is not None
-    decisions = decisions_of(campaign.track)
-    sessions = list(campaign.sweeps.sessions)
-    assert [entry["session"] for entry in decisions] == sessions[1:]
-    assert sum(entry["n_sweeps"] for entry in decisions) == len(campaign.sweeps) - 69
     assert len(campaign.sweeps) - 69 <= 310
-    assert all(entry["task_error_nm"]["after"] < entry["task_error_nm"]["now"] for entry in decisions)
     estimate = read_estimate(week / "estimate.json", CELL)
     assert estimate.time_h == campaign.sweeps.time_h.max()
     assert estimate.valid_until_h > estimate.time_h

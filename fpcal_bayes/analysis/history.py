@@ -17,7 +17,6 @@ from fpcal_bayes.model.parameters import Parameter, ParameterSet
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
-from fpcal_bayes.tracking.record import decisions_of
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.tracker import Track, smooth_track
 
@@ -300,13 +299,3 @@ def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
         held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
         entries.append(LogEntry(outcome, held, held >= horizon, gap - held, last))
     return entries
-
-
-def saved_decisions(facts: CampaignFacts) -> dict[str, tuple[str, str]]:
-    """Action and reason of the decisions that the file holds, by the session that followed."""
-    if facts.campaign is None or facts.campaign.track is None:
-        return {}
-    return {
-        str(entry.get("session", "")): (str(entry.get("action", "")), str(entry.get("reason", "")))
-        for entry in decisions_of(facts.campaign.track)
-    }

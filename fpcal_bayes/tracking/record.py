@@ -40,8 +40,8 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
     return content_sha256([[size.content() for size in drift.sizes], asdict(limits), *motions])
 
 
-def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
-    """A track as a campaign file holds it; `decisions` are what was decided meanwhile, JSON objects in order of time.
+def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
+    """A track as a campaign file holds it.
 
     Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
     """
@@ -56,7 +56,6 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         "solutions": track.solutions,
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
-        "decisions": list(decisions),
         "trust": track.trust.content(),
     } | _motions_content(track.outcomes[0])
     return TrackRecord(
@@ -71,15 +70,6 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         onset_information=np.array([onset.information for onset in onsets]).reshape(-1, n, n),
         onset_score=np.array([onset.score for onset in onsets]).reshape(-1, n),
     )
-
-
-def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
-    """Decisions that were saved with a track; none where the record cannot be understood."""
-    try:
-        found = json.loads(record.summary).get("decisions", [])
-    except (ValueError, AttributeError, RecursionError):
-        return []
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
 
 
 def resume(

@@ -36,8 +36,8 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
     knowledge, cell = estimate.mechanics, estimate.cell
     if knowledge is None:
         return []
-    names, mean, factor = knowledge.weights(knowledge.n_parameters)
-    weights = mean + knowledge.draws @ factor.T
+    names, mean, root = knowledge.weights(knowledge.n_parameters)
+    weights = mean + knowledge.draws @ root.T
     scales = np.exp(knowledge.log_scales)
     curves, first = [], 0
     for motion in knowledge.terms(cell).motions:
@@ -49,28 +49,15 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
         low, high = (-np.pi, np.pi) if endless else (cell.low[i], cell.high[i])
         q = np.linspace(low, high, _POINTS)
         basis = (harmonics(q) if endless else polynomials(q, low, high)) * motion.sd
-        unit = 1e3 if motion.direction < ROLL else 1e6
-        values = unit * weights[:, own] @ basis[:, there].T
+        unit, factor = ("nm", 1e3) if motion.direction < ROLL else ("urad", 1e6)
+        values = factor * weights[:, own] @ basis[:, there].T
         size = scales[:, knowledge.scales.index(motion.scale)]
-        stated = unit * np.sqrt((basis[:, there] ** 2).sum(axis=1))
+        stated = factor * np.sqrt((basis[:, there] ** 2).sum(axis=1))
         prior = np.median(size) * stated
         shown = 1.0 - float((values.var(axis=0) / np.maximum(prior**2, 1e-30)).mean())
-        lower, middle, upper = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
-        curves.append(
-            MotionCurve(
-                motion.name,
-                "nm" if motion.direction < ROLL else "urad",
-                cell.joints[i].unit,
-                q / cell.joint_scales[i],
-                lower,
-                middle,
-                upper,
-                stated,
-                shown,
-                i,
-                motion.direction,
-            )
-        )
+        band = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
+        joint_unit, along = cell.joints[i].unit, q / cell.joint_scales[i]
+        curves.append(MotionCurve(motion.name, unit, joint_unit, along, *band, stated, shown, i, motion.direction))
     return sorted(curves, key=lambda curve: -curve.shown)
 
 

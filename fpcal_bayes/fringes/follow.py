@@ -10,14 +10,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Legendre
 from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit, Nuisance, fit_course
 from fpcal_bayes.fringes.misfit import PhaseErrors
-from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre, lengths_at, loosened
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre, lengths_at, loosened, slopes_at
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.search import find_profiles
 from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fringes
@@ -226,7 +225,7 @@ def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fi
         return FringeSolution((found,), moved)
 
     for _ in range(2):
-        costs = np.array([held.misses(_late(early, float(v)), per_um) for v in grid]) / held.noise**2
+        costs = held.misses(early, np.maximum(early.s, grid[:, None]), per_um) / held.noise**2
         held = at(float(grid[np.argmin(costs)]), held).best
     # A phase and its mirror image at the nearest extreme make nearly the same signal, and each is looked at closely.
     beside = np.pad(costs, 1, constant_values=np.inf)
@@ -264,7 +263,7 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
         rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
         shift = _chunked(replace(moved, s=rise), size).s
         moved = _chunked(moved, size)
-        held = fit(moved, held, slope=per_um * Legendre([0.0, *held.profile]).deriv()(moved.s) * shift)
+        held = fit(moved, held, slope=per_um * slopes_at(held.profile, moved.s) * shift)
         step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))
         lag *= float(np.exp(np.clip(step, -0.5, 0.5)))
         if abs(step) < 0.1 * sd:

@@ -189,12 +189,8 @@ def fit_course(
     if known is not None:
         prior_mean, prior_weight = known.unknowns, np.linalg.inv(known.unknowns_covariance)
     if slope is not None:
-        modes, unknowns, prior_mean = (
-            np.column_stack([modes, slope]),
-            np.append(unknowns, 0.0),
-            np.append(prior_mean, 0.0),
-        )
-        prior_weight = block_diag(prior_weight, 1.0)
+        modes, unknowns = np.column_stack([modes, slope]), np.append(unknowns, 0.0)
+        prior_mean, prior_weight = np.append(prior_mean, 0.0), block_diag(prior_weight, np.eye(1))
     cost, log_determinant, covariance = fit_signal(
         np.ascontiguousarray(over_time.T),
         np.ascontiguousarray(over_place.T),

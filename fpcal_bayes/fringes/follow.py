@@ -32,6 +32,8 @@ _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 _LATE_ODDS = 0.01
 #: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
 _IMAGES = np.linspace(0.5, 2.0, 13)
+#: Places at which a hop of the phase is sought to begin with.
+_HOPS = 48
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
 #: Share of the evidence by which one uneven course is told from another.
@@ -55,6 +57,7 @@ class Followed:
     set_out: float = -1.0
     lag: float = 0.0
     size: float = 0.0  # of a course that has polynomials that no joint makes, in um
+    hop: float = 0.0  # of the phase, in rad, that explains the trace as well as such a course
 
     @cached_property
     def errors(self) -> PhaseErrors:
@@ -145,6 +148,8 @@ def follow(
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
     best = max(weighed, key=lambda each: each.evidence)
+    if best.uneven:
+        best = _hopped(best, samples, size, tries[0], fit)
     # Courses that do about as well may end elsewhere. None of those that are uneven is as rough as the stage's own, so
     # that they are told apart less clearly than their evidence says.
     chosen = best.solution.best
@@ -331,6 +336,26 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
         if holds and best.evidence < max(each.solution.best.evidence for each in tried):
             break
     return tried
+
+
+def _hopped(best: Followed, whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:
+    """The same, with the hop of the phase on the joint's course that explains the trace as well, if one does."""
+    used, held = smooth.solution.samples, smooth.solution.best
+    after = np.arange(len(whole))
+
+    def at(place: int) -> Fit:
+        return fit(used, held, slope=_chunked(replace(whole, s=1.0 * (after >= place)), size).s)
+
+    step = max(1, len(whole) // _HOPS)
+    tried = {place: at(place) for place in range(step, len(whole), step)}
+    while True:
+        place = max(tried, key=lambda each: tried[each].evidence)
+        if step == 1:
+            break
+        step = max(1, step // 4)
+        tried |= {near: at(near) for near in range(place - 3 * step, place + 4 * step, step) if near not in tried}
+    found = tried[place]
+    return replace(best, hop=float(found.unknowns[-1])) if found.evidence > best.evidence else best
 
 
 def _demodulated(fit: Fit, samples: Samples, phase_per_um: float) -> Floats:

@@ -158,7 +158,8 @@ def normal_equations(
     pull = np.dot(prior_weight, off)
     matrix[:] = np.dot(rows, rows.T) + prior_weight
     gradient[:] = np.dot(rows, residual) + pull
-    return np.dot(residual, residual) + np.dot(off, pull)
+    cost: float = np.dot(residual, residual) + np.dot(off, pull)
+    return cost
 
 
 @compiled

@@ -84,7 +84,7 @@ def slopes_at(profile: Floats, s: Floats) -> Floats:
 @cache
 def _derivative(degree: int) -> Floats:
     """What makes the coefficients from P_0 on of a slope of those from P_1 on of a profile, shape (degree, degree)."""
-    return legder(np.eye(degree + 1)[:, 1:])
+    return np.asarray(legder(np.eye(degree + 1)[:, 1:]), dtype=float)
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

@@ -295,6 +295,8 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     if found.astray and errors.worst > _JUMP:
         off = errors.worst**0.5
         return f"the signal does not follow a smooth sweep (it jumps: samples in a row {off:.0f} times the noise off)"
+    if found.hop:
+        return f"the phase hops by {abs(found.hop):.2g} rad: the laser or the mirror jumps"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
     if missing > 3.0 * sd:

@@ -66,26 +66,6 @@ class SessionResiduals:
 
 
 @dataclass(frozen=True)
-class SessionNumbers:
-    """What was measured in a session, and what the tests say of it."""
-
-    rows: Sweeps
-    sigma: float  # median, um
-    outcome: SessionOutcome | None  # None where the sessions are not followed
-
-
-@dataclass(frozen=True)
-class LogEntry:
-    """How long the estimate after a session held the tasks, in hours."""
-
-    outcome: SessionOutcome
-    held: float
-    at_least: bool  # it was not looked further
-    late: float  # by how much the next session, or the present after the last one, came after the hold had ended
-    last: bool
-
-
-@dataclass(frozen=True)
 class TaskChange:
     """By how much a task is off if it is still driven with the calibration, peak to peak, in nm."""
 
@@ -278,24 +258,3 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
         return None
     low, high = special.chdtri(outcome.dof, [0.975, 0.025]).tolist()
     return low, high
-
-
-def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
-    """What was measured, session by session."""
-    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
-    parts = {name: facts.sweeps.of_session(name) for name in facts.sweeps.sessions}
-    return [SessionNumbers(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
-
-
-def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
-    """How long the estimate of each session held; None where that cannot be said."""
-    if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
-        return None
-    entries, outcomes = [], facts.track.outcomes
-    for i, outcome in enumerate(outcomes):
-        last = i + 1 == len(outcomes)
-        gap = (facts.now_h if last else outcomes[i + 1].time_h) - outcome.time_h
-        horizon = max(gap, facts.costs.horizon_h)
-        held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
-        entries.append(LogEntry(outcome, held, held >= horizon, gap - held, last))
-    return entries

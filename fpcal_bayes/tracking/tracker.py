@@ -81,11 +81,6 @@ class Track(Result):
         return due
 
     @property
-    def log_likelihood(self) -> float:
-        """Log likelihood of all sessions after the calibration, given it."""
-        return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
-
-    @property
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
         found = self.outcomes[0].trust

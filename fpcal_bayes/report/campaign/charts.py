@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, session_log
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
@@ -84,18 +84,20 @@ def log_table(facts: CampaignFacts) -> Table | None:
 
     None where the sessions cannot be followed, or the tasks cannot be judged.
     """
-    log = session_log(facts)
-    if log is None:
+    if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
         return None
     heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
     table = plain_table("Log", heads, words=(0, -2, -1))
-    for entry in log:
-        outcome = entry.outcome
+    outcomes = facts.track.outcomes
+    for outcome, after in zip(outcomes, (*outcomes[1:], None), strict=True):
+        gap = (facts.now_h if after is None else after.time_h) - outcome.time_h
+        horizon = max(gap, facts.costs.horizon_h)
+        held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            figure_of(entry.held, f"{'at least ' if entry.at_least else ''}{entry.held:.1f} h"),
-            _next(entry.late, last=entry.last),
+            figure_of(held, f"{'at least ' if held >= horizon else ''}{held:.1f} h"),
+            _next(gap - held, last=after is None),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
     return table

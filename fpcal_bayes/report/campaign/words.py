@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
-from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds, session_numbers
+from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.version import __version__
@@ -162,15 +162,16 @@ def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
     heads = ["session", "time", "verdict", "innovation", "95 % bounds", "rows", "sigma, median [nm]", "without sign"]
     table = plain_table("Sessions", heads, words=(0, 2))
-    for i, found in enumerate(session_numbers(facts)):
-        rows, time_h = found.rows, float(found.rows.time_h.max())
-        unsigned = int((~rows.signed).sum())
+    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
+    for i, name in enumerate(facts.sweeps.sessions):
+        rows = facts.sweeps.of_session(name)
+        time_h, unsigned = float(rows.time_h.max()), int((~rows.signed).sum())
         table.add_row(
-            str(rows.session[0]),
+            name,
             figure_of(time_h, shown_time(time_h, facts)),
-            *_tested(found.outcome, first=i == 0),
+            *_tested(outcomes.get(name), first=i == 0),
             figure_of(len(rows), str(len(rows))),
-            figure_of(1e3 * found.sigma),
+            figure_of(1e3 * float(np.median(rows.sigma))),
             figure_of(unsigned, str(unsigned)),
         )
     return table

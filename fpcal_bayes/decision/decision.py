@@ -152,7 +152,10 @@ def decide(
             after = forecast.outlook(forecast.ahead(state, hold))
             beyond = "stays below" if hold >= costs.horizon_h else "reaches"
             return made("hold", hold, None, after, f"{passes} {beyond} {goal.level:.0%} at the end of this time")
-        sessions = _sessions(forecast, model, state, costs, choose)
+        # Sessions of the fewest sweeps, of one more, and so on.
+        chosen = choose(forecast, state, costs.most_sweeps)
+        counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
+        sessions = [session_of(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
         able = [s for s in sessions if s.outlook.exceeds(goal.tolerance_um) <= goal.level]
         if able:
             # A session that holds for less than a minute is no better than one that holds for a minute.
@@ -189,13 +192,6 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
-
-
-def _sessions(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
-    """Sessions of the fewest sweeps, of one more, and so on."""
-    chosen = choose(forecast, state, costs.most_sweeps)
-    counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
-    return [session_of(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
 
 
 def _if_it_lasts(

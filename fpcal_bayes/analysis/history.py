@@ -258,3 +258,19 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
         return None
     low, high = special.chdtri(outcome.dof, [0.975, 0.025]).tolist()
     return low, high
+
+
+def session_log(facts: CampaignFacts) -> list[tuple[SessionOutcome, float, bool, float]] | None:
+    """Each session, for how many hours its estimate held, or held at least, and how late the next one came.
+
+    After the last one the present stands for it. None where that cannot be said.
+    """
+    if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
+        return None
+    entries, outcomes = [], facts.track.outcomes
+    for outcome, until_h in zip(outcomes, [*(o.time_h for o in outcomes[1:]), facts.now_h], strict=True):
+        gap = until_h - outcome.time_h
+        horizon = max(gap, facts.costs.horizon_h)
+        held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
+        entries.append((outcome, held, held >= horizon, gap - held))
+    return entries

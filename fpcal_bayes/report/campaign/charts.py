@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
@@ -84,20 +84,17 @@ def log_table(facts: CampaignFacts) -> Table | None:
 
     None where the sessions cannot be followed, or the tasks cannot be judged.
     """
-    if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
+    log = session_log(facts)
+    if log is None:
         return None
     heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
     table = plain_table("Log", heads, words=(0, -2, -1))
-    outcomes = facts.track.outcomes
-    for outcome, after in zip(outcomes, (*outcomes[1:], None), strict=True):
-        gap = (facts.now_h if after is None else after.time_h) - outcome.time_h
-        horizon = max(gap, facts.costs.horizon_h)
-        held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
+    for outcome, held, at_least, late in log:
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            figure_of(held, f"{'at least ' if held >= horizon else ''}{held:.1f} h"),
-            _next(gap - held, last=after is None),
+            figure_of(held, f"{'at least ' if at_least else ''}{held:.1f} h"),
+            _next(late, last=outcome is log[-1][0]),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
     return table

@@ -30,9 +30,7 @@ from fpcal_bayes.tracking.sessions import hours_of
 from fpcal_bayes.tracking.tracker import Track
 
 
-def follow_saved(
-    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
-) -> Followed:
+def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
     """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
 
     Arguments are those of `follow`.
@@ -41,7 +39,7 @@ def follow_saved(
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):
             alone.enter_context(exclusive(Path(file)))
-        followed = follow(file, cell, now=now, posterior=posterior, anew=anew)
+        followed = follow(file, cell, now=now, anew=anew)
         found, notes = followed.track, followed.notes
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed

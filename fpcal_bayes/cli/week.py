@@ -26,15 +26,7 @@ from fpcal_bayes.report.fit import fit_lines
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.track import verdict_lines
-from fpcal_bayes.report.week import (
-    circle_table,
-    course_table,
-    draw_circles,
-    draw_courses,
-    draw_week,
-    reflection_lines,
-    truth_table,
-)
+from fpcal_bayes.report.week import circle_table, course_table, draw_courses, reflection_lines, truth_table
 from fpcal_bayes.study.paper_scenarios import Followed, decision_log, follow_week
 from fpcal_bayes.study.paper_week import (
     SESSIONS,
@@ -66,7 +58,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     warm_up_inverse(cell)
     began = time.perf_counter()
     sigma = options.sigma_nm * 1e-3
-    truth, sweeps = measure_week(cell, sigma=sigma, seed=options.seed, between=options.between)
+    truth, sweeps = measure_week(cell, sigma=sigma, seed=options.seed)
 
     out = console(options)
     results: dict[str, Identification] = {}
@@ -88,7 +80,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
         estimates = {name: result.estimate for name, result in results.items()}
         renewed = renewed_circles(cell, truth, estimates, options.seed + len(checks), options.seed)
     week = Week(cell, truth, sweeps, results)
-    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed} --between {options.between}"
+    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
     _write_data(options, cell, week, followed, command)
     _write_paths_and_figures(options.output, week, followed, checks, renewed)
     folder = options.output
@@ -154,8 +146,6 @@ def _write_paths_and_figures(
     make_folder(folder / "circles")
     for circle in [*checks, *renewed]:
         write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, week.cell)
-    save_figure(draw_week(week, followed), folder / "extrinsics.svg")
-    save_figure(draw_circles(checks, renewed), folder / "circles.svg")
     save_figure(draw_courses(followed.courses), folder / "courses.svg")
 
 

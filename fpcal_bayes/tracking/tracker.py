@@ -10,7 +10,6 @@ from scipy import special
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.notebook import Result
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
@@ -149,7 +148,6 @@ def track(
     limits: Limits | None = None,
     known: Track | None = None,
     calibration: Estimate | None = None,
-    draws: Floats | None = None,
     now_h: float | None = None,
 ) -> Track:
     """Follow the free parameters of a cell through the sessions of a campaign.
@@ -169,9 +167,6 @@ def track(
     calibration
         What the first session told, in place of its identification. Its rows are then not linearised again with those
         of later sessions.
-    draws
-        Draws of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they
-        are made (see `linear_start`).
     now_h
         Sessions after this time are refused.
 
@@ -191,7 +186,7 @@ def track(
         first = replace(start(drift, calibration, parts[0]), trust=calibration.trust)
         known = Track(cell, drift, (first,), status)
     elif known is None:
-        first, status, starts = calibrate(cell, drift, parts[0], draws)
+        first, status, starts = calibrate(cell, drift, parts[0])
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
     else:
         known = replace(known, resumed=len(known.outcomes))
@@ -213,20 +208,19 @@ def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
 
 
 def calibrate(
-    cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
+    cell: Cell, drift: DriftModel, sweeps: Sweeps
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session; `draws` as in `track`, `InputError` if it determines too little.
+    """Identify all parameters from the first session; `InputError` if it determines too little.
 
     Gives the outcome of the session; the status of each parameter; and where the posterior has several minima, the
     outcome from each of them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
     _require_calibration(found, sweeps, len(drift.parameters))
-    if found.machine is not None and draws is None:
+    if found.machine is not None:
         return _machine_outcome(drift, found, sweeps, warnings), found.estimate.status, ()
-    given = draws is not None
-    measurement = None if given else _measurement(drift, found)
-    draws = _draws_of(found) if draws is None else draws
+    measurement = _measurement(drift, found)
+    draws = independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
 
     def outcome_of(estimate: Estimate, squared: float, measurement: Measurement | None) -> SessionOutcome:
         rows = len(found.problem.sweeps)
@@ -238,8 +232,7 @@ def calibrate(
 
     usable = found.converged and len(draws) > 0
     together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate
-    # Draws that are given say themselves what they hold.
-    alone = solutions_of(found, draws) if usable and not given else ()
+    alone = solutions_of(found, draws) if usable else ()
     gauge = found.spectrum.null_share > GAUGE_SHARE
     status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
     # Rows linearised at one point say nothing of a second solution.
@@ -331,11 +324,6 @@ def _measurement(drift: DriftModel, found: Identification) -> Measurement | None
     if not found.converged or problem.prior.others or problem.considered is not None or not as_stated:
         return None
     return SweepMeasurement(drift, problem.model, problem.rows, problem.target, problem.whitening)
-
-
-def _draws_of(found: Identification) -> Floats:
-    """Draws of the posterior; none where the fit did not converge."""
-    return independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
 
 
 def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:

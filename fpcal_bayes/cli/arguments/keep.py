@@ -100,10 +100,6 @@ def track(commands: Commands) -> None:
         "and fpcal_fk.m beside it"
     )  # fmt: skip
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
-    add(
-        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again; with --mechanics none"
-    )  # fmt: skip
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
@@ -260,7 +256,7 @@ Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate
 policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
 (the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
 truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
-irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, courses.svg.
+irradiance along each circle, for fpcal check), courses.svg (error and sweeps of the three ways).
 """
 
 
@@ -271,10 +267,6 @@ def week(commands: Commands) -> None:
     add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    add(
-        "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
-        "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
-    )  # fmt: skip
     add("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.analysis.doctor_fit import Finding, Severity, session_fits
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Bools
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
@@ -102,7 +102,7 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         yield Finding("note", "unsigned", "", what, remedy)
     paths = sweeps.kind == "path"
     if paths.any():
-        what = f"{int(paths.sum())} rows of kind path are not used in any identification"
+        what = f"{counted(int(paths.sum()), 'row')} of kind path: not used in any identification"
         yield Finding("note", "paths", "", what, "nothing: they serve fpcal check")
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
@@ -154,12 +154,12 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     half_wave = 0.5 * cell.wavelength
     wide = sweeps.sigma > half_wave / 4
     if wide.any():
-        what = f"{int(wide.sum())} rows have a sigma_um above an eighth of a wavelength"
+        what = f"{counted(int(wide.sum()), 'row')} with a sigma_um above an eighth of a wavelength"
         remedy = "read the fraction of the fringe, not whole fringes only: fpcal ingest does"
         yield Finding("doubt", "sigma", "", what, remedy)
     fine = sweeps.sigma < 1e-5
     if fine.any():
-        what = f"{int(fine.sum())} rows have a sigma_um below 0.01 nm"
+        what = f"{counted(int(fine.sum()), 'row')} with a sigma_um below 0.01 nm"
         yield Finding("doubt", "sigma", "", what, "check the unit: sigma_um is in um")
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.core.linalg import counted, plain
 from fpcal_bayes.infer.design.commission import LABEL
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
@@ -67,7 +67,7 @@ def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
     hidden = [gauge for gauge in seen.gauges if gauge.layer == "model"]
     if hidden:
         names = ", ".join(dict.fromkeys(gauge.parameters[0] for gauge in hidden))
-        what = f"{len(hidden)} combinations ({names}) leave no trace in any cavity length"
+        what = f"no trace in any cavity length: {counted(len(hidden), 'combination')} ({names})"
         yield Finding("note", "gauges", str(used.session[0]), what, "nothing: no task depends on them")
     for gauge in seen.gauges:
         if gauge.layer != "model":
@@ -176,7 +176,8 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
     left = slips.solution.sum_of_squares
     if len(slipped) and left < 2 * len(used):
         rows = ", ".join(f"{found.problem.sweeps.label[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
-        what = f"{size}; with {len(slipped)} fringe counts corrected by whole half wavelengths it is {left:.1f}: {rows}"
+        counts = counted(len(slipped), "fringe count")
+        what = f"{size}; with {counts} corrected by whole half wavelengths it is {left:.1f}: {rows}"
         remedy = "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them"
         yield Finding("problem", "slips", name, what, remedy)
         return

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpcal_bayes.analysis.parameters import reflection_points
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
@@ -85,7 +86,7 @@ def draw_courses(courses: Sequence[Scenario]) -> Figure:
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     error, spent = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for course, (colour, style) in zip(courses, _STYLES, strict=True):
-        text = f"{course.name}: {100 * course.share:.1f} % of the time in tolerance, {course.spent} sweeps"
+        text = f"{course.name}: {100 * course.share:.1f} % of the time in tolerance, {counted(course.spent, 'sweep')}"
         error.plot(course.times_h / 24.0, 1e3 * course.peaks, style, color=colour, linewidth=0.9, label=text)
         days = np.append(course.session_h, course.times_h[-1]) / 24.0
         total = np.cumsum(np.append(0, course.session_sweeps[1:]))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
@@ -254,7 +254,7 @@ def _extrinsic_findings(monitor: Monitor, limits: Limits, drift: DriftModel) -> 
         if p_value < allowed:
             evidence = (
                 f"a move of mirror or fibre before session {onset.session} explains a chi-square of {explained:.1f} "
-                f"in {directions} directions (p = {p_value:.1e})"
+                f"in {counted(directions, 'direction')} (p = {p_value:.1e})"
             )
             found.append(Finding("extrinsics-moved", p_value, allowed, evidence))
     total, count = (sum(column) for column in zip(*monitor.recent, strict=True))
@@ -262,7 +262,7 @@ def _extrinsic_findings(monitor: Monitor, limits: Limits, drift: DriftModel) -> 
     if p_value < allowed:
         evidence = (
             f"normalised innovation squared {total:.1f} for {count} degrees of freedom over the last "
-            f"{len(monitor.recent)} sessions (p = {p_value:.1e})"
+            f"{counted(len(monitor.recent), 'session')} (p = {p_value:.1e})"
         )
         found.append(Finding("extrinsics-moved", p_value, allowed, evidence))
     if monitor.cusum_extrinsic > CUSUM_LIMIT:

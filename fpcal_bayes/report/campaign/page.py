@@ -9,6 +9,7 @@ from fpcal_bayes.analysis.campaign import CampaignFacts, gather
 from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
@@ -96,7 +97,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
-        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows; as of {at}",
+        summary=f"{counted(len(facts.sweeps.sessions), 'session')}, {counted(len(facts.sweeps), 'row')}; as of {at}",
         about="" if facts.campaign is None else facts.campaign.about,
         style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
         scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),

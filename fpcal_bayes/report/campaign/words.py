@@ -11,6 +11,7 @@ from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
 from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds, session_numbers
 from fpcal_bayes.analysis.parameters import saved_parameters
 from fpcal_bayes.analysis.tasks import variance_shares
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
@@ -75,8 +76,7 @@ def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, st
         title = f"{word}: at best {decision.attainable_nm:.3g} nm can be held"
     elif decision.action != "hold":
         looked = decision.action == "extrinsic" and decision.purpose == "robot"
-        count = 0 if decision.sweeps is None else len(decision.sweeps)
-        sweeps = "one sweep" if count == 1 else f"{count} sweeps"
+        sweeps = counted(0 if decision.sweeps is None else len(decision.sweeps), "sweep")
         title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
         meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
     elif decision.hold_hours < facts.costs.horizon_h:
@@ -144,9 +144,10 @@ def task_table(facts: CampaignFacts) -> Table:
 def measured_sentence(facts: CampaignFacts) -> str:
     """How much was measured over which time, and how many sessions were as modelled."""
     times, n = facts.sweeps.time_h, len(facts.sweeps.sessions)
-    sessions = f"{n} sessions" if n > 1 else "one session"
     days = float(times.max() - times.min()) / 24.0
-    sentence = f"{len(facts.sweeps)} rows in {sessions}" + (f" over {days:.1f} days" if days > 0 else "")
+    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}" + (
+        f" over {days:.1f} days" if days > 0 else ""
+    )
     if facts.track is None or n == 1:
         return sentence + "."
     later = facts.track.outcomes[1:]
@@ -242,7 +243,7 @@ def since_sentence(since: SinceCalibration | None) -> str:
     """Whether the stated drift explains what changed since the last calibration."""
     if since is None:
         return "There are no two sessions to compare."
-    told = f"chi-square {since.chi2:.1f} in {since.dof} directions, p = {since.p_value:.2g}"
+    told = f"chi-square {since.chi2:.1f} in {counted(since.dof, 'direction')}, p = {since.p_value:.2g}"
     word = "the stated drift explains it" if since.explained else "more than the stated drift explains"
     advice = "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
     return f"From {since.session} to the last session, {since.hours:.1f} h: {told}: {word}.{advice}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
 from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds, session_numbers
-from fpcal_bayes.analysis.parameters import saved_parameters
+from fpcal_bayes.analysis.parameters import drawn_quantiles
 from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
@@ -276,19 +276,19 @@ def residual_table(parts: list[SessionResiduals]) -> Table:
 
 def posterior_table(facts: CampaignFacts) -> Table | None:
     """Mean, interval and worth of the draws of each parameter."""
-    if facts.posterior is None:
+    found = facts.posterior
+    if found is None:
         return None
     heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
     table = plain_table("Posterior of the calibration", heads)
-    for found in saved_parameters(facts.posterior):
+    for i, (sd, median, low, high) in enumerate(drawn_quantiles(found).T.tolist()):
         table.add_row(
-            found.name,
-            found.unit,
-            figure_of(found.median, number(found.median, found.sd)),
-            figure_of(found.low, f"{number(found.low, found.sd)} to {number(found.high, found.sd)}"),
-            figure_of(found.ess_bulk, f"{found.ess_bulk:.0f}"),
-            figure_of(found.ess_tail, f"{found.ess_tail:.0f}"),
-            figure_of(found.rhat, f"{found.rhat:.4f}"),
+            found.parameters[i].name,
+            found.parameters[i].unit,
+            figure_of(median, number(median, sd)),
+            figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
+            *(figure_of(float(worth[i]), f"{worth[i]:.0f}") for worth in (found.ess_bulk, found.ess_tail)),
+            figure_of(float(found.rhat[i]), f"{found.rhat[i]:.4f}"),
         )
     return table
 

@@ -25,7 +25,7 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.record import decisions_of, record_of
+from fpcal_bayes.tracking.record import record_of
 from fpcal_bayes.tracking.sessions import hours_of
 from fpcal_bayes.tracking.tracker import Track
 
@@ -44,9 +44,7 @@ def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed
         try:
-            before = followed.campaign.track
-            log = [] if before is None else decisions_of(before)
-            record = record_of(found, followed.sweeps, Limits(), log)
+            record = record_of(found, followed.sweeps, Limits())
             write_campaign(file, replace(followed.campaign, track=record), cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")

@@ -26,7 +26,7 @@ from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.observe import headline
 from fpcal_bayes.report.observe import parameter_table as observed_table
 from fpcal_bayes.report.pages import BLUE, GREY, VERMILION
-from fpcal_bayes.report.posterior import off_screen, posterior_table, prior_posterior_figure
+from fpcal_bayes.report.posterior import posterior_table, prior_posterior_figure
 from fpcal_bayes.report.table import Table
 from fpcal_bayes.report.tasks import prediction_content, prediction_table
 from fpcal_bayes.report.track import session_table, verdict_lines
@@ -114,11 +114,9 @@ def _(result: Posterior) -> Shown:
         numbers = {key: [each[key] for each in found.values()] for key in told}
         return {"parameter": list(found), "unit": [free[name].unit for name in found]} | numbers
 
-    def draw() -> Figure:
-        with off_screen():
-            return prior_posterior_figure(arviz_tree(result))
-
-    return Shown(posterior_table(result, repr(result)), columns, draw, result.trust)
+    return Shown(
+        posterior_table(result, repr(result)), columns, lambda: prior_posterior_figure(arviz_tree(result)), result.trust
+    )
 
 
 @shown.register

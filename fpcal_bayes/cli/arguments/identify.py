@@ -60,11 +60,8 @@ def sample(commands: Commands) -> None:
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     kinds = "gaussian (default); student: outliers have bounded pull; slip: each dL may be off by half wavelengths"
     add("--likelihood", choices=("gaussian", "student", "slip"), default="gaussian", help=kinds)
-    add("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
-    add("--plots", metavar="DIR", type=Folder, help="folder for figures (PNG), made if it is not there")
-    add("--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)")
     add_json(parser)
 
 

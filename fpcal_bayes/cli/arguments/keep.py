@@ -114,7 +114,7 @@ error of the tasks; full: calibrate in full, since the robot itself moved or no 
 
 The error of a task is what the controller does not know of the cavity length along its path, peak to peak. LEVEL is the
 probability of being out of tolerance that is accepted before the next measurement; the share of time spent outside is
-about a third of it. With --cost-out the level is the one at which measuring and errors together cost least.
+about a third of it.
 """
 
 

@@ -6,9 +6,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
-from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.parameters import ParameterSet
 
 
 def drawn_quantiles(posterior: PosteriorSummary) -> Floats:
@@ -38,19 +36,3 @@ def tree_draws(tree: Any, group: str = "posterior") -> tuple[list[str], Floats]:
     # What belongs to the likelihood has no prior in the tree.
     names = [str(name) for name in tree["prior"].data_vars]
     return names, np.array([tree[group][name].transpose("chain", "draw").to_numpy() for name in names])
-
-
-def reflection_points(
-    estimate: Estimate, parameters: ParameterSet, truth: Floats
-) -> dict[str, tuple[Floats, Floats, Floats]]:
-    """The reflection point at joint vector zero, its sd and its truth, um: in the world (3,), in the mirror frame (2,).
-
-    `truth` holds values of `parameters` in um and rad, shape (n,).
-    """
-    cell = estimate.cell
-    model = CavityModel.of(cell, estimate.parameters)
-    home = np.zeros((1, len(cell.joints)))
-    found = model.reflection_points(estimate.values, home)
-    sds = model.reflection_sd(estimate.values, estimate.covariance, home[0])
-    trues = CavityModel.of(cell, parameters).reflection_points(truth, home)
-    return {"wPr": (found[0][0], sds[0], trues[0][0]), "tPr": (found[1][0][:2], sds[1][:2], trues[1][0][:2])}

@@ -5,11 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.analysis.parameters import reflection_points
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.report.pages import BLUE, SKY, VERMILION
 from fpcal_bayes.report.table import Table, TableCell, number, plain_table
 from fpcal_bayes.study.paper_scenarios import Scenario
@@ -34,21 +32,6 @@ def truth_table(estimate: Estimate, truth: Floats, names: Sequence[str], title: 
             TableCell(status, style=status),
         )
     return table
-
-
-def reflection_lines(estimate: Estimate, true_parameters: ParameterSet, truth: Floats) -> list[str]:
-    """The reflection point at joint vector zero, in the world and in the mirror frame, beside the truth.
-
-    The truth holds values of `true_parameters` in um and rad, shape (n,).
-    """
-    lines = []
-    for name, columns in reflection_points(estimate, true_parameters, truth).items():
-        parts = (
-            f"{axis} {number(value, sd)} +- {number(sd, sd)} (truth {true:.1f})"
-            for axis, value, sd, true in zip("xyz", *columns, strict=False)
-        )
-        lines.append(f"reflection point {name} at q = 0 [um]: {', '.join(parts)}")
-    return lines
 
 
 def circle_table(title: str, circles: Sequence[Circle], tolerance: float) -> Table:

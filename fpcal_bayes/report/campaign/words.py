@@ -120,7 +120,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
     heads = ["task", "standing", f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "median [nm]"]
-    heads += [f"{BAND:.0%} band [nm]", "mirror direction, 95 % [deg]", "to be held"]
+    heads += [f"{100 * BAND:g} % band [nm]", "mirror direction, 95 % [deg]", "to be held"]
     table = plain_table("Peak to peak of each task's error now", heads, words=(0, 1, 6))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)

@@ -125,7 +125,6 @@ def test_columns():
 def test_one_content_in_a_terminal_and_on_a_page():
     table = plain_table("a [title]", ["name", "size [nm]", "error [nm]", "status"], words=[0])
     table.add_row("<one>", figure_of(1234.5), "2", TableCell("good", style="good"))
-    table.add_rule()
     table.add_row("sum [nm]", "", "", "")
     lines = [line.split() for line in str(table).splitlines() if line.strip()]
     assert lines[:2] == [["a", "[title]"], ["name", "size", "nm", "error", "nm", "status"]]

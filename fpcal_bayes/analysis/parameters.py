@@ -6,6 +6,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
+from fpcal_bayes.infer.posterior.netcdf import summarise as summarise
 from fpcal_bayes.model.estimate import Estimate
 
 

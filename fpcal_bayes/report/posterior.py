@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.analysis.parameters import tree_draws
+from fpcal_bayes.analysis.parameters import summarise, tree_draws
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
 from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import summarise
 from fpcal_bayes.report.pages import BLUE, VERMILION
 from fpcal_bayes.report.table import Table, number, plain_table
 

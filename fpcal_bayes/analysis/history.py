@@ -62,15 +62,6 @@ class SessionResiduals:
 
 
 @dataclass(frozen=True)
-class SessionNumbers:
-    """What was measured in a session, and what the tests say of it."""
-
-    rows: Sweeps
-    sigma: float  # median, um
-    outcome: SessionOutcome | None  # None where the sessions are not followed
-
-
-@dataclass(frozen=True)
 class LogEntry:
     """How long the estimate after a session held the tasks, in hours."""
 
@@ -260,11 +251,11 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
     return low, high
 
 
-def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
-    """What was measured, session by session."""
+def session_numbers(facts: CampaignFacts) -> list[tuple[Sweeps, float, SessionOutcome | None]]:
+    """Rows of each session, their median sigma in um, and its outcome; None where the sessions are not followed."""
     outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
     parts = {name: facts.sweeps.of_session(name) for name in facts.sweeps.sessions}
-    return [SessionNumbers(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
+    return [(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
 
 
 def session_log(facts: CampaignFacts) -> list[LogEntry] | None:

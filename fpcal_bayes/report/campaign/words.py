@@ -163,15 +163,15 @@ def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
     heads = ["session", "time", "verdict", "innovation", "95 % bounds", "rows", "sigma, median [nm]", "without sign"]
     table = plain_table("Sessions", heads, words=(0, 2))
-    for i, found in enumerate(session_numbers(facts)):
-        rows, time_h = found.rows, float(found.rows.time_h.max())
+    for i, (rows, sigma, outcome) in enumerate(session_numbers(facts)):
+        time_h = float(rows.time_h.max())
         unsigned = int((~rows.signed).sum())
         table.add_row(
             str(rows.session[0]),
             figure_of(time_h, shown_time(time_h, facts)),
-            *_tested(found.outcome, first=i == 0),
+            *_tested(outcome, first=i == 0),
             figure_of(len(rows), str(len(rows))),
-            figure_of(1e3 * found.sigma),
+            figure_of(1e3 * sigma),
             figure_of(unsigned, str(unsigned)),
         )
     return table

@@ -1,6 +1,5 @@
 """The history of a campaign: parameters and the error of the tasks on a grid of times, and what each session told."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +12,7 @@ from fpcal_bayes.decision.forecast import Forecaster
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.parameters import Parameter, ParameterSet
-from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.session import SessionOutcome
@@ -27,8 +25,6 @@ _MOST_OUTLOOKS = 160
 #: A change is explained by the stated drift unless one as large is rarer than this; directions of which less than this
 #: share of the variance was told since do not count; draws of what is expected of tasks.
 _EXPLAINED, _TOLD, _DRAWS = 1e-3, 1e-2, 1000
-#: Times at which a band is drawn between two sessions, both included.
-_BETWEEN = 4
 
 
 @dataclass(frozen=True)
@@ -164,22 +160,6 @@ def history(facts: CampaignFacts) -> History | None:
         truth=_truth(facts, hours, parameters.names),
         alarms=tuple((o.session, o.time_h, o.verdict) for o in followed.outcomes if o.verdict != "as-modelled"),
     )
-
-
-def parameter_band(
-    drift: DriftModel, parameter: Parameter, outcomes: Sequence[SessionOutcome], end_h: float
-) -> tuple[Floats, Floats, Floats]:
-    """Days, and two standard deviations to either side of what was known then, in the units a person reads."""
-    at = drift.parameters.position(parameter.name)
-    until = [outcome.time_h for outcome in outcomes[1:]] + [max(end_h, outcomes[-1].time_h)]
-    points = []
-    for outcome, end in zip(outcomes, until, strict=True):
-        for time_h in np.linspace(outcome.time_h, end, _BETWEEN):
-            state = predict(drift, outcome.state, float(time_h))
-            mean, variance = drift.values(state.mean)[at], drift.covariance(state.covariance)[at, at]
-            points.append((time_h / 24.0, mean, 2.0 * np.sqrt(variance)))
-    days, mean, width = np.array(points).T
-    return days, (mean - width) / parameter.scale, (mean + width) / parameter.scale
 
 
 def outlooks(facts: CampaignFacts) -> TaskForecasts | None:

@@ -9,6 +9,7 @@ from rich.table import Table
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -67,8 +68,8 @@ def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket)
     out.print(table)
     gap, rate = _extremes(every)
     out.say(
-        f"{len(orders)} sweeps, {len(every)} moves, {total_seconds(legs) / 60.0:.1f} min from the first sweep's start; "
-        f"least gap {gap} um, at most {rate} fringes a second; no move was made"
+        f"{counted(len(orders), 'sweep')}, {counted(len(every), 'move')}, {total_seconds(legs) / 60.0:.1f} min from "
+        f"the first sweep's start; least gap {gap} um, at most {rate} fringes a second; no move was made"
     )
     return 0
 

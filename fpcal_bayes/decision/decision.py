@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Forecaster, TaskForecast
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -85,7 +86,7 @@ class Decision:
     attainable_nm: float | None = None
 
     def __repr__(self) -> str:
-        sweeps = "" if self.sweeps is None else f", {len(self.sweeps)} sweeps"
+        sweeps = "" if self.sweeps is None else f", {counted(len(self.sweeps), 'sweep')}"
         return f"Decision({self.action}{sweeps}, look again in {self.hold_hours:.3g} h: {self.reason})"
 
 
@@ -172,7 +173,7 @@ def decide(
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
             f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
-            f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
+            f"after {'a full calibration' if best is full else counted(len(best.sweeps), 'sweep')}"
         )
         if not measure:
             due = calibration_due is not None
@@ -182,7 +183,10 @@ def decide(
             raise InputError(text)
         # A machine that was within reach before does what it can; no calibration that cannot help.
         return made("extrinsic", 0.0, best, best.outlook, text)
-    reason = calibration_due or f"no session of up to {costs.most_sweeps} sweeps brings {passes} below {goal.level:.0%}"
+    reason = (
+        calibration_due
+        or f"no session of up to {counted(costs.most_sweeps, 'sweep')} brings {passes} below {goal.level:.0%}"
+    )
     return made("full", 0.0, full, full.outlook, reason)
 
 

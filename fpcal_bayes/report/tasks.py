@@ -246,7 +246,6 @@ def budget_table(budget: Budget) -> Table:
             f"{1e3 * line.contribution:.3g}",
         )
     low, high = budget.interval
-    table.add_rule()
     table.add_row("combined standard uncertainty", "", "", "", "", "", f"{1e3 * budget.combined:.3g}")
     table.add_row(f"{COVERAGE:.0%} coverage interval", "", "", "", "", "", f"{1e3 * low:.3g} .. {1e3 * high:.3g}")
     return table

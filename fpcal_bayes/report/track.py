@@ -5,6 +5,7 @@ from datetime import timedelta
 from typing import Any
 
 from fpcal_bayes.analysis.history import session_bounds
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.forecast import Goal
@@ -69,11 +70,12 @@ def decision_sentence(decision: Decision, track: Track) -> str:
         return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
     count = 0 if decision.sweeps is None else len(decision.sweeps)
     cost = f"about {decision.minutes:.0f} min"
+    full = f"full calibration now ({counted(count, 'sweep')}, {cost}): {decision.reason}"
     after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
     if not track.trust.usable:
-        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}"
+        return full
     if decision.action == "full":
-        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
+        return f"{full}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
     return f"{_PURPOSES[decision.purpose]} now with {these} ({cost}): {decision.reason}; {after}"
 

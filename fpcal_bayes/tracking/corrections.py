@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from scipy import linalg, sparse, special
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
 from fpcal_bayes.measure.drive import sweep_numbers
@@ -110,7 +110,7 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
     if not left:
         return signed, []
     named = ", ".join(sweeps.label[~known].tolist()[:5]) + (", ..." if left > 5 else "")
-    return signed, [f"the sign of {left} rows cannot be told, they are not used: {named}"]
+    return signed, [f"the sign of {counted(left, 'row')} cannot be told: not used: {named}"]
 
 
 def correct_slips(

@@ -58,13 +58,8 @@ def sample(commands: Commands) -> None:
     add("--traces", action="store_true", help=_TRACES)
     add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    add(
-        "--likelihood",
-        choices=("gaussian", "student", "slip"),
-        default="gaussian",
-        help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
-        "(default: gaussian)",
-    )
+    kinds = "gaussian (default); student: outliers have bounded pull; slip: each dL may be off by half wavelengths"
+    add("--likelihood", choices=("gaussian", "student", "slip"), default="gaussian", help=kinds)
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
     add_json(parser)
@@ -165,10 +160,7 @@ def control(commands: Commands) -> None:
     add = parser.add_argument
     add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=True)
-    add(
-        "--now", metavar="TIME_H|UTC", help="when the task is driven: says if the estimate is past its horizon "
-        "(default: this clock, where the estimate carries a clock time)"
-    )  # fmt: skip
+    add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
     add_json(parser)
 
@@ -220,13 +212,6 @@ def check(commands: Commands) -> None:
     add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")
     add("--tolerance-nm", type=positive, metavar="T", help="say whether the path is within T")
     add("--level", type=share, default=0.01, metavar="P", help="refuted below this (default: 0.01)")
-    add(
-        "--stability-percent",
-        type=positive,
-        default=0.5,
-        metavar="P",
-        help="how gain and offset may wander during the path, one standard deviation (default: 0.5)",
-    )
     add("-o", dest="output", metavar="CHECK", type=Path, help="the check as sweeps: .csv or .h5")
     add("--points", type=count, metavar="N", help="with -o: sweeps to N points of the path too")
     add("--session", metavar="NAME", default="check", help="with -o: its session (default: check)")

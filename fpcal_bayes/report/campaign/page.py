@@ -9,9 +9,9 @@ from fpcal_bayes.analysis.campaign import CampaignFacts, gather
 from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report import observe as observe_words
 from fpcal_bayes.report import observe_figures
 from fpcal_bayes.report.campaign import charts as data
@@ -85,7 +85,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         "contraction": observe_figures.contraction_figure(seen),
         "correlation": observe_figures.correlation_figure(seen),
         "residuals": figures.residual_figure(rows, alarmed),
-        "motions": figures.motion_figure(motion_curves(_calibration(facts))),
+        "motions": figures.motion_figure(motion_curves(facts.calibration.estimate)),
         "posterior": "" if facts.posterior is None else figures.posterior_figure(facts),
     }
     charts = {
@@ -96,7 +96,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
-        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows; as of {at}",
+        summary=f"{counted(len(facts.sweeps.sessions), 'session')}, {counted(len(facts.sweeps), 'row')}; as of {at}",
         about="" if facts.campaign is None else facts.campaign.about,
         style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
         scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),
@@ -124,20 +124,13 @@ def campaign_html(facts: CampaignFacts) -> str:
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,
-        mechanics=words.mechanics_table(_calibration(facts)),
-        mechanics_sentence=words.mechanics_sentence(_calibration(facts)),
+        mechanics=words.mechanics_table(facts.calibration.estimate),
+        mechanics_sentence=words.mechanics_sentence(facts.calibration.estimate),
         provenance=words.provenance(facts),
         # Drawn here, and their texts escaped by the SVG writer.
         figures={name: Markup(svg) for name, svg in drawn.items()},
         **_next_sweeps(facts),
     )
-
-
-def _calibration(facts: CampaignFacts) -> Estimate:
-    """What the first session told."""
-    found = facts.observability.identification
-    assert found is not None
-    return found.estimate
 
 
 def _warnings(facts: CampaignFacts) -> list[str]:

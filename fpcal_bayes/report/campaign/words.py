@@ -9,8 +9,9 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
 from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds
-from fpcal_bayes.analysis.parameters import saved_parameters
+from fpcal_bayes.analysis.parameters import drawn_quantiles
 from fpcal_bayes.analysis.tasks import variance_shares
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
@@ -75,8 +76,7 @@ def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, st
         title = f"{word}: at best {decision.attainable_nm:.3g} nm can be held"
     elif decision.action != "hold":
         looked = decision.action == "extrinsic" and decision.purpose == "robot"
-        count = 0 if decision.sweeps is None else len(decision.sweeps)
-        sweeps = "one sweep" if count == 1 else f"{count} sweeps"
+        sweeps = counted(0 if decision.sweeps is None else len(decision.sweeps), "sweep")
         title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
         meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
     elif decision.hold_hours < facts.costs.horizon_h:
@@ -120,7 +120,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
     heads = ["task", "standing", f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "median [nm]"]
-    heads += [f"{BAND:.0%} band [nm]", "mirror direction, 95 % [deg]", "to be held"]
+    heads += [f"{100 * BAND:g} % band [nm]", "mirror direction, 95 % [deg]", "to be held"]
     table = plain_table("Peak to peak of each task's error now", heads, words=(0, 1, 6))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)
@@ -144,9 +144,10 @@ def task_table(facts: CampaignFacts) -> Table:
 def measured_sentence(facts: CampaignFacts) -> str:
     """How much was measured over which time, and how many sessions were as modelled."""
     times, n = facts.sweeps.time_h, len(facts.sweeps.sessions)
-    sessions = f"{n} sessions" if n > 1 else "one session"
     days = float(times.max() - times.min()) / 24.0
-    sentence = f"{len(facts.sweeps)} rows in {sessions}" + (f" over {days:.1f} days" if days > 0 else "")
+    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}" + (
+        f" over {days:.1f} days" if days > 0 else ""
+    )
     if facts.track is None or n == 1:
         return sentence + "."
     later = facts.track.outcomes[1:]
@@ -243,7 +244,7 @@ def since_sentence(since: SinceCalibration | None) -> str:
     """Whether the stated drift explains what changed since the last calibration."""
     if since is None:
         return "There are no two sessions to compare."
-    told = f"chi-square {since.chi2:.1f} in {since.dof} directions, p = {since.p_value:.2g}"
+    told = f"chi-square {since.chi2:.1f} in {counted(since.dof, 'direction')}, p = {since.p_value:.2g}"
     word = "the stated drift explains it" if since.explained else "more than the stated drift explains"
     advice = "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
     return f"From {since.session} to the last session, {since.hours:.1f} h: {told}: {word}.{advice}"
@@ -276,19 +277,19 @@ def residual_table(parts: list[SessionResiduals]) -> Table:
 
 def posterior_table(facts: CampaignFacts) -> Table | None:
     """Mean, interval and worth of the draws of each parameter."""
-    if facts.posterior is None:
+    found = facts.posterior
+    if found is None:
         return None
     heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
     table = plain_table("Posterior of the calibration", heads)
-    for found in saved_parameters(facts.posterior):
+    for i, (sd, median, low, high) in enumerate(drawn_quantiles(found).T.tolist()):
         table.add_row(
-            found.name,
-            found.unit,
-            figure_of(found.median, number(found.median, found.sd)),
-            figure_of(found.low, f"{number(found.low, found.sd)} to {number(found.high, found.sd)}"),
-            figure_of(found.ess_bulk, f"{found.ess_bulk:.0f}"),
-            figure_of(found.ess_tail, f"{found.ess_tail:.0f}"),
-            figure_of(found.rhat, f"{found.rhat:.4f}"),
+            found.parameters[i].name,
+            found.parameters[i].unit,
+            figure_of(median, number(median, sd)),
+            figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
+            *(figure_of(float(worth[i]), f"{worth[i]:.0f}") for worth in (found.ess_bulk, found.ess_tail)),
+            figure_of(float(found.rhat[i]), f"{found.rhat[i]:.4f}"),
         )
     return table
 

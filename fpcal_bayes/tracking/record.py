@@ -19,7 +19,7 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
@@ -31,7 +31,7 @@ _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_
 _ONSET = ("session", "hours", "age", "squared", "dof")
 
 #: The calibration's rows that were found last, for who follows one campaign again and again; they come from a fit.
-_found_rows: dict[tuple[Cell, DriftModel, str], SweepMeasurement] = {}
+_found_rows: dict[tuple[Cell, DriftModel, str], Measurement | None] = {}
 
 
 def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:

@@ -42,10 +42,7 @@ class Origin:
 
 
 def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
-    """When the campaign of a ticket began.
-
-    Raises InputError if the campaign holds rows that lie in the future, or the ticket's session already.
-    """
+    """When the campaign of a ticket began; `InputError` if it holds future rows, or the ticket's session already."""
     planned = 0.0 if ticket.plan is None else float(ticket.plan.time_h.max())
     if campaign is None:
         return Origin(now_s - 3600.0 * planned, False)
@@ -66,10 +63,8 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 
 
 class Agenda:
-    """The orders of a ticket and what came of them.
+    """The orders of a ticket and what came of them, with a journal beside the session's file `output`.
 
-    output: the session's file; the journal stands beside it.
-    command: how the session came about, kept in its file.
     Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
     """
 
@@ -161,10 +156,7 @@ class Agenda:
         return (True, expired) if expired else (False, "")
 
     def checkpoint(self) -> int:
-        """Write what has been measured as a session; how many rows or traces it has.
-
-        The journal stays as long as there is something left to do.
-        """
+        """Write what was measured, and end the journal once nothing is left; how many rows or traces there are."""
         written = self._write()
         if not self.left:
             self._journal.unlink(missing_ok=True)
@@ -183,8 +175,7 @@ class Agenda:
 
     def sweeps(self) -> Sweeps | None:
         """The rows so far."""
-        instrument = self.rig.instrument
-        sigma = math.sqrt(2.0) * instrument.noise if isinstance(instrument, IDSDevice) else math.nan
+        sigma = math.sqrt(2.0) * self.rig.instrument.noise if isinstance(self.rig.instrument, IDSDevice) else math.nan
         return sweeps_of(self.orders, self.outcomes, sigma=sigma, origin_s=self.origin.moment_s)
 
     def _require_plan(self) -> None:

@@ -19,12 +19,7 @@ _FAILURES = {0x100: "end stop", 0x200: "range limit", 0x400: "following error", 
 
 
 class SmarActStage:
-    """Channels of one MCS2.
-
-    axes: in the order of `joints`.
-    speeds: in um/s or rad/s, shape (n_axes,).
-    revolute: whether each axis turns, shape (n_axes,).
-    """
+    """Channels of one MCS2, in the order of `joints`; speeds in um/s or rad/s and `revolute`, shape (n_axes,)."""
 
     def __init__(
         self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, revolute: Bools

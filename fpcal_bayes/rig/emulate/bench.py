@@ -23,8 +23,7 @@ from fpcal_bayes.simulator.machine import Machine
 class EmulatedBench:
     """All devices of a rig, emulated: `lab` is the simulated cell behind them, `server.inject` gives them faults.
 
-    truth: by default that of the rig's file, else the paper's.
-    machine: mechanics beyond the geometry, or None.
+    The truth is by default that of the rig's file, else the paper's.
     """
 
     def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:

@@ -57,12 +57,9 @@ class Axis:
 
 
 class SimulatedCell:
-    """A cell with a truth through time, as its devices see it.
+    """A cell with a truth through time, as its devices see it; `machine` holds mechanics beyond the geometry.
 
-    noise: standard deviation of one position that the interferometer reads, in um.
-    settle_s: how long an axis rings.
-    time_h: hours of the campaign at the beginning.
-    machine: mechanics beyond the geometry, or None.
+    `noise` is the standard deviation of one position that the interferometer reads, in um; axes ring for `settle_s`.
     """
 
     def __init__(

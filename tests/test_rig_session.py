@@ -309,8 +309,6 @@ def test_the_agenda_is_an_adaptive_experiment(cell_live, femto, tmp_path):
     assert [point["_id"] for point in points] == [0, 1]
     assert points[1]["q3_end_um"] == 150.0
     assert agenda.suggest(1) == []
-    agenda.register_failures(points[1:])
-    assert [point["_id"] for point in agenda.suggest(5)] == [1]
     assert agenda.should_stop() == (False, "")
     agenda.begin()
     reading = {"q": [0.0] * 6, "length_um": 1.0, "moment_s": 3600.0, "temperature_c": 20.0}

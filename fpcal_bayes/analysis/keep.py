@@ -81,12 +81,7 @@ class Round:
 
 
 class Keeper:
-    """Follows a campaign, decides and publishes, as often as it is asked to.
-
-    campaign: CSV or HDF5; it may not be there yet.
-    goal, costs: what is to be held, and what measuring costs, given the campaign's sweeps.
-    outputs: what is published.
-    now: Unix time.
+    """Follows a campaign, decides and publishes, as often as it is asked to; `now` tells Unix time.
 
     While the campaign stays as it is, what was found of it is not worked out or published again, and a decision to hold
     stands until its end.
@@ -110,10 +105,7 @@ class Keeper:
         self._published: object = None
 
     def round(self) -> Round:
-        """Follow, decide, publish.
-
-        Raises InputError if the campaign cannot be read or followed.
-        """
+        """Follow, decide, publish; `InputError` if the campaign cannot be read or followed."""
         goal, moment = self._goal, self._now()
         followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
@@ -143,9 +135,7 @@ class Keeper:
 
     def withdraw(self) -> None:
         """Empty the ticket: what it rests on is in doubt."""
-        pending = self._pending()
-        if pending is None or pending.plan is not None:
-            write_ticket(self._outputs.ticket, empty_ticket(str(self._outputs.ticket)), self._cell)
+        self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
         """The campaign as it is followed up to its last session."""
@@ -167,9 +157,13 @@ class Keeper:
         ticket = empty_ticket(str(path))
         if decision is not None:
             ticket = ticket_of(decision, sweeps, str(path), now_utc=moment)
-        if pending is None or pending.plan is not None or ticket.plan is not None:
-            write_ticket(path, ticket, self._cell)
+        self._write(ticket, pending)
         return ticket
+
+    def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
+        """Write a ticket, unless it is empty as the one that is there."""
+        if pending is None or pending.plan is not None or ticket.plan is not None:
+            write_ticket(self._outputs.ticket, ticket, self._cell)
 
     def _pending(self) -> Ticket | None:
         """The ticket that is there, or None if none can be read."""

@@ -115,13 +115,16 @@ class SimulatedCell:
         """Stop a joint where it is."""
         axis, now = self.axes[joint], self.clock.now()
         if axis.moving(now):
-            axis.start = axis.target = axis.at(now)
-            axis.began = now
+            axis.start, axis.target, axis.began = axis.at(now), axis.at(now), now
 
     def position(self, joint: int) -> float:
         """What a joint's encoder shows, in um or rad."""
         noise = self.cell.joints[joint].resolution * float(self._random.standard_normal())
         return self.axes[joint].at(self.clock.now()) + noise
+
+    def settled(self, joint: int) -> bool:
+        """Whether a joint stands on its target."""
+        return self.axes[joint].settled(self.clock.now())
 
     def hold(self, joint: int) -> None:
         """A joint gets no further than it is, until it is released."""

@@ -55,9 +55,9 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
         stated = factor * np.sqrt((basis[:, there] ** 2).sum(axis=1))
         prior = np.median(size) * stated
         shown = 1.0 - float((values.var(axis=0) / np.maximum(prior**2, 1e-30)).mean())
-        band = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
-        joint_unit, along = cell.joints[i].unit, q / cell.joint_scales[i]
-        curves.append(MotionCurve(motion.name, unit, joint_unit, along, *band, stated, shown, i, motion.direction))
+        least, middle, most = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
+        about = motion.name, unit, cell.joints[i].unit, q / cell.joint_scales[i]
+        curves.append(MotionCurve(*about, least, middle, most, stated, shown, i, motion.direction))
     return sorted(curves, key=lambda curve: -curve.shown)
 
 

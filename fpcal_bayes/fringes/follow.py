@@ -344,7 +344,7 @@ def _hopped(best: Followed, whole: Samples, size: int, smooth: Followed, fit: _F
     after = np.arange(len(whole))
 
     def at(place: int) -> Fit:
-        return fit(used, held, slope=_chunked(replace(whole, s=1.0 * (after >= place)), size).s)
+        return fit(used, held, slope=_chunked(replace(whole, s=(after >= place).astype(float)), size).s)
 
     step = max(1, len(whole) // _HOPS)
     tried = {place: at(place) for place in range(step, len(whole), step)}

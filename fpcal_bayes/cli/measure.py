@@ -82,9 +82,8 @@ def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket)
     for order, moves in zip(orders, legs, strict=True):
         table.add_row(order.label, str(len(moves)), f"{total_seconds([moves]):.1f}", *_extremes(moves))
     every = [leg for moves in legs for leg in moves]
-    out = console(options)
+    out, (gap, rate) = console(options), _extremes(every)
     out.print(table)
-    gap, rate = _extremes(every)
     out.say(
         f"{len(orders)} sweeps, {len(every)} moves, {total_seconds(legs) / 60.0:.1f} min from the first sweep's start; "
         f"least gap {gap} um, at most {rate} fringes a second; no move was made"
@@ -115,7 +114,7 @@ class _Teller:
 
 def _report(options: argparse.Namespace, summary: Summary) -> None:
     where = f" -> {options.output}" if summary.rows else ""
-    doubtful = f", {len(summary.doubtful)} doubtful" if summary.doubtful else ""
+    doubtful = f", {summary.doubtful} doubtful" if summary.doubtful else ""
     console(options).say(
         f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
     )

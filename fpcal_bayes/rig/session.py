@@ -26,7 +26,7 @@ class Summary:
     rows: int  # rows, or traces, in the session's file
     done: int  # orders driven
     total: int
-    doubtful: tuple[tuple[str, str], ...]  # labels of the orders without a reliable number, and why
+    doubtful: int  # orders without a reliable number
     reason: str  # why it ended
 
 
@@ -78,9 +78,5 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
 
 def _summary(agenda: Agenda, reason: str) -> Summary:
     rows = agenda.checkpoint()
-    doubtful = tuple(
-        (agenda.orders[number].label, str(outcome["doubt"]))
-        for number, outcome in sorted(agenda.outcomes.items())
-        if outcome["doubt"]
-    )
+    doubtful = sum(bool(outcome["doubt"]) for outcome in agenda.outcomes.values())
     return Summary(rows, len(agenda.outcomes), len(agenda.orders), doubtful, reason)

@@ -62,9 +62,6 @@ class Stage(Protocol):
     def stopped(self) -> bool:
         """Whether all axes stand still, asked over a connection of its own after `stop`."""
 
-    def close(self) -> None:
-        """Let go of the connection."""
-
 
 class Interferometer(Protocol):
     """An instrument that knows the cavity length at rest, up to a constant."""
@@ -82,9 +79,6 @@ class Interferometer(Protocol):
 
     def temperature_c(self) -> float:
         """Temperature of the air, or NaN."""
-
-    def close(self) -> None:
-        """Let go of the connection."""
 
 
 class CommandLog:

@@ -122,10 +122,6 @@ class PIStage:
         finally:
             self._gcs.errcheck = True
 
-    def close(self) -> None:
-        """Let go of the connection."""
-        self._link.close()
-
     def _of(self, query: Callable[[list[str]], dict[str, Any]]) -> dict[str, Any]:
         found: dict[str, Any] = self._asked(lambda: query(self._channels))
         if sorted(found) != sorted(self._channels) or any(value == "" for value in found.values()):

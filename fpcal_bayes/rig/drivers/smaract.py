@@ -86,10 +86,6 @@ class SmarActStage:
         self.stop()
         return not any(state & _MOVING for state in self._numbers("STAT"))
 
-    def close(self) -> None:
-        """Let go of the connection."""
-        self._link.close()
-
     @staticmethod
     def _count(axis: ControllerAxis, q: float, wire: float) -> float:
         return float(axis.reading_of(np.asarray(q))) * axis.per_unit / wire

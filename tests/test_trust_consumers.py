@@ -52,7 +52,6 @@ TRIED = {
     ("identify", "start"): "identify good.csv --free extrinsic --start estimate.json",
     ("identify", "prior"): "identify good.csv --prior estimate.json",
     ("track", "campaign"): "track campaign.h5",
-    ("track", "posterior"): "track campaign.h5 --posterior posterior.nc",
     ("decide", "campaign"): "decide campaign.h5",
     ("report", "campaign"): "report campaign.h5 -o r.html",
     ("report", "verification"): "report sweeps.csv --verification verified.json -o r.html",

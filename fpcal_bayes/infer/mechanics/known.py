@@ -49,7 +49,7 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
         drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * fit.drive.session_min
     effects = changes @ np.hstack([jacobian, path.motions, drift]).T
     # The pose rests on more of the geometry than lengths feel: one standard deviation of the prior counts as 1 um.
-    scores = geometry / model.free.prior_sd * np.sqrt(_POSES)
+    scores = np.sqrt(_POSES) * geometry / np.where(model.free.prior_sd > 0, model.free.prior_sd, np.inf)
     left, sizes, _ = linalg.svd(np.hstack([effects, scores - scores.mean(axis=0)]), full_matrices=False)
     count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
     z = left[:, : min(count, _MOST_DIRECTIONS)] * np.sqrt(len(changes))

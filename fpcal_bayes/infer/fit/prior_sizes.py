@@ -13,7 +13,6 @@ from scipy import optimize
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
-from fpcal_bayes.infer.fit.prior import Prior
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Reason
@@ -23,8 +22,6 @@ from fpcal_bayes.model.trust import Reason
 _LOG_SD, _LEAST_GAIN = float(np.log(3.0)), 6.0
 #: The farthest that is looked for, how often rows are linearised anew, and what is no change of a factor's logarithm.
 _FARTHEST, _ROUNDS, _CLOSE = float(np.log(100.0)), 6, 0.05
-#: Step of a factor's logarithm in which its evidence bends.
-_STEP = 0.1
 #: Of an angle, in rad: a robot whose angles were thought to be as far off is wired another way.
 _WIDEST = float(np.radians(10.0 + 1e-6))
 
@@ -52,35 +49,21 @@ def with_likely_priors(problem: Problem, solution: Solution) -> tuple[Problem, d
     stated, blocks = problem.prior, kinds(problem.model.free)
     log, angles = np.zeros(len(blocks)), np.array([p.unit == "deg" for p in problem.model.free])
     for _ in range(_ROUNDS):
-        before, (log, variance) = log, _likely(problem, solution.unknowns, blocks, log)
+        before, log = log, _likely(problem, solution.unknowns, blocks, log)
         if np.abs(log - before).max() < _CLOSE:
             break
-        values = problem.values(solution.unknowns)
-        problem = _with_factors(problem, stated, blocks, log)
-        if (problem.prior.sd[angles] > _WIDEST).any() and log.max() > 0:
+        values, sd = problem.values(solution.unknowns), stated.sd.copy()
+        for (_, members), value in zip(blocks, log, strict=True):
+            sd[members] *= np.exp(value)
+        if (sd[angles] > _WIDEST).any() and log.max() > 0:
             return problem, {}
+        problem = replace(problem, prior=replace(stated, sd=sd))
         solution = minimise(problem, problem.unknowns(values))
-    if not log.any():
-        return problem, {}
-    # The mean of the variances that a factor may stand for lies above the likeliest one's.
-    log = log + variance
-    factors = {name: float(np.exp(value)) for (name, _), value in zip(blocks, log, strict=True) if value}
-    return _with_factors(problem, stated, blocks, log), factors
-
-
-def _with_factors(problem: Problem, stated: Prior, blocks: list[tuple[str, NDArray[np.int64]]], log: Floats) -> Problem:
-    """The problem with priors that are as many times as wide as `stated`, by the logarithms of the factors."""
-    sd = stated.sd.copy()
-    for (_, members), value in zip(blocks, log, strict=True):
-        sd[members] *= np.exp(value)
-    return replace(problem, prior=replace(stated, sd=sd))
+    return problem, {name: float(np.exp(value)) for (name, _), value in zip(blocks, log, strict=True) if value}
 
 
 def _likely(problem: Problem, at: Floats, blocks: list[tuple[str, NDArray[np.int64]]], already: Floats) -> Floats:
-    """Logarithms of the factors on the stated priors, which the problem has made `already`; zero where these stand.
-
-    Their variances come second, shape (2, n_kinds).
-    """
+    """Logarithms of the factors on the stated priors, which the problem has made `already`; zero where these stand."""
     jacobian = problem.data_jacobian(at)
     seen = jacobian.T @ jacobian
     members = np.array([np.isin(np.arange(problem.n_free), each) for _, each in blocks], dtype=float)
@@ -101,10 +84,10 @@ def _likely(problem: Problem, at: Floats, blocks: list[tuple[str, NDArray[np.int
         found = optimize.minimize(cost, first, args=(directions,), bounds=ends)
         return float(found.fun), found.x
 
-    chosen, (log, variance) = list(range(len(blocks))), np.zeros((2, len(blocks)))
+    chosen, log = list(range(len(blocks))), np.zeros(len(blocks))
     whole, found = best(members, already)
     if cost(log, members) - whole < _LEAST_GAIN:
-        return np.array([log, variance])
+        return log
     # Kinds that gain too little go, the least first.
     while chosen:
         others = [[j for j in chosen if j != i] for i in chosen]
@@ -117,12 +100,9 @@ def _likely(problem: Problem, at: Floats, blocks: list[tuple[str, NDArray[np.int
     if (found > 0).any():
         alone = min(best(one[None], np.zeros(1))[0] for one in np.eye(problem.n_free))
         if alone - whole < _LEAST_GAIN:
-            return np.array([log, variance])
+            return log
     log[chosen] = found
-    for i, step in zip(chosen, _STEP * np.eye(len(found)), strict=True):
-        bend = cost(found + step, members[chosen]) + cost(found - step, members[chosen]) - 2.0 * whole
-        variance[i] = _STEP**2 / max(bend, 2.0 * _STEP**2)
-    return np.array([log, variance])
+    return log
 
 
 def wrong_priors(factors: dict[str, float]) -> Reason:

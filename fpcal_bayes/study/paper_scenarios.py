@@ -12,7 +12,7 @@ from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS
+from fpcal_bayes.infer.tasks.source import PATH_POINTS
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth

@@ -170,7 +170,7 @@ DIR gets certificate.json (calibrated or not, since when, until when, under whic
 parameter and task is, hashes), chain.csv (the links in the parameters of Khalil and Kleinfinger) and, with mechanics,
 q1.csv and so on: error motions over the joint, named after ISO 230-1: EYX_nm is what an axis along X moves along Y,
 EAX_urad how it turns about X, each with the edges of its 95 % band. An estimate that is not to be used gets no such
-tables, and its certificate says so.
+tables, and its certificate says so. One that a verification contradicts is not called calibrated either.
 """
 
 
@@ -179,6 +179,7 @@ def certificate(commands: Commands) -> None:
     parser = add_command(commands, "certificate", "hand a calibration over", _CERTIFICATE)
     add = parser.add_argument
     add("file", metavar="ESTIMATE", help="estimate JSON")
+    add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
     add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
     add_json(parser)

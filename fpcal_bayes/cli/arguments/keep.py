@@ -228,6 +228,7 @@ def report(commands: Commands) -> None:
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
     add("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
+    add("--verification", metavar="VERIFIED.json", help="of the first session, of fpcal verify or identify --hold-out")
     add_goal(parser)
     add("--now", metavar="TIME_H|UTC", help=_NOW)
     add_json(parser)

@@ -200,7 +200,7 @@ def identify(
             lost = replace(solution, converged=False)
         else:
             problem, solution = machine.problem, machine.solution
-            doubts += [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+            doubts += doubts_of(machine)
         if many and machine is not None:
             # Second solutions of the thinned rows, as all rows see them.
             others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])

@@ -20,6 +20,7 @@ from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
 from fpcal_bayes.report.tasks import freedom_table, not_evaluated_line
 from fpcal_bayes.report.track import sweep_table
+from fpcal_bayes.report.verification import power_table, verification_sentences
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
 
@@ -32,6 +33,7 @@ def write_campaign_report(
     goal: Goal | None = None,
     now: str | None = None,
     posterior: str | Path | None = None,
+    verification: str | Path | None = None,
     command: str = "",
 ) -> CampaignFacts:
     """Write the report of a campaign as one HTML file; the same input gives the same bytes.
@@ -51,6 +53,8 @@ def write_campaign_report(
         where rows carry clock times, else the last session.
     posterior
         Draws of the calibration's posterior (.nc), or None.
+    verification
+        Result of ``fpcal verify`` of the calibration (.json), or None.
     command
         For the provenance.
 
@@ -65,7 +69,7 @@ def write_campaign_report(
         If a file cannot be used, sessions overlap or repeat, a task that must be held is unknown, or the page cannot be
         written.
     """
-    facts = gather(file, cell, goal=goal, now=now, posterior=posterior, command=command)
+    facts = gather(file, cell, goal=goal, now=now, posterior=posterior, verification=verification, command=command)
     write_text(Path(output), campaign_html(facts))
     return facts
 
@@ -120,6 +124,8 @@ def campaign_html(facts: CampaignFacts) -> str:
         blocks=observe_words.block_table(seen),
         posterior=words.posterior_table(facts),
         posterior_sentence=words.posterior_sentence(facts),
+        verification=None if facts.verification is None else power_table(facts.verification, "Power by task"),
+        verified=verification_sentences(facts.verification, facts.file),
         worst=words.residual_table(rows),
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
@@ -138,6 +144,8 @@ def _warnings(facts: CampaignFacts) -> list[str]:
     found = list(facts.observability.warnings)
     if facts.track is not None:
         found += [f"{o.session}: {w}" for o in facts.track.outcomes[1:] for w in (*o.evidence, *o.warnings)]
+    if facts.verification is not None:
+        found += [reason.text for reason in facts.verification.reasons]
     return list(dict.fromkeys(found))
 
 

@@ -61,6 +61,9 @@ def verdict(facts: CampaignFacts) -> Headline:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
         return Headline("No verdict", "No verdict", "caution", meaning, tuple(sentences))
     word, title, style, meaning = _action(facts.decision, facts)
+    if facts.verification is not None and facts.verification.failed:
+        title, style = "Verification failed", "bad"
+        meaning = "Sweeps that were not fitted contradict the calibration: measure them again, then calibrate anew."
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
@@ -317,7 +320,9 @@ def budget_table(budget: Budget) -> Table:
     shares = variance_shares(budget)
     heads = ["input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
     heads += [] if shares is None else ["share of the variance"]
-    title = f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration"
+    title = (
+        f"Uncertainty budget of {budget.task} along the beam at {budget.along:.4g} {budget.unit}, after the calibration"
+    )
     table = plain_table(title, heads, words=(0, 1, 2))
     for i, line in enumerate(budget.lines):
         table.add_row(

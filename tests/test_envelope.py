@@ -14,7 +14,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model import chain, envelope
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.cell.tables import Envelope
 from fpcal_bayes.model.envelope import (
     breaches,
     require_in_front,

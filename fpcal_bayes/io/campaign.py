@@ -14,6 +14,7 @@ from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
 from fpcal_bayes.io.columns import Column, from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
+from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell.beams import Opd
@@ -65,7 +66,7 @@ def write_campaign(
         estimates = root.create_group("estimates")
         for session, estimate in campaign.estimates.items():
             # A slash or a lone dot means something else in HDF5; the attribute has the session's own name.
-            group = estimates.create_group(_group_name(session))
+            group = estimates.create_group(quote(session, safe=" ").replace(".", "%2E"))
             _put_estimate(group, estimate)
             put_text(group, "session", session)
         if campaign.track is not None:
@@ -109,7 +110,7 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         name, sha256, program, command = (
             reader.text_attribute(root, key) for key in ("cell_name", "cell_sha256", "program_version", "command")
         )
-        opd = _opd(path, reader.text_attribute(root, "opd"))
+        opd: Opd = Tables(path).choice({"opd": reader.text_attribute(root, "opd")}, "", "opd", get_args(Opd), None)
         seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
         about = reader.text_attribute(root, "about") if "about" in root.attrs else ""
         _require_cell(path, name, sha256, opd, cell)
@@ -140,13 +141,6 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
     )
 
 
-def _opd(path: Path, text: str) -> Opd:
-    for choice in get_args(Opd):
-        if text == choice:
-            return choice  # type: ignore[no-any-return]
-    raise InputError(f"{path}: attribute opd: expected one of {', '.join(get_args(Opd))}, found {text!r:.40}")
-
-
 def _require_cell(path: Path, name: str, sha256: str, opd: Opd, cell: Cell) -> None:
     own = cell.with_opd(opd).sha256
     if own != sha256:
@@ -164,12 +158,8 @@ def _truth(reader: Reader) -> TruthRecord:
 
 def _estimate_texts(reader: Reader) -> dict[str, str]:
     group = reader.group(reader.root, "estimates")
-    found: dict[str, str] = {}
-    for name in group:
-        estimate = reader.group(group, name)
-        text = _one_text(reader, estimate, "json")
-        found[reader.text_attribute(estimate, "session")] = text
-    return found
+    groups = [reader.group(group, name) for name in group]
+    return {reader.text_attribute(each, "session"): _one_text(reader, each, "json") for each in groups}
 
 
 def _one_text(reader: Reader, group: Any, name: str) -> str:
@@ -191,10 +181,6 @@ def _estimate(path: Path, session: str, text: str) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a number")
-
-
-def _group_name(session: str) -> str:
-    return quote(session, safe=" ").replace(".", "%2E")
 
 
 def _put_estimate(group: Any, estimate: dict[str, Any]) -> None:

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping
 from typing import Any, get_args
 
-from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.validate import Tables, literal
 from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, OpticalAxis, Target
 from fpcal_bayes.model.cell.cell import extrinsics_of
@@ -41,7 +40,7 @@ def read_beams(
         wave = reader.number(table, place, "wavelength_nm", low=1e-3, high=20_000.0, default=shown) * 1e-3
         wave = wave if "wavelength_nm" in table else known["wavelength"]
 
-        own = reader.table(table, place, "extrinsic") if "extrinsic" in table else {}
+        own = reader.optional(table, place, "extrinsic")
         at, suffix = f"{place}.extrinsic", f"{AT}{name}" if made else ""
         if not made and extrinsic is not None:
             if own:
@@ -67,12 +66,3 @@ def _shared(reader: Tables, table: dict[str, Any], place: str, made: Mapping[str
         known = f"one of {', '.join(made)}" if made else "none at the first beam"
         raise reader.error(f"{place}.shares", f"expected a beam that stands before it, {known}, found {literal(name)}")
     return made[name]
-
-
-def refuse_envelope(reader: Tables, beams: list[Beam]) -> None:
-    """Raise `InputError` unless one plane mirror faces one fibre, which is what an envelope knows."""
-    if len(beams) > 1 or beams[0].target != "plane-mirror":
-        raise InputError(
-            f"{reader.file}: key envelope: it keeps one plane mirror off one fibre; expected none in a cell with "
-            "several beams or a corner cube, whose clearances fpcal does not know"
-        )

@@ -67,15 +67,12 @@ class Records:
             else:
                 if not finite or np.isfinite(numbers).all():
                     return numbers
-        first = next(i for i, text in enumerate(texts) if not _is_number(text, finite))
+        is_one = [_NUMBER.fullmatch(text) and not (finite and np.isinf(float(text))) for text in texts]
+        first = next(i for i, good in enumerate(is_one) if not good)
         if _NUMBER.fullmatch(texts[first]):
             expected = "expected a finite number"
         found = f"found {shown(texts[first])}" if texts[first] else "found nothing"
         raise located(self.path, f"{expected}, {found}", row=int(self.rows[first]), column=name)
-
-
-def _is_number(text: str, finite: bool) -> bool:
-    return _NUMBER.fullmatch(text) is not None and not (finite and np.isinf(float(text)))
 
 
 def read_records(path: Path, expected: str = "", text: str | None = None) -> Records:

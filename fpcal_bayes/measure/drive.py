@@ -30,24 +30,20 @@ def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
     moments, place = np.unique(end, return_inverse=True)
     if len(moments) < len(end):
         # What several beams read at one moment is one motion.
-        driven = _of_session(sweeps.take(moments), minutes_per_sweep).take(place)
-        return replace(driven, absolute=sweeps.absolute, beam=sweeps.beam, scaled=sweeps.scaled)
-    driven = _of_motions(sweeps, minutes_per_sweep)
+        driven = replace(_of_session(sweeps.take(moments), minutes_per_sweep).take(place), absolute=sweeps.absolute)
+    else:
+        driven = drive_of(
+            sweeps.q_start,
+            sweeps.q_end,
+            absolute=sweeps.absolute,
+            sweep=sweep_numbers(sweeps),
+            time_h=sweeps.time_h,
+            minutes_per_sweep=minutes_per_sweep,
+            t_start_h=sweeps.t_start_h,
+            t_end_h=sweeps.t_end_h,
+            approach=sweeps.approach_signs(),
+        )
     return replace(driven, beam=sweeps.beam, scaled=sweeps.scaled)
-
-
-def _of_motions(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
-    return drive_of(
-        sweeps.q_start,
-        sweeps.q_end,
-        absolute=sweeps.absolute,
-        sweep=sweep_numbers(sweeps),
-        time_h=sweeps.time_h,
-        minutes_per_sweep=minutes_per_sweep,
-        t_start_h=sweeps.t_start_h,
-        t_end_h=sweeps.t_end_h,
-        approach=sweeps.approach_signs(),
-    )
 
 
 def sweep_numbers(sweeps: Sweeps) -> Ints:

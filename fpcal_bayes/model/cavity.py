@@ -19,6 +19,7 @@ from fpcal_bayes.model.kernels.lengths import (
     RUNOUT_COS,
     STRIDE,
     THETA,
+    Layout,
     R,
     batch_lengths,
     few_vector_lengths,
@@ -87,10 +88,6 @@ def _changes(rows: Floats) -> Bools:
     return new
 
 
-#: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
-_Arguments = tuple[Floats, Ints, Floats, int, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows to predict, laid out for the kernels: each is L(end) - L(start), or L(end) where start is -1."""
@@ -156,10 +153,6 @@ class CavityModel:
         return not self.held[own].any() and not np.isin(own, self.free.slots).any()
 
     @cached_property
-    def _axis_is_z(self) -> bool:
-        return self.cell.optical_axis == "z"
-
-    @cached_property
     def _columns(self) -> Ints:
         return self._columns_of(self.free.slots)
 
@@ -174,11 +167,9 @@ class CavityModel:
         return vector
 
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None, beam: Ints | None = None) -> Rows:
-        """Lay out sweeps for the kernels.
+        """Lay out sweeps (n_rows, n_joints) for the kernels.
 
-        q_start, q_end: joint vectors, shape (n_rows, n_joints), in um and rad.
-        absolute: rows that give L(end) itself, shape (n_rows,).
-        beam: number of the beam that read each row, shape (n_rows,); by default the first.
+        absolute: rows that give L(end) itself; beam: number of the beam that read each row, by default the first.
         """
         if self.cell.further:
             beam = np.zeros(len(q_end), dtype=np.int64) if beam is None else beam
@@ -217,12 +208,7 @@ class CavityModel:
         return waves
 
     def predict(self, values: Floats, rows: Rows) -> Floats:
-        """Predict rows for one or many parameter vectors.
-
-        values: free parameters in um and rad, shape (n,) or (n_vectors, n).
-        rows: from `rows` or `pose_rows`.
-        Returns shape (n_rows,) or (n_vectors, n_rows), in um.
-        """
+        """Predict rows for free parameters (n,) or (n_vectors, n); shape (n_rows,) or (n_vectors, n_rows), in um."""
         many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
@@ -232,17 +218,15 @@ class CavityModel:
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
-            result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
+            result = (few_vector_lengths if groups_fill else batch_lengths)(
+                self.held, self.free.slots, many, self._layout(rows)
+            )
         else:
-            result, _ = batch_points(*self._arguments(many, rows), self._columns[:0])
+            result, _ = self._differentiated(many, rows, self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
 
     def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Predict rows with their derivatives by the free parameters.
-
-        Returns predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
-        one; in um, and um per um or rad.
-        """
+        """As `predict`, with derivatives by the free parameters, shape (n_rows, n) or (n_vectors, n_rows, n)."""
         many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
@@ -264,15 +248,12 @@ class CavityModel:
 
     def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
         kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
-        return kernel(*self._arguments(values, rows), columns)
+        return kernel(self.held, self.free.slots, values, self._layout(rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
-        """Derivatives of the cavity length by the joints.
+        """Derivatives of the cavity length by the joints at poses (n_poses, n_joints), same shape.
 
-        values: free parameters, shape (n,).
-        q: joint vectors, shape (n_poses, n_joints).
-        beam: number of the beam of each pose, shape (n_poses,); by default the first.
-        Returns shape (n_poses, n_joints), in um per um or rad.
+        values: free parameters, shape (n,); beam: number of the beam of each pose, by default the first.
         """
         if self.cell.further:
             moves = np.empty(q.shape)
@@ -293,12 +274,9 @@ class CavityModel:
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror in the world frame, columns three and four of wTt.
+        """Normals and origins of the first beam's mirror, columns three and four of wTt; `InputError` for a point.
 
-        values: free parameters, shape (n,) or (n_vectors, n).
-        q: joint vectors, shape (n_poses, n_joints).
-        Returns normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
-        Raises InputError if the target is a point, which has no normal.
+        Of poses (n_poses, n_joints): each (n_poses, 3), with a leading axis n_vectors where `values` has one.
         """
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
@@ -317,12 +295,7 @@ class CavityModel:
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
     def reflection_sd(self, values: Floats, covariance: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Standard deviations of the coordinates of wPr and tPr, to first order.
-
-        values, covariance: free parameters and their covariance in um and rad, shapes (n,) and (n, n).
-        q: one joint vector, shape (n_joints,).
-        Returns each of shape (3,), in um.
-        """
+        """Standard deviations of the coordinates of wPr and tPr at a pose, to first order, (3,) each, in um."""
         vector = self.vector(values).astype(complex)
         step = 1e-30
         columns = []
@@ -334,20 +307,8 @@ class CavityModel:
         sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
         return sd[:3], sd[3:]
 
-    def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
-        poses = rows.poses
-        return (
-            self.held,
-            self.free.slots,
-            values,
-            self._path,
-            self._axis_is_z,
-            self.cell.revolute,
-            poses.group_q,
-            poses.group_cos,
-            poses.group_sin,
-            poses.group_start,
-            poses.prismatic_q,
-            rows.starts,
-            rows.ends,
-        )
+    def _layout(self, rows: Rows) -> Layout:
+        groups = rows.poses
+        turned = groups.group_q, groups.group_cos, groups.group_sin, groups.group_start, groups.prismatic_q
+        axis_is_z = self.cell.optical_axis == "z"
+        return Layout(self._path, axis_is_z, self.cell.revolute, *turned, rows.starts, rows.ends)

@@ -105,11 +105,9 @@ class InverseModel:
         return np.random.default_rng(0).uniform(low, high, (n_starts, len(low)))
 
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
-        """DGM: tool frames wTe of joint vectors.
+        """DGM: tool frames wTe (n_poses, 4, 4) of joint vectors (n_poses, n_joints).
 
-        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        q: joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
-        Returns shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
+        With a leading axis n_vectors where model vectors (n_vectors, model size) have one; `q` may have it too.
         """
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         if many.shape[1] != len(self.cell.parameters) or np.shape(q)[-1] != len(self.cell.joints):
@@ -124,14 +122,10 @@ class InverseModel:
     def solve(
         self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False, check: bool = True
     ) -> JointSolutions:
-        """IGM: joint values at which the tool frame takes `poses`.
+        """IGM: joint values at which the tool frame takes `poses` wTe, shape (..., 4, 4), by one or many model vectors.
 
-        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        poses: wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
-        near: of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
-        by default `home`.
+        near: of several solutions inside the limits the one nearest to these joint values is taken, by default `home`.
         follow: poses are points of a path: each is solved near the one before it.
-        check: whether to look whether `poses` are poses.
         Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
         if check:

@@ -21,62 +21,35 @@ _STRIDE, _FEATURES, _GRID = 8, 12, 401
 
 @dataclass(frozen=True)
 class MachineSettings:
-    """How a machine is drawn beside its sizes.
+    """How a machine is drawn beside its sizes."""
 
-    Attributes
-    ----------
-    spread
-        A size is drawn within this factor of what is stated, either way.
-    student
-        Degrees of freedom of the reading noise, scaled to the stated sigma; None for normal noise.
-    slow_nm, slow_rows
-        Standard deviation and correlation length, in rows, of a slow reading error.
-    mirror_radius_m
-        Of the mirror's curvature; infinite for a flat one.
-    scale_ppm
-        Error of the wavelength.
-    """
-
-    spread: float = 1.33
+    spread: float = 1.33  # a size is drawn within this factor of what is stated, either way
+    # degrees of freedom of the reading noise, scaled to the stated sigma; None for normal noise
     student: float | None = None
+    # slow_nm, slow_rows: Standard deviation and correlation length, in rows, of a slow reading error
     slow_nm: float = 0.0
     slow_rows: float = 10.0
-    mirror_radius_m: float = np.inf
-    scale_ppm: float = 0.0
+    mirror_radius_m: float = np.inf  # of the mirror's curvature; infinite for a flat one
+    scale_ppm: float = 0.0  # error of the wavelength
 
 
 @dataclass
 class Machine:
-    """One machine: geometry, error motions and their random state.
+    """One machine: geometry, error motions and their random state."""
 
-    Attributes
-    ----------
-    cell
-        The cell whose chain, path model and joint limits hold.
-    vector
-        True model vector, shape (model size,), in um and rad.
-    motions
-        Of each joint six functions of its value: displacements in um and tilts in rad, about own axis, upward, across.
-    lever
-        From the sheet's point to the mirror, in um, in world axes at joint zero, shape (n_joints, 3).
-    half_reversal, return_sd, encoder, period, phase
-        Of each joint, in um and rad, shape (n_joints,).
-    drift
-        Rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several.
-    settings, rng
-        Noise and its random numbers.
-    """
-
-    cell: Cell
-    vector: Floats
+    cell: Cell  # the cell whose chain, path model and joint limits hold
+    vector: Floats  # true model vector, shape (model size,), in um and rad
+    # of each joint six functions of its value: displacements in um and tilts in rad, about own axis, upward, across
     motions: list[list[Function]]
-    lever: Floats
+    lever: Floats  # from the sheet's point to the mirror, in um, in world axes at joint zero, shape (n_joints, 3)
+    # half_reversal, return_sd, encoder, period, phase: Of each joint, in um and rad, shape (n_joints,)
     half_reversal: Floats
     return_sd: Floats
     encoder: Floats
     period: Floats
     phase: Floats
-    drift: Floats
+    drift: Floats  # rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several
+    # settings, rng: Noise and its random numbers
     settings: MachineSettings
     rng: np.random.Generator
     side: Floats = field(default_factory=lambda: np.zeros(0))

@@ -12,12 +12,9 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.core.typing import Ints
 from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, Opd, OpticalAxis, Target
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
-from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
-from fpcal_bayes.model.cell.optics import Interferometer
-from fpcal_bayes.model.cell.own_tasks import OwnTask
+from fpcal_bayes.model.cell.tables import DriftSize, Envelope, Interferometer, OwnTask
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, POINT_EXTRINSICS, UNITS, Parameter, ParameterSet
 from fpcal_bayes.model.priors import Marginal
 
@@ -258,12 +255,9 @@ def make_parameters(
     target: Target = "plane-mirror",
     further: Sequence[str] = (),
 ) -> ParameterSet:
-    """Every parameter of the model vector of a chain.
+    """Every parameter of the model vector of a chain; what is missing in `entries` is zero and cannot be freed.
 
-    entries: by name; what is missing is zero and cannot be freed.
-    n_joints: number of links of the chain.
-    target: of the first beam.
-    further: names of the parameters that further beams have of their own.
+    target: of the first beam; further: names of the parameters that further beams have of their own.
     """
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
     names += [(name, UNITS[name.partition(AT)[0]], "extrinsic") for name in (*further, *extrinsics_of(target))]

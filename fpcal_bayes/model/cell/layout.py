@@ -36,11 +36,6 @@ class AxisWord:
         """The direction, shape (3,)."""
         return np.array(self.direction, dtype=float)
 
-    def __str__(self) -> str:
-        axis = int(np.argmax(np.abs(self.direction)))
-        word = f"{'+' if self.direction[axis] > 0 else '-'}{'xyz'[axis]}"
-        return f"moves along {word}" if self.kind == "prismatic" else f"turns about {word}"
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -100,7 +95,9 @@ def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout
     links, frame = np.zeros((len(axes), 5)), np.eye(3)
     for i, axis in enumerate(axes):
         if i > 0:
-            links[i - 1, 3] = _theta_before(frame.T @ axis.vector)
+            # The turn about z after which the next axis has no x component.
+            across = (frame.T @ axis.vector)[0]
+            links[i - 1, 3] = 0.0 if abs(across) < 0.5 else -90.0 if across > 0 else 90.0
             frame = frame @ chain.rot_z(np.radians(links[i - 1, 3]))[:3, :3]
         wanted = np.round(frame.T @ axis.vector)
         if wanted[0]:
@@ -119,13 +116,6 @@ def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap
     The theta of a last axis that turns about the mirror's normal is turned such that tasks can use it.
     """
     return _faced(tuple(kinds), np.array(links, dtype=float), side, gap)
-
-
-def _theta_before(wanted: Floats) -> float:
-    """The turn about z after which the direction `wanted` (3,) of the next axis has no x component, in deg."""
-    if abs(wanted[0]) < 0.5:
-        return 0.0
-    return -90.0 if wanted[0] > 0 else 90.0
 
 
 def _faced(kinds: tuple[JointKind, ...], links: Floats, side: Floats, gap: float) -> Layout:

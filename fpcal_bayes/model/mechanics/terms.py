@@ -35,35 +35,19 @@ class Motion:
 
 @dataclass(frozen=True)
 class Terms:
-    """Every weight of a cell's mechanics that acts on the cavity length.
-
-    Attributes
-    ----------
-    cell, sizes
-        Of what.
-    told
-        Directions of the error motions.
-    motions
-        Functions of joint values. A weight of sd zero is not there.
-    free
-        Names of the geometric parameters that are identified.
-    """
+    """Every weight of a cell's mechanics that acts on the cavity length."""
 
     cell: Cell
     sizes: Mechanics
-    told: Directions
-    motions: tuple[Motion, ...]
-    free: tuple[str, ...] = ()
+    told: Directions  # directions of the error motions
+    motions: tuple[Motion, ...]  # functions of joint values. A weight of sd zero is not there
+    free: tuple[str, ...] = ()  # names of the geometric parameters that are identified
 
     @classmethod
     def of(cls, cell: Cell, sizes: Mechanics, free: Collection[str] = ()) -> "Terms":
-        """The terms of a cell.
+        """The terms of a cell with these geometric parameters `free`.
 
-        Parameters
-        ----------
-        free
-            Names of the geometric parameters that are identified: a freed gain_j takes the linear term of the joint's
-            own travel out, a freed runout_cos_j or runout_sin_j its first axial harmonic.
+        A freed gain_j takes the linear term of the joint's own travel out, a freed runout its first axial harmonic.
         """
         told = directions(cell, np.array([joint.lever_mm for joint in sizes.joints]))
         made: list[Motion] = []

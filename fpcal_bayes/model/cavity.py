@@ -43,11 +43,6 @@ class PoseGroups:
     prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
     inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
 
-    @property
-    def n_groups(self) -> int:
-        """Number of distinct revolute joint vectors."""
-        return len(self.group_q)
-
 
 def joint_vectors(cell: Cell, q: Floats) -> Floats:
     """Joint vectors as the kernels read them, which look at no shape; raises ValueError where it is another one."""

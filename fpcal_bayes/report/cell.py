@@ -96,7 +96,8 @@ def cell_figure(view: CellView) -> Figure:
     world = np.array([-1.3, -2.35])
     for name, direction in zip("xyz", np.eye(3), strict=True):
         _arrow(axis, world, world + 0.55 * _PAGE @ direction, "black", 1.2)
-        axis.text(*(world + 0.75 * _PAGE @ direction), name, fontsize=9, ha="center", va="center")
+        x, y = world + 0.75 * _PAGE @ direction
+        axis.text(x, y, name, fontsize=9, ha="center", va="center")
     end = np.array([_APART * n + 1.6, 0.1])
     axis.plot([places[-1][0], end[0]], [0, end[1]], color="0.8", linewidth=6, solid_capstyle="butt", zorder=0)
     _draw_optics(axis, end, view)

@@ -42,5 +42,5 @@ class CellEnvelope:
                 count += len(turn)
         q, row_of = np.vstack(poses), np.concatenate(rows)
         path = JointPath(q, row_of, np.zeros(len(q), dtype=bool), np.vstack(steps), np.concatenate(seconds))
-        found = {breach.row: breach.what for breach in breaches(self._model, self._draws, path)}
+        found = breaches(self._model, self._draws, path)
         return [found.get(row) for row in range(len(moves))]

@@ -1,7 +1,7 @@
 """What is known of a machine: its geometry and its error motions together, as draws in the directions that count."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -107,9 +107,7 @@ def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: Paramete
         raise ValueError("expected names of the parameters, then those of weights")
     scale = np.ones(len(names))
     scale[: len(first)] = parameters.scales[parameters.positions(first)]
-    return MechanicsKnowledge(
-        sizes, free, names, mean * scale, factor * scale[:, None], draws, scales, log_scales, session_min
-    )
+    return replace(made, mean=mean * scale, factor=factor * scale[:, None])
 
 
 def _short(values: Floats) -> list[float]:

@@ -120,7 +120,7 @@ class InverseModel:
         return poses[0] if np.ndim(vectors) == 1 else poses
 
     def solve(
-        self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False, check: bool = True
+        self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False
     ) -> JointSolutions:
         """IGM: joint values at which the tool frame takes `poses` wTe, shape (..., 4, 4), by one or many model vectors.
 
@@ -128,43 +128,23 @@ class InverseModel:
         follow: poses are points of a path: each is solved near the one before it.
         Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
-        if check:
-            check_poses(poses)
-        if len(self.cell.joints) < 6:
-            return self._solve_few(vectors, poses, self.home if near is None else near)
+        check_poses(poses)
+        near = self.home if near is None else np.ascontiguousarray(near, dtype=float)
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         targets = np.ascontiguousarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
-        q, status, joint = batch_inverse(
-            many,
-            self.cell.revolute,
-            self.cell.low,
-            self.cell.high,
-            targets,
-            self.home if near is None else np.ascontiguousarray(near, dtype=float),
-            follow,
-            self._starts,
-            -1,
-        )
+        cell = self.cell
+        if len(cell.joints) < 6:
+            all_targets = np.broadcast_to(targets, (len(many), *targets.shape[1:]))
+            parts = [FewJoints.of(cell, v).solve(t, near) for v, t in zip(many, all_targets, strict=True)]
+            q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
+        else:
+            limits = cell.revolute, cell.low, cell.high
+            q, status, joint = batch_inverse(many, *limits, targets, near, follow, self._starts, -1)
         if np.ndim(poses) == 2:
             q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
         if np.ndim(vectors) == 1:
             q, status, joint = q[0], status[0], joint[0]
-        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
-
-    def _solve_few(self, vectors: Floats, poses: Floats, near: Floats) -> JointSolutions:
-        """`solve` for fewer than six joints."""
-        targets = np.asarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
-        many = np.atleast_2d(vectors)
-        parts = [
-            FewJoints.of(self.cell, vector).solve(targets[k if len(targets) > 1 else 0], near)
-            for k, vector in enumerate(many)
-        ]
-        q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
-        if np.ndim(poses) == 2:
-            q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
-        if np.ndim(vectors) == 1:
-            q, status, joint = q[0], status[0], joint[0]
-        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
+        return JointSolutions(cell, q, np.asarray(status), np.asarray(joint))
 
     def missed(self, vector: Floats, poses: Floats, q: Floats) -> Floats:
         """What joint values (n_poses, n_joints) leave undone of poses (n_poses, 4, 4), shape (n_poses, 6).

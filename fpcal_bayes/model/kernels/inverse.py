@@ -15,7 +15,6 @@ from fpcal_bayes.model.kernels.pose import Chain, chain_of, newton, pose_error, 
 from fpcal_bayes.model.kernels.turns import (
     axes_volume,
     constant_rotations,
-    determinant,
     nearest_first,
     place_prismatic,
     three_turns,
@@ -106,20 +105,21 @@ def solve_pose(
         else:
             q[:] = near if attempt == 0 else starts[attempt - 1]
         met = newton(chain, length, target, q)
-        if not closed:
+        if closed:
+            singular = abs(volume) < SINGULAR_BELOW or abs(axes_volume(revolute, axes)) < SINGULAR_BELOW
+        elif not met:
+            continue
+        else:
             for link in range(n):
                 if revolute[link]:
                     period = _TURN / abs(1.0 + vector[STRIDE * link + GAIN])
                     q[link] = wind(q[link], period, near[link], low[link], high[link])
-        if closed:
-            singular = abs(volume) < SINGULAR_BELOW or abs(axes_volume(revolute, axes)) < SINGULAR_BELOW
-        else:
             pose_jacobian(chain, q)
             for j in range(n):
                 for i in range(3):
                     jacobian[i, j] /= length if revolute[j] else 1.0
-            singular = abs(determinant(jacobian, n)) < SINGULAR_BELOW
-        if not met and not (closed and singular):
+            singular = abs(np.linalg.det(jacobian)) < SINGULAR_BELOW
+        if not met and not singular:
             continue
         outside = worst_joint(revolute, low, high, q)
         far = distance(revolute, q, near)

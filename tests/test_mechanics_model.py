@@ -17,10 +17,10 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design, drive_of, path_design
-from fpcal_bayes.model.mechanics.basis import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.response import directions, pose_responses, responses
+from fpcal_bayes.model.mechanics.terms import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)

@@ -7,9 +7,9 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
 from fpcal_bayes.measure.recordings import check_index
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth

@@ -9,8 +9,7 @@ from typing import Any, Literal, get_args
 from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import read_text, require_line_end, write_text
 from fpcal_bayes.core.resources import built_in_cells, data_file
-from fpcal_bayes.io.cell_beams import read_beams
-from fpcal_bayes.io.cell_tables import read_envelope, read_mechanics, read_tasks
+from fpcal_bayes.io.cell_tables import read_beams, read_envelope, read_mechanics, read_tasks
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.beams import AT, Opd, OpticalAxis
 from fpcal_bayes.model.cell.cell import Cell, ParameterEntry, make_parameters

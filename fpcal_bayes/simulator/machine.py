@@ -150,27 +150,19 @@ class Machine:
         return errors[starts], errors[ends]
 
     def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
-        """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
-        if self.cell.further:
-            return self._seen_by_beams(drive, sigma)
-        q, minutes, starts, ends = _poses(drive)
-        lengths = self.lengths(q, self.reach(q, self.side), minutes)
-        noise = self._noise(len(q))
-        own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[ends]
-        dl: Floats = lengths[ends] + own * sigma / np.sqrt(2.0)
-        dl -= np.where(drive.absolute, 0.0, lengths[starts] + noise[starts] * sigma / np.sqrt(2.0))
-        return dl + self._slow(len(drive))
+        """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows.
 
-    def _seen_by_beams(self, drive: Drive, sigma: float | Floats) -> Floats:
-        """As `sweep`, of rows that several beams read at the same moments, one after the other in `drive`."""
+        Rows that several beams read at the same moments stand one after the other.
+        """
         q, minutes, starts, ends = _poses(drive)
-        reached, beam, read = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), []
-        noise = np.array([self._noise(len(q)) for _ in self.cell.beams])
-        for at in (starts, ends):
-            own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, at] * sigma / np.sqrt(2.0)
-            read.append(self.lengths(q[at], reached[at], minutes[at], beam) + own)
-        slow = np.array([self._slow(len(drive)) for _ in self.cell.beams])
-        return np.asarray(read[1] - np.where(drive.absolute, 0.0, read[0]) + slow[beam, np.arange(len(drive))])
+        reached, beam, beams = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), range(len(self.cell.beams))
+        lengths = np.array([self.lengths(q, reached, minutes, np.full(len(q), number)) for number in beams])
+        noise = np.array([self._noise(len(q)) for _ in beams])
+        own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, ends]
+        dl: Floats = lengths[beam, ends] + own * sigma / np.sqrt(2.0)
+        dl -= np.where(drive.absolute, 0.0, lengths[beam, starts] + noise[beam, starts] * sigma / np.sqrt(2.0))
+        slow = np.array([self._slow(len(drive)) for _ in beams])
+        return dl + slow[beam, np.arange(len(drive))]
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""

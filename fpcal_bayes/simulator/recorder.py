@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.reference import fit_fringe
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint, no_trace
 from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace, WavelengthScan
 from fpcal_bayes.measure.truth import Truth

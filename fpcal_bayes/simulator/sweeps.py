@@ -6,9 +6,8 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.rules import check_sweeps
-from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sharing import Sharing, drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel

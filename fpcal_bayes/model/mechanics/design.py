@@ -7,10 +7,9 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.model.mechanics.basis import HARMONICS, LEGENDRE, harmonics, polynomials
 from fpcal_bayes.model.mechanics.drive import Drive, sides_after
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, pose_responses, responses
-from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, HARMONICS, LEGENDRE, Terms, group_of, harmonics, polynomials
 
 #: Slow reading errors: cosines over the order of the rows, at most so many and one per four rows.
 _MOST_SLOW = 24

@@ -90,6 +90,9 @@ class Keeper:
     goal, costs: what is to be held, and what measuring costs, given the campaign's sweeps.
     outputs: what is published.
     now: Unix time.
+
+    While the campaign stays as it is, what was found of it is not worked out again, and a decision to hold stands until
+    its end.
     """
 
     def __init__(
@@ -103,15 +106,17 @@ class Keeper:
     ) -> None:
         self._campaign, self._cell, self._goal, self._costs = campaign, cell, goal, costs
         self._outputs, self._now = outputs, now
+        self._followed: tuple[float, Followed | None] = 0.0, None
+        self._held: Decision | None = None
 
     def round(self) -> Round:
         """Follow, decide, publish.
 
         Raises InputError if the campaign cannot be read or followed.
         """
-        cell, goal, outputs = self._cell, self._goal, self._outputs
+        goal, outputs = self._goal, self._outputs
         moment = self._now()
-        followed = follow_saved(self._campaign, cell, now=moment)
+        followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
         if (sweeps.utc != "").any():
@@ -119,9 +124,12 @@ class Keeper:
         else:
             now_h = max(found.last.time_h, (moment - began) / 3600.0)
         until_h = self._valid_until(found, notes)
-        decision: Decision | None = None
+        decision = self._held
         try:
-            decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+            if decision is None or not decision.now_h <= now_h < decision.now_h + decision.hold_hours:
+                decision = self._held = None
+                decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+                self._held = decision if decision.action == "hold" else None
             notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
@@ -141,6 +149,16 @@ class Keeper:
         pending = self._pending()
         if pending is None or pending.plan is not None:
             write_ticket(self._outputs.ticket, empty_ticket(str(self._outputs.ticket)), self._cell)
+
+    def _follow(self, moment: float) -> Followed:
+        """The campaign as it is followed up to its last session."""
+        path, (before, known) = Path(self._campaign), self._followed
+        same = known is not None and before <= moment and path.is_file()
+        if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
+            self._held = None
+            known = follow_saved(path, self._cell, now=moment)
+        self._followed = moment, known
+        return known
 
     def _issue(self, decision: Decision | None, sweeps: Sweeps, moment: float) -> Ticket:
         """Write the decision's ticket, unless one that rests on the same campaign is being measured."""

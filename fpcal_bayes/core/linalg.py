@@ -1,6 +1,7 @@
 """Linear algebra and distributions that every room needs; each formula stands here once."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,15 @@ def posterior_triangle(jacobian: Floats) -> Floats:
 
 def symmetric(matrix: Floats) -> Floats:
     """A matrix without the skew part that rounding leaves."""
-    return (matrix + matrix.T) / 2.0
+    return 0.5 * (matrix + matrix.T)
+
+
+@cache
+def identity(n: int) -> Floats:
+    """The identity of shape (n, n), made once and read-only: a step of a small filter costs little more than it."""
+    made = np.eye(n)
+    made.flags.writeable = False
+    return made
 
 
 def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> Floats:

@@ -3,8 +3,9 @@
 Sweeps are chosen by `infer.design`: those that leave the least expected error of the tasks, given all that is known.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,11 +95,11 @@ class Policy:
     # goal, costs: what is to be held, and what measuring costs
     goal: Goal
     costs: Costs
-    candidates: Sweeps  # sweeps to choose from, as a plan
+    candidates: Callable[[], Sweeps]  # sweeps to choose from, as a plan; made once, when first wanted
     calibration: Sweeps  # sweeps of a full calibration, as a plan
     # of the tests for changes; they say what a look at the robot can show
     limits: Limits = field(default_factory=Limits)
-    motion: SweepLimits = field(default_factory=SweepLimits)  # what sweeps keep to
+    motion: Callable[[], SweepLimits] = SweepLimits  # what sweeps keep to
 
     @classmethod
     def of(
@@ -108,19 +109,22 @@ class Policy:
         goal: Goal,
         costs: Costs,
         calibration: Sweeps,
-        motion: SweepLimits | None = None,
+        motion: Callable[[], SweepLimits] = SweepLimits,
     ) -> "Policy":
         """A policy that chooses among random sweeps and those of a calibration, whatever these measured.
 
-        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt. `InputError` if
-        the joint limits leave no room for sweeps.
+        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt. `InputError`, when
+        sweeps are first wanted, if the joint limits leave no room for them.
         """
-        cell, values = model.cell, drift.parameters.nominal
-        motion = SweepLimits() if motion is None else motion
-        single = calibration.take((calibration.kind == "sweep") & motion.hold(calibration))
-        random = candidate_sweeps(cell, n=_CANDIDATES, rng=np.random.default_rng(0), limits=motion)
-        pool = join([_plain(single), _plain(random)], file="candidates")
-        return cls(drift, model, goal, costs, _steady(model, values, pool), calibration, motion=motion)
+        motion = cache(motion)
+
+        def candidates() -> Sweeps:
+            single = calibration.take((calibration.kind == "sweep") & motion().hold(calibration))
+            random = candidate_sweeps(model.cell, n=_CANDIDATES, rng=np.random.default_rng(0), limits=motion())
+            pool = join([_plain(single), _plain(random)], file="candidates")
+            return _steady(model, drift.parameters.nominal, pool)
+
+        return cls(drift, model, goal, costs, cache(candidates), calibration, motion=motion)
 
     def choose(self, forecast: Forecaster, state: State, n: int) -> Sweeps:
         """At most `n` sweeps for a session at the time of `state`, the most useful to the tasks first."""
@@ -161,8 +165,8 @@ class Policy:
     def _pool(self, forecast: Forecaster) -> "_Pool":
         """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
-        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses, self.motion)))
-        candidates = join([near, self.candidates], file="candidates")
+        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses, self.motion())))
+        candidates = join([near, self.candidates()], file="candidates")
         sigma = self.costs.sigma_um
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
         rows = rows * self.drift.scale
@@ -288,7 +292,8 @@ def _standing(
         # Fringes were seen wherever the calibration stood.
         stood = tilts(model, values, np.vstack([calibration.q_start, calibration.q_end]))
         visible = replace(visible, tilt=float(stood.max()))
-    policy = Policy.of(track.drift, model, goal, costs, calibration, visible.within_envelope(model, known))
+    motion = partial(visible.within_envelope, model, known)
+    policy = Policy.of(track.drift, model, goal, costs, calibration, motion)
     return policy, forecast, state, known
 
 

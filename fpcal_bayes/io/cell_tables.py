@@ -13,7 +13,7 @@ from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.model.cell.tables import OWN_KINDS, Envelope, OwnTask
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
-_KEYS = ("name", "shares", "target", "opd", "optical_axis", "wavelength_nm", "extrinsic")
+_BEAM_KEYS = ("name", "shares", "target", "opd", "optical_axis", "wavelength_nm", "extrinsic")
 
 
 def read_beams(
@@ -29,7 +29,7 @@ def read_beams(
     parts: list[tuple[str, dict[str, Any], str]] = []
     for number, table in enumerate(tables or [{}], 1):
         place = f"beam {number}" if tables else "extrinsic"
-        reader.keys(table, place, _KEYS)
+        reader.keys(table, place, _BEAM_KEYS)
         name = reader.text(table, place, "name") if tables else ""
         if tables and (not _NAME.fullmatch(name) or name in made):
             what = f"expected another name for each beam, of letters, digits and -_., found {literal(name)}"

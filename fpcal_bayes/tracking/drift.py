@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -103,6 +103,11 @@ class DriftModel:
         return np.array([size.walk for size in self.sizes]) * np.where(self.extrinsic, *self.pace[::-1]) / self.scale
 
     @cached_property
+    def _walks(self) -> Floats:
+        """Variance that the random walks add in a day, shape (n_states, n_states)."""
+        return np.diag(np.concatenate([self.walk**2, np.zeros(self.n_states - self.n_parameters)]))
+
+    @cached_property
     def drifting(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of the parameters that walk: of the robot, and of mirror and fibre."""
         walks = [(p.name, p.kind) for p, size in zip(self.parameters, self.sizes, strict=True) if size.walk]
@@ -163,13 +168,15 @@ class DriftModel:
     def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
         """The step over some hours, in which the logged temperature changed by `kelvin`."""
         n, days = self.n_parameters, hours / HOURS_PER_DAY
-        matrix, noise = np.eye(self.n_states), np.zeros((self.n_states, self.n_states))
-        noise[range(n), range(n)] = self.walk**2 * days
+        noise, shift = days * self._walks, np.zeros(self.n_states)
         if self.hidden is not None:
             noise[:n, :n] += self.hidden * days
-        shift = np.zeros(self.n_states)
-        shift[:n] = kelvin * np.array([size.temperature for size in self.sizes]) / self.scale
+        if kelvin:
+            shift[:n] = kelvin * np.array([size.temperature for size in self.sizes]) / self.scale
         at = self.n_lengths
+        if at == self.n_states:
+            return Transition(identity(at), noise, shift)
+        matrix = np.eye(self.n_states)
         for i in self._rates:
             matrix[i, at] = days * self.sizes[i].rate_sd / self.scale[i]
             at += 1
@@ -189,7 +196,10 @@ class DriftModel:
     def propagate(self, mean: Floats, covariance: Floats, hours: float, kelvin: float = 0.0) -> tuple[Floats, Floats]:
         """Mean (n_states,) and covariance (n_states, n_states) of a state some hours later; see `transition`."""
         step = self.transition(hours, kelvin)
-        return step.matrix @ mean + step.shift, step.matrix @ covariance @ step.matrix.T + step.noise
+        if self.n_states == self.n_lengths:
+            # Nothing drives the parameters: the matrix is one.
+            return mean + step.shift, covariance + step.noise
+        return step.matrix @ mean + step.shift, symmetric(step.matrix @ covariance @ step.matrix.T) + step.noise
 
 
 #: A steady rate makes in a day what the random walk makes; a kelvin what it makes in six hours, in which a room may

@@ -162,7 +162,8 @@ class Machine:
         dl: Floats = lengths[beam, ends] + own * sigma / np.sqrt(2.0)
         dl -= np.where(drive.absolute, 0.0, lengths[beam, starts] + noise[beam, starts] * sigma / np.sqrt(2.0))
         slow = np.array([self._slow(len(drive)) for _ in beams])
-        return dl + slow[beam, np.arange(len(drive))]
+        dl += slow[beam, np.arange(len(drive))]
+        return dl
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""

@@ -83,10 +83,8 @@ def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
             refuse(i, "time_h", f"measured after the ticket expired at {until}: ask for a new one")
         at = int(np.argmin(off[i]))
         if off[i, at] > 1.0:
-            label = str(planned.label[at])
-            refuse(
-                i, "label", f"no row of {ticket.file} asks for it; nearest is {label!r}, {off[i, at]:.3g} times too far"
-            )
+            nearest = f"nearest is {str(planned.label[at])!r}, {off[i, at]:.3g} times too far"
+            refuse(i, "label", f"no row of {ticket.file} asks for it; {nearest}")
         if i not in stands:
             again = int(measured.rows[row_of[at]])
             refuse(i, "label", f"row {again} is the same sweep of the ticket, expected each once")

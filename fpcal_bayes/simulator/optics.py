@@ -108,19 +108,16 @@ class Chances:
     end: Floats
 
     @classmethod
-    def draw(cls, stream: np.random.SeedSequence, n_joints: int) -> "Chances":
-        """Draw from one stream, which then goes on as that of the noise."""
-        random = np.random.default_rng(stream)
-        ripple, envelope, offset, cyclic = random.uniform(0.0, 2.0 * np.pi, 4).tolist()
-        start, end = random.standard_normal((2, n_joints))
-        return cls(random, ripple, envelope, offset, cyclic, start, end)
-
-    @classmethod
     def several(cls, seed: int, n: int, n_joints: int) -> list["Chances"]:
-        """One for each of `n` recordings; `InputError` if the seed is negative."""
+        """One for each of `n` recordings, from a stream of its own; `InputError` if the seed is negative."""
         if seed < 0:
             raise InputError(f"seed {seed}: expected a whole number, zero or more")
-        return [cls.draw(stream, n_joints) for stream in np.random.SeedSequence(seed).spawn(n)]
+        made = []
+        for stream in np.random.SeedSequence(seed).spawn(n):
+            random = np.random.default_rng(stream)
+            phases = random.uniform(0.0, 2.0 * np.pi, 4).tolist()
+            made.append(cls(random, *phases, *random.standard_normal((2, n_joints))))
+        return made
 
 
 @dataclass(frozen=True)

@@ -81,10 +81,7 @@ def required_columns(cell: Cell) -> tuple[str, ...]:
 def check_names(
     names: Sequence[str], cell: Cell, file: object, *, plan: bool, row: int | None = None, also: Collection[str] = ()
 ) -> None:
-    """Hold the names of a file's columns to those of the cell, and to those that may stand there `also`.
-
-    In a plan, columns other than the joints' may be missing. `file` and `row` are for the message.
-    """
+    """Hold the names of a file's columns, in its `row`, to those of the cell and those that may stand there `also`."""
     required, joints = required_columns(cell), joint_columns(cell)
     owns = f"cell {cell.name!r} has {len(cell.joints)} joints, {', '.join(cell.joint_columns)}"
     seen: set[str] = set()

@@ -246,10 +246,7 @@ class CavityModel:
         return kernel(self.held, self.free.slots, values, self._layout(rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
-        """Derivatives of the cavity length by the joints at poses (n_poses, n_joints), same shape.
-
-        values: free parameters, shape (n,); beam: number of the beam of each pose, by default the first.
-        """
+        """Derivatives of the length by the joints at poses (n_poses, n_joints), by the number of each pose's beam."""
         if self.cell.further:
             moves = np.empty(q.shape)
             for number, (view, own) in enumerate(self.views):

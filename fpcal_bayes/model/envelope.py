@@ -30,10 +30,7 @@ _FEW, _ROWS = 400, 100
 def breaches(
     model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int | None = None
 ) -> dict[int, str]:
-    """Where a path leaves the cell's envelope: rows in their order, each with a sentence that says what to do.
-
-    Arguments as in `margin`; by default the rows of the path share the risk.
-    """
+    """Where a path leaves the cell's envelope: rows in their order, each with what to do; arguments as in `margin`."""
     envelope = require_envelope(model.cell)
     rows = len(np.unique(path.row)) if rows is None else rows
     found = margin(model, draws, path, exact=exact, rows=rows, boxes=True)
@@ -136,10 +133,9 @@ def require_within_envelope(
     rows: Sequence[int] | None = None,
     exact: bool = False,
 ) -> None:
-    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on their whole path.
+    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on the way.
 
-    The first such row raises `InputError`, with what to do. `draws` are of what is known of the cell, `exact` is as in
-    `margin`; `rows` are lines of the file.
+    `draws` are of what is known of the cell, `exact` is as in `margin`; `rows` are lines of the file.
     """
     cell = model.cell
     if cell.envelope is None or not len(q_start):

@@ -105,10 +105,7 @@ class InverseModel:
         return np.random.default_rng(0).uniform(low, high, (n_starts, len(low)))
 
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
-        """DGM: tool frames wTe (n_poses, 4, 4) of joint vectors (n_poses, n_joints).
-
-        With a leading axis n_vectors where model vectors (n_vectors, model size) have one; `q` may have it too.
-        """
+        """DGM: tool frames wTe (n_poses, 4, 4) of joint vectors, with an axis n_vectors in front as in `vectors`."""
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         if many.shape[1] != len(self.cell.parameters) or np.shape(q)[-1] != len(self.cell.joints):
             raise ValueError(
@@ -147,10 +144,7 @@ class InverseModel:
         return JointSolutions(cell, q, np.asarray(status), np.asarray(joint))
 
     def missed(self, vector: Floats, poses: Floats, q: Floats) -> Floats:
-        """What joint values (n_poses, n_joints) leave undone of poses (n_poses, 4, 4), shape (n_poses, 6).
-
-        Zero for six joints; else in um, turns in rad times `LEVER` um (see `FewJoints`).
-        """
+        """What joint values leave undone of poses (n_poses, 4, 4), as `FewJoints.missed`; zero for six joints."""
         if len(self.cell.joints) == 6:
             return np.zeros((len(poses), 6))
         return FewJoints.of(self.cell, vector).missed(poses, q)

@@ -80,10 +80,7 @@ def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True)
 
 
 def task_path(cell: Cell, q: Floats, start: Floats | None = None) -> JointPath:
-    """The path of a task through joint vectors `q` (n_points, n_joints), from `start`, joint zero by default.
-
-    Between points joints that no group moves at once take an unknown order: every pose between counts.
-    """
+    """The path of a task through joint vectors (n_points, n_joints), from `start`, by default joint zero."""
     pieces, steps, count = [], [], 0
     before = home(cell) if start is None else start
     for row, point in enumerate(q):

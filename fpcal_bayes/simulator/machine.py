@@ -124,8 +124,7 @@ class Machine:
     def reach(self, poses: Floats, side: Floats) -> Floats:
         """Own-axis errors with which the joints reach poses one after the other, shape (n, n_joints).
 
-        Reversal by the direction of approach, a return error that stays while a joint stands still, the encoder's
-        periodic error.
+        A return error stays while a joint stands still; reversal is by the direction of approach.
         """
         reached = np.empty_like(poses)
         error = self.return_sd * self.rng.standard_normal(poses.shape[1])
@@ -150,10 +149,7 @@ class Machine:
         return errors[starts], errors[ends]
 
     def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
-        """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows.
-
-        Rows that several beams read at the same moments stand one after the other.
-        """
+        """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
         q, minutes, starts, ends = _poses(drive)
         reached, beam, beams = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), range(len(self.cell.beams))
         lengths = np.array([self.lengths(q, reached, minutes, np.full(len(q), number)) for number in beams])
@@ -180,8 +176,7 @@ class Machine:
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
 
-        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Return errors
-        are the emulated cell's own, of `return_sd`, and so is drift.
+        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet.
         """
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))

@@ -242,10 +242,7 @@ def make_parameters(
     target: Target = "plane-mirror",
     further: Sequence[str] = (),
 ) -> ParameterSet:
-    """Every parameter of the model vector of a chain; what is missing in `entries` is zero and cannot be freed.
-
-    target: of the first beam; further: names of the parameters that further beams have of their own.
-    """
+    """Every parameter of the model vector of a chain, zero where no entry is; `further` are those of further beams."""
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
     names += [(name, UNITS[name.partition(AT)[0]], "extrinsic") for name in (*further, *extrinsics_of(target))]
     unknown = set(entries) - {name for name, _, _ in names}

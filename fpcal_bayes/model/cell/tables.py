@@ -49,10 +49,7 @@ Beams = Literal["two-beam", "airy"]
 
 @dataclass(frozen=True)
 class Interferometer:
-    """What stands between the cavity length and a voltage; no part of the cell's hash.
-
-    The paper prints none of these numbers; the defaults are those of common parts.
-    """
+    """What stands between cavity length and voltage, by default common parts; no part of the cell's hash."""
 
     wavelength: float  # of the laser in vacuum, in um
     #: ``two-beam``: light reflected at the fibre end and once at the mirror; ``airy``: every further pass too.

@@ -127,10 +127,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
 
 
 def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
-    """Derivatives of place and direction of the mirror point in the fibre frame: x, z, then turns about x, y, z.
-
-    The mirror point is the one that reflects at joint zero.
-    """
+    """Derivatives of place (x, z) and direction (x, y, z) of the mirror point of joint zero, in the fibre frame."""
     zero = np.zeros(len(cell.joints))
     in_mirror = np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)
     in_tool = (chain.mirror_in_tool(cell, vector).real @ in_mirror)[:3]

@@ -137,10 +137,7 @@ class Terms:
 
     @cached_property
     def return_sd(self) -> Floats:
-        """Standard deviation of each joint's return error, in um or rad, shape (n_joints,).
-
-        What the cell itself states as repeatability is the same thing; where both are stated this one holds.
-        """
+        """Standard deviation of each joint's return error, by default its repeatability, in um or rad, (n_joints,)."""
         own = self._own([joint.return_sd for joint in self.sizes.joints])
         return np.where(own > 0, own, self.cell.repeatability)
 

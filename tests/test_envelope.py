@@ -16,6 +16,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.tables import Envelope
 from fpcal_bayes.model.envelope import (
+    behind_the_fibre,
     breaches,
     require_in_front,
     require_task_within_envelope,
@@ -313,3 +314,13 @@ def test_every_pose_in_the_safe_ranges_stays_in_the_envelope(femto, gap_sd):
     # What gives way is needed: all ranges as they are would leave the envelope.
     if gap_sd is not None:
         assert not (least == low).all() or not (most == high).all()
+
+
+def test_one_pose_measured_twice_to_a_picometre_is_no_reason_to_fail(femto):
+    """Two lengths of one pose, known far better than rounding leaves of their prior."""
+    zero = np.zeros((2, 6))
+    moved = zero + np.array([0.0, 10.0, 0.0, 0.0, 0.0, 0.0])
+    for wide in (zero, moved):
+        behind, lengths = behind_the_fibre(femto, moved, (wide, np.full(2, 920.0), np.full(2, 1e-6)))
+        assert not behind.any()
+        assert np.isfinite(lengths).all()

@@ -20,7 +20,9 @@ _MEASURE_GAP = "measure it by a wavelength scan (a row of kind absolute), or sta
 _ALONG_BEAM = 0.5
 #: Standard deviations by which a length is below zero that no cell can have given.
 _LIKELY = 2.0
-_TOUCHING_UM = 1e-9
+_TOUCHING_UM = 1e-6
+#: Lengths of one pose that are known better than this, in um, say no more together than one of them.
+_LEAST_SD = 1e-4
 #: Share of a joint's range that gives way at a time.
 _CUT = 0.02
 #: Draws that ranges are found with, and rows that share the risk: a plan has fewer, and is looked at again as a whole.
@@ -187,7 +189,7 @@ def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats])
     rows = jacobian * model.free.prior_sd
     n = len(q)
     # What the prior leaves of the lengths, given those that are known.
-    noise = np.diag(np.concatenate([seen[2], stated[:, 1]]) ** 2)
+    noise = np.diag(np.maximum(np.concatenate([seen[2], stated[:, 1]]), _LEAST_SD) ** 2)
     gain = np.linalg.solve(rows[n:] @ rows[n:].T + noise, rows[n:] @ rows[:n].T).T
     expected = lengths[:n] + gain @ (np.concatenate([seen[1], stated[:, 0]]) - lengths[n:])
     variance = (rows[:n] ** 2).sum(axis=1) - (gain * (rows[:n] @ rows[n:].T)).sum(axis=1)

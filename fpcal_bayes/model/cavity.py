@@ -19,7 +19,6 @@ from fpcal_bayes.model.kernels.lengths import (
     RUNOUT_COS,
     STRIDE,
     THETA,
-    Layout,
     R,
     batch_lengths,
     few_vector_lengths,
@@ -81,6 +80,10 @@ def _changes(rows: Floats) -> Bools:
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
     return new
+
+
+#: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
+_Arguments = tuple[Floats, Ints, Floats, int, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,10 @@ class CavityModel:
         return not self.held[own].any() and not np.isin(own, self.free.slots).any()
 
     @cached_property
+    def _axis_is_z(self) -> bool:
+        return self.cell.optical_axis == "z"
+
+    @cached_property
     def _columns(self) -> Ints:
         return self._columns_of(self.free.slots)
 
@@ -213,9 +220,7 @@ class CavityModel:
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
-            result = (few_vector_lengths if groups_fill else batch_lengths)(
-                self.held, self.free.slots, many, self._layout(rows)
-            )
+            result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
         else:
             result, _ = self._differentiated(many, rows, self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
@@ -243,7 +248,7 @@ class CavityModel:
 
     def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
         kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
-        return kernel(self.held, self.free.slots, values, self._layout(rows), columns)
+        return kernel(*self._arguments(values, rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
         """Derivatives of the length by the joints at poses (n_poses, n_joints), by the number of each pose's beam."""
@@ -299,8 +304,8 @@ class CavityModel:
         sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
         return sd[:3], sd[3:]
 
-    def _layout(self, rows: Rows) -> Layout:
-        groups = rows.poses
+    def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
+        cell, groups = self.cell, rows.poses
         turned = groups.group_q, groups.group_cos, groups.group_sin, groups.group_start, groups.prismatic_q
-        axis_is_z = self.cell.optical_axis == "z"
-        return Layout(self._path, axis_is_z, self.cell.revolute, *turned, rows.starts, rows.ends)
+        path = self._path, self._axis_is_z, cell.revolute
+        return (self.held, self.free.slots, values, *path, *turned, rows.starts, rows.ends)

@@ -10,8 +10,8 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model.kernels.compile import compiled
-from fpcal_bayes.model.kernels.lengths import GAIN, STRIDE, D, R
-from fpcal_bayes.model.kernels.pose import Chain, chain_of, newton, pose_error, pose_jacobian
+from fpcal_bayes.model.kernels.lengths import GAIN, STRIDE, D, R, start_block
+from fpcal_bayes.model.kernels.pose import newton, pose_error, pose_jacobian
 from fpcal_bayes.model.kernels.turns import (
     axes_volume,
     constant_rotations,
@@ -61,7 +61,10 @@ def reach_of(vector: Floats, n_links: int) -> float:
 
 @compiled
 def solve_pose(
-    chain: Chain,
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
+    revolute: Bools,
     low: Floats,
     high: Floats,
     between: Floats,
@@ -69,6 +72,10 @@ def solve_pose(
     near: Floats,
     starts: Floats,
     branch: int,
+    joint_cos: Floats,
+    joint_sin: Floats,
+    frame: Floats,
+    axes: Floats,
     best: Floats,
 ) -> tuple[int, int]:
     """Joint values of one pose: the solution nearest to `near`, inside the limits if one is.
@@ -79,11 +86,10 @@ def solve_pose(
     best: written, shape (n_joints,), whatever the status is, NaN if the pose is out of reach.
     Returns status, and the joint that is saturated or -1.
     """
-    vector, revolute, axes, jacobian = chain.one.vector, chain.revolute, chain.axes, chain.jacobian
     n = revolute.size
     closed = np.count_nonzero(revolute) == 3
     length = reach_of(vector, n)
-    q, turns = np.empty(n), np.empty((2, 3))
+    q, error, jacobian, turns = np.empty(n), np.empty(6), np.empty((6, n)), np.empty((2, 3))
     best[:] = np.nan
     status, joint, least = OUT_OF_REACH, -1, np.inf
     attempts = three_turns(between, target, turns) if closed else 1 + starts.shape[0]
@@ -100,11 +106,13 @@ def solve_pose(
                 if revolute[link]:
                     q[link] = turns[attempt, which]
                     which += 1
-            pose_error(chain, q, target)
-            volume = place_prismatic(chain, q)
+            pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
+            volume = place_prismatic(vector, revolute, axes, error, q)
         else:
             q[:] = near if attempt == 0 else starts[attempt - 1]
-        met = newton(chain, length, target, q)
+        met = newton(
+            vector, cosine, sine, revolute, length, target, q, joint_cos, joint_sin, frame, axes, error, jacobian
+        )
         if closed:
             singular = abs(volume) < SINGULAR_BELOW or abs(axes_volume(revolute, axes)) < SINGULAR_BELOW
         elif not met:
@@ -114,7 +122,7 @@ def solve_pose(
                 if revolute[link]:
                     period = _TURN / abs(1.0 + vector[STRIDE * link + GAIN])
                     q[link] = wind(q[link], period, near[link], low[link], high[link])
-            pose_jacobian(chain, q)
+            pose_jacobian(vector, revolute, q, frame, axes, jacobian)
             for j in range(n):
                 for i in range(3):
                     jacobian[i, j] /= length if revolute[j] else 1.0
@@ -154,14 +162,34 @@ def batch_inverse(
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], targets.shape[1]
     q = np.empty((n_vectors, n_poses, n))
     status, joint = np.empty((n_vectors, n_poses), dtype=np.int64), np.empty((n_vectors, n_poses), dtype=np.int64)
-    between, last = np.empty((np.count_nonzero(revolute) + 1, 3, 3)), near.copy()
+    joint_cos, joint_sin = np.empty(n), np.empty(n)
+    frame, axes = np.empty((4, 3)), np.empty((n + 1, 5, 3))
+    between = np.empty((np.count_nonzero(revolute) + 1, 3, 3))
+    last = near.copy()
     for k in range(n_vectors):
-        chain = chain_of(vectors[k], revolute)
-        constant_rotations(chain.one, revolute, between)
+        _, block_cosine, block_sine = start_block(vectors[k], n, 1, 1)
+        cosine, sine = block_cosine[:, 0].copy(), block_sine[:, 0].copy()
+        constant_rotations(cosine, sine, revolute, between)
         last[:] = near
         for m in range(n_poses):
-            target = targets[k if targets.shape[0] > 1 else 0, m]
-            status[k, m], joint[k, m] = solve_pose(chain, low, high, between, target, last, starts, branch, q[k, m])
+            status[k, m], joint[k, m] = solve_pose(
+                vectors[k],
+                cosine,
+                sine,
+                revolute,
+                low,
+                high,
+                between,
+                targets[k if targets.shape[0] > 1 else 0, m],
+                last,
+                starts,
+                branch,
+                joint_cos,
+                joint_sin,
+                frame,
+                axes,
+                q[k, m],
+            )
             if follow and status[k, m] != OUT_OF_REACH:
                 last[:] = q[k, m]
     return q, status, joint

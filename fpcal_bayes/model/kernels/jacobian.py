@@ -32,8 +32,6 @@ from fpcal_bayes.model.kernels.lengths import (
     Z_ET,
     Z_WF,
     D,
-    Lanes,
-    Layout,
     R,
     fill_block,
     optical_axis,
@@ -85,7 +83,15 @@ def dot(axes: Floats, link: int, which: int, other_link: int, other: int) -> flo
 
 @compiled
 def chain_axes(
-    one: Lanes, revolute: Bools, joint_q: Floats, joint_cos: Floats, joint_sin: Floats, frame: Floats, axes: Floats
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
+    revolute: Bools,
+    joint_q: Floats,
+    joint_cos: Floats,
+    joint_sin: Floats,
+    frame: Floats,
+    axes: Floats,
 ) -> None:
     """Axes and points of one group's chain in the world frame, for one model vector, prismatic joints at zero.
 
@@ -94,7 +100,6 @@ def chain_axes(
     alpha and d), Z (of theta and r), origin before it, origin after d. Last row: X of the tool (axis of beta_et), Y
     after beta_et (of theta_et), Z of the tool (of z_et), mirror normal, mirror origin.
     """
-    vector, cosine, sine = one.vector, one.cosine, one.sine
     n_links = revolute.size
     first = STRIDE * n_links
     for i in range(3):
@@ -138,21 +143,10 @@ def chain_axes(
 
 
 @compiled
-def prismatic_axes(vector: Floats, revolute: Bools, axes: Floats, out: Floats) -> None:
-    """Travel of the target by each prismatic joint, gains included; writes `out` (n_prismatic, 3)."""
-    which = 0
-    for link in range(revolute.size):
-        if not revolute[link]:
-            for i in range(3):
-                out[which, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
-            which += 1
-
-
-@compiled
-def row_changes(rows: Layout, lengths: Floats, derivatives: Floats, out: Floats, jacobian: Floats) -> None:
+def row_changes(starts: Ints, ends: Ints, lengths: Floats, derivatives: Floats, out: Floats, jacobian: Floats) -> None:
     """From poses (n_poses,), (n_poses, n) to rows; writes `out` (n_rows,) and `jacobian` (n_rows, n)."""
-    for row in range(rows.ends.size):
-        end, start = rows.ends[row], rows.starts[row]
+    for row in range(ends.size):
+        end, start = ends[row], starts[row]
         if start >= 0:
             out[row] = lengths[end] - lengths[start]
             for j in range(derivatives.shape[1]):
@@ -164,10 +158,10 @@ def row_changes(rows: Layout, lengths: Floats, derivatives: Floats, out: Floats,
 
 
 @compiled
-def optical_axis_moves(one: Lanes, first: int, axis_is_z: bool, moves: Floats) -> None:
+def optical_axis_moves(cosine: Floats, sine: Floats, first: int, axis_is_z: bool, moves: Floats) -> None:
     """Derivatives of the optical axis by beta_wf and theta_wf; writes `moves` (2, 3)."""
-    c_beta, s_beta = one.cosine[first + BETA_WF], one.sine[first + BETA_WF]
-    c_theta, s_theta = one.cosine[first + THETA_WF], one.sine[first + THETA_WF]
+    c_beta, s_beta = cosine[first + BETA_WF], sine[first + BETA_WF]
+    c_theta, s_theta = cosine[first + THETA_WF], sine[first + THETA_WF]
     moves[:] = 0.0
     if axis_is_z:
         moves[0, 1], moves[0, 2] = -c_beta, -s_beta
@@ -185,11 +179,11 @@ def group_changes(
     fibre: Floats,
     optical: Floats,
     axis_moves: Floats,
-    slides: Floats,
+    prismatic_axes: Floats,
     changes: Floats,
 ) -> None:
     """Derivatives of N, D and the prismatic slopes of one group; writes `changes` (2 + n_prismatic, n_columns)."""
-    n_links, n_prismatic = axes.shape[0] - 1, slides.shape[0]
+    n_links, n_prismatic = axes.shape[0] - 1, prismatic_axes.shape[0]
     nx, ny, nz = axes[n_links, 3, 0], axes[n_links, 3, 1], axes[n_links, 3, 2]
     for j in range(columns.shape[0]):
         mode, link, which, point, before = columns[j, 0], columns[j, 1], columns[j, 2], columns[j, 3], columns[j, 4]
@@ -216,7 +210,7 @@ def group_changes(
             )
             changes[1, j] = wx * optical[0] + wy * optical[1] + wz * optical[2]
             for p in range(before):
-                changes[2 + p, j] = wx * slides[p, 0] + wy * slides[p, 1] + wz * slides[p, 2]
+                changes[2 + p, j] = wx * prismatic_axes[p, 0] + wy * prismatic_axes[p, 1] + wz * prismatic_axes[p, 2]
         if mode >= TURN_GAIN:
             at = STRIDE * link
             turned = joint_q[link] * (1.0 + vector[at + GAIN])
@@ -232,29 +226,48 @@ def group_changes(
 
 
 @compiled
-def batch_jacobians(base: Floats, slots: Ints, values: Floats, rows: Layout, columns: Ints) -> tuple[Floats, Floats]:
+def batch_jacobians(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    path: int,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+    columns: Ints,
+) -> tuple[Floats, Floats]:
     """As `batch_lengths`, with derivatives (n_vectors, n_rows, n_columns); `columns` come from `derivative_columns`."""
-    revolute, path, prismatic_q = rows.revolute, rows.path, rows.prismatic_q
-    n_links, n_rows, n_wanted = revolute.size, rows.ends.size, columns.shape[0]
-    n_groups, n_poses, n_prismatic = rows.group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
+    n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
+    n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
     out, jacobian = np.empty((values.shape[0], n_rows)), np.empty((values.shape[0], n_rows, n_wanted))
-    block = start_block(base, n_links, 1, 1)
-    one = Lanes(block.vector.reshape(-1), block.cosine.reshape(-1), block.sine.reshape(-1))
+    block_vector, block_cosine, block_sine = start_block(base, n_links, 1, 1)
+    vector, cosine, sine = np.empty(base.size), np.empty(base.size), np.empty(base.size)
     frame, axes = np.empty((4, 3)), np.empty((n_links + 1, 5, 3))
-    axis, axis_moves, slides = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
-    optical, fibre = axis.reshape(-1), one.vector[first + X_WF : first + Z_WF + 1]
+    block_axis, axis_moves, prismatic_axes = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
     changes = np.empty((2 + n_prismatic, n_wanted))
     slope, lengths, derivatives = np.empty(n_prismatic), np.empty(n_poses), np.empty((n_poses, n_wanted))
     for k in range(values.shape[0]):
-        fill_block(slots, values[k : k + 1], n_links, block)
-        optical_axis(block, n_links, rows.axis_is_z, axis, 1)
-        optical_axis_moves(one, first, rows.axis_is_z, axis_moves)
+        fill_block(slots, values[k : k + 1], n_links, block_vector, block_cosine, block_sine)
+        optical_axis(block_cosine, block_sine, n_links, axis_is_z, block_axis, 1)
+        vector[:], cosine[:], sine[:] = block_vector[:, 0], block_cosine[:, 0], block_sine[:, 0]
+        optical, fibre = block_axis[:, 0].copy(), vector[first + X_WF : first + Z_WF + 1]
+        optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            q = rows.group_q[g]
-            chain_axes(one, revolute, q, rows.group_cos[g], rows.group_sin[g], frame, axes)
-            prismatic_axes(one.vector, revolute, axes, slides)
-            group_changes(columns, one.vector, q, axes, fibre, optical, axis_moves, slides, changes)
+            chain_axes(vector, cosine, sine, revolute, group_q[g], group_cos[g], group_sin[g], frame, axes)
+            prismatic = 0
+            for link in range(n_links):
+                if not revolute[link]:
+                    for i in range(3):
+                        prismatic_axes[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
+                    prismatic += 1
+            group_changes(columns, vector, group_q[g], axes, fibre, optical, axis_moves, prismatic_axes, changes)
             height, facing = dot(axes, n_links, 3, n_links, 4), 0.0
             for i in range(3):
                 height -= axes[n_links, 3, i] * fibre[i]
@@ -262,8 +275,8 @@ def batch_jacobians(base: Floats, slots: Ints, values: Floats, rows: Layout, col
             for p in range(n_prismatic):
                 slope[p] = 0.0
                 for i in range(3):
-                    slope[p] += axes[n_links, 3, i] * slides[p, i]
-            for m in range(rows.group_start[g], rows.group_start[g + 1]):
+                    slope[p] += axes[n_links, 3, i] * prismatic_axes[p, i]
+            for m in range(group_start[g], group_start[g + 1]):
                 distance = height
                 for p in range(n_prismatic):
                     distance += slope[p] * prismatic_q[m, p]
@@ -277,9 +290,9 @@ def batch_jacobians(base: Floats, slots: Ints, values: Floats, rows: Layout, col
                 for j in range(n_wanted):
                     derivatives[m, j] = (changes[0, j] - length * changes[1, j]) * inverse
                 for p in range(n_prismatic):
-                    travel = prismatic_q[m, p] * inverse
-                    if travel != 0.0:
+                    q = prismatic_q[m, p] * inverse
+                    if q != 0.0:
                         for j in range(n_wanted):
-                            derivatives[m, j] += changes[2 + p, j] * travel
-        row_changes(rows, lengths, derivatives, out[k], jacobian[k])
+                            derivatives[m, j] += changes[2 + p, j] * q
+        row_changes(starts, ends, lengths, derivatives, out[k], jacobian[k])
     return out, jacobian

@@ -10,7 +10,6 @@ and optical axis a the paper's (24) reads L = (h - n.f) / (n.a).
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,31 +25,6 @@ BETA_ET, THETA_ET, BETA_WF, THETA_WF, Z_ET, X_WF, Y_WF, Z_WF = range(8)
 LANES = 64
 
 
-class Lanes(NamedTuple):
-    """Model vectors side by side with their cosines and sines, shape (model size, width); of one (model size,)."""
-
-    vector: Floats
-    cosine: Floats
-    sine: Floats
-
-
-class Layout(NamedTuple):
-    """Rows to predict, laid out for the kernels: poses that share all revolute joint values follow each other."""
-
-    path: int  # 0 along the axis; 1 the distance; 2 or -2 that with a sign, on the side where it is positive
-    axis_is_z: bool
-    revolute: Bools  # shape (n_links,)
-    # joint values of each group with cosines and sines, shape (n_groups, n_links); zero, one, zero at prismatic joints
-    group_q: Floats
-    group_cos: Floats
-    group_sin: Floats
-    group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
-    prismatic_q: Floats  # shape (n_poses, n_prismatic)
-    # poses at the start and the end of each row, shape (n_rows,); a start of -1 gives L(end) itself
-    starts: Ints
-    ends: Ints
-
-
 @compiled
 def is_angle(slot: int, n_links: int) -> bool:
     """Whether the entry `slot` of the model vector is an angle whose sine the model needs."""
@@ -61,7 +35,7 @@ def is_angle(slot: int, n_links: int) -> bool:
 
 
 @compiled
-def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> Lanes:
+def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> tuple[Floats, Floats, Floats]:
     """Model vectors of a block of equal lanes, with cosines and sines, shape (model size, width) each."""
     vector, cosine, sine = np.empty((base.size, width)), np.empty((base.size, width)), np.empty((base.size, width))
     for slot in range(base.size):
@@ -70,28 +44,28 @@ def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> Lanes:
             c, s = math.cos(base[slot]), math.sin(base[slot])
         for lane in range(n_lanes):
             vector[slot, lane], cosine[slot, lane], sine[slot, lane] = base[slot], c, s
-    return Lanes(vector, cosine, sine)
+    return vector, cosine, sine
 
 
 @compiled
-def fill_block(slots: Ints, values: Floats, n_links: int, block: Lanes) -> None:
+def fill_block(slots: Ints, values: Floats, n_links: int, vector: Floats, cosine: Floats, sine: Floats) -> None:
     """Put parameter vectors `values` (n_lanes, n) into the model vectors of a block, with cosines and sines."""
     for j in range(slots.size):
         slot = slots[j]
         for lane in range(values.shape[0]):
-            block.vector[slot, lane] = values[lane, j]
+            vector[slot, lane] = values[lane, j]
         if is_angle(slot, n_links):
             for lane in range(values.shape[0]):
-                block.cosine[slot, lane] = math.cos(values[lane, j])
-                block.sine[slot, lane] = math.sin(values[lane, j])
+                cosine[slot, lane] = math.cos(values[lane, j])
+                sine[slot, lane] = math.sin(values[lane, j])
 
 
 @compiled
-def optical_axis(block: Lanes, n_links: int, axis_is_z: bool, axis: Floats, n_lanes: int) -> None:
+def optical_axis(cosine: Floats, sine: Floats, n_links: int, axis_is_z: bool, axis: Floats, n_lanes: int) -> None:
     """Direction of the light that leaves the fibre, in the world frame; writes `axis` (3, at least n_lanes)."""
     first = STRIDE * n_links
-    c_beta, s_beta = block.cosine[first + BETA_WF], block.sine[first + BETA_WF]
-    c_theta, s_theta = block.cosine[first + THETA_WF], block.sine[first + THETA_WF]
+    c_beta, s_beta = cosine[first + BETA_WF], sine[first + BETA_WF]
+    c_theta, s_theta = cosine[first + THETA_WF], sine[first + THETA_WF]
     for lane in range(n_lanes):
         if axis_is_z:
             axis[0, lane], axis[1, lane], axis[2, lane] = 0.0, -s_beta[lane], c_beta[lane]
@@ -115,7 +89,9 @@ def turn_mirror(link: Floats, q: float, plane: Floats, n_lanes: int) -> None:
 
 @compiled
 def carry_plane(
-    block: Lanes,
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
     revolute: Bools,
     used: Bools,
     joint_q: Floats,
@@ -134,8 +110,7 @@ def carry_plane(
     n_links = revolute.size
     first = STRIDE * n_links
     # Flat views whose rows stand LANES apart: the compiler sees that rows do not overlap, and computes lanes together.
-    vector, carried = block.vector, plane.reshape(-1)
-    values, cosines, sines = vector.reshape(-1), block.cosine.reshape(-1), block.sine.reshape(-1)
+    values, cosines, sines, carried = vector.reshape(-1), cosine.reshape(-1), sine.reshape(-1), plane.reshape(-1)
     x_row, y_row, z_row, h_row = 0, LANES, 2 * LANES, 3 * LANES
     cos, sin, value = cosines[first * LANES :], sines[first * LANES :], values[first * LANES :]
     for lane in range(n_lanes):
@@ -174,32 +149,48 @@ def carry_plane(
 
 
 @compiled
-def batch_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) -> Floats:
+def batch_lengths(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    path: int,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+) -> Floats:
     """Changes of cavity length, L(end) - L(start), for many parameter vectors, shape (n_vectors, n_rows), in um.
 
     base: model vector of the values that are held.
     slots, values: places of the free parameters in the model vector, (n,), and their values, (n_vectors, n).
+    path: 0 along the axis; 1 the perpendicular distance; 2 or -2 that with a sign, on the side where it is positive.
+    starts, ends: pose of each row; a start of -1 gives L(end) itself.
     """
-    revolute, path, prismatic_q = rows.revolute, rows.path, rows.prismatic_q
-    n_links, n_vectors, n_rows = revolute.size, values.shape[0], rows.ends.size
-    n_groups, n_poses, n_prismatic = rows.group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
+    n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
+    n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     n_lanes = max(1, min(n_vectors, LANES))
     first = STRIDE * n_links
     out = np.empty((n_vectors, n_rows))
-    lanes = start_block(base, n_links, n_lanes, LANES)
+    vector, cosine, sine = start_block(base, n_links, n_lanes, LANES)
     used = base != 0.0
     for j in range(slots.size):
         used[slots[j]] = True
     plane, slope, axis = np.empty((4, LANES)), np.empty((n_prismatic, LANES)), np.empty((3, LANES))
     lengths, inverse = np.empty((n_poses, n_lanes)), np.ones(n_lanes)
-    x, y, z = lanes.vector[first + X_WF], lanes.vector[first + Y_WF], lanes.vector[first + Z_WF]
+    x, y, z = vector[first + X_WF], vector[first + Y_WF], vector[first + Z_WF]
     for block in range(0, n_vectors, n_lanes):
         here = min(n_lanes, n_vectors - block)
-        fill_block(slots, values[block : block + here], n_links, lanes)
-        optical_axis(lanes, n_links, rows.axis_is_z, axis, n_lanes)
+        fill_block(slots, values[block : block + here], n_links, vector, cosine, sine)
+        optical_axis(cosine, sine, n_links, axis_is_z, axis, n_lanes)
         for g in range(n_groups):
-            q, q_cos, q_sin = rows.group_q[g], rows.group_cos[g], rows.group_sin[g]
-            carry_plane(lanes, revolute, used, q, q_cos, q_sin, plane, slope, n_lanes)
+            carry_plane(
+                vector, cosine, sine, revolute, used, group_q[g], group_cos[g], group_sin[g], plane, slope, n_lanes
+            )
             nx, ny, nz, height = plane[0], plane[1], plane[2], plane[3]
             for lane in range(n_lanes):
                 height[lane] -= nx[lane] * x[lane] + ny[lane] * y[lane] + nz[lane] * z[lane]
@@ -211,7 +202,7 @@ def batch_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) -> Fl
                 for p in range(n_prismatic):
                     for lane in range(n_lanes):
                         slope[p, lane] *= inverse[lane]
-            for m in range(rows.group_start[g], rows.group_start[g + 1]):
+            for m in range(group_start[g], group_start[g + 1]):
                 length = lengths[m]
                 if n_prismatic == 3:
                     q0, q1, q2 = prismatic_q[m, 0], prismatic_q[m, 1], prismatic_q[m, 2]
@@ -228,19 +219,32 @@ def batch_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) -> Fl
                         length[lane] = abs(length[lane]) if path == 1 else -length[lane]
         for lane in range(here):
             for row in range(n_rows):
-                change = lengths[rows.ends[row], lane]
-                if rows.starts[row] >= 0:
-                    change -= lengths[rows.starts[row], lane]
+                change = lengths[ends[row], lane]
+                if starts[row] >= 0:
+                    change -= lengths[starts[row], lane]
                 out[block + lane, row] = change
     return out
 
 
 @compiled
-def few_vector_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) -> Floats:
+def few_vector_lengths(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    path: int,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+) -> Floats:
     """The same as `batch_lengths` with groups side by side in place of vectors; without gains and runouts."""
-    revolute, path, prismatic_q = rows.revolute, rows.path, rows.prismatic_q
-    n_links, n_vectors, n_rows = revolute.size, values.shape[0], rows.ends.size
-    n_groups, n_prismatic = rows.group_q.shape[0], prismatic_q.shape[1]
+    n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
+    n_groups, n_prismatic = group_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
     out, used = np.empty((n_vectors, n_rows)), np.zeros(base.size, dtype=np.bool_)
     plane, slope, axis = np.empty((4, LANES)), np.empty((n_prismatic, LANES)), np.empty((3, LANES))
@@ -249,9 +253,9 @@ def few_vector_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) 
         whole = base.copy()
         for j in range(slots.size):
             whole[slots[j]] = values[v, j]
-        lanes = start_block(whole, n_links, LANES, LANES)
-        optical_axis(lanes, n_links, rows.axis_is_z, axis, LANES)
-        turned_cos, turned_sin = lanes.cosine[:, 0].copy(), lanes.sine[:, 0].copy()
+        vector, cosine, sine = start_block(whole, n_links, LANES, LANES)
+        optical_axis(cosine, sine, n_links, axis_is_z, axis, LANES)
+        turned_cos, turned_sin = cosine[:, 0].copy(), sine[:, 0].copy()
         for block in range(0, n_groups, LANES):
             here = min(LANES, n_groups - block)
             for link in range(n_links):
@@ -259,17 +263,16 @@ def few_vector_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) 
                     at = STRIDE * link + THETA
                     c, s = turned_cos[at], turned_sin[at]
                     for lane in range(here):
-                        q_cos, q_sin = rows.group_cos[block + lane, link], rows.group_sin[block + lane, link]
-                        lanes.cosine[at, lane] = c * q_cos - s * q_sin
-                        lanes.sine[at, lane] = s * q_cos + c * q_sin
-            carry_plane(lanes, revolute, used, still, unit, zero, plane, slope, LANES)
+                        q_cos, q_sin = group_cos[block + lane, link], group_sin[block + lane, link]
+                        cosine[at, lane], sine[at, lane] = c * q_cos - s * q_sin, s * q_cos + c * q_sin
+            carry_plane(vector, cosine, sine, revolute, used, still, unit, zero, plane, slope, LANES)
             for lane in range(here):
                 nx, ny, nz = plane[0, lane], plane[1, lane], plane[2, lane]
                 height = plane[3, lane] - nx * whole[first + X_WF] - ny * whole[first + Y_WF] - nz * whole[first + Z_WF]
                 inverse = 1.0
                 if path == 0:
                     inverse = 1.0 / (nx * axis[0, lane] + ny * axis[1, lane] + nz * axis[2, lane])
-                for m in range(rows.group_start[block + lane], rows.group_start[block + lane + 1]):
+                for m in range(group_start[block + lane], group_start[block + lane + 1]):
                     length = height
                     for p in range(n_prismatic):
                         length += prismatic_q[m, p] * slope[p, lane]
@@ -278,6 +281,5 @@ def few_vector_lengths(base: Floats, slots: Ints, values: Floats, rows: Layout) 
                         length = abs(length) if path == 1 else -length
                     lengths[m] = length
         for row in range(n_rows):
-            start = lengths[rows.starts[row]] if rows.starts[row] >= 0 else 0.0
-            out[v, row] = lengths[rows.ends[row]] - start
+            out[v, row] = lengths[ends[row]] - (lengths[starts[row]] if starts[row] >= 0 else 0.0)
     return out

@@ -30,11 +30,11 @@ def batch_mirrors(base: Floats, slots: Ints, values: Floats, revolute: Bools, q:
     n_links, n_poses = revolute.size, q.shape[0]
     first = STRIDE * n_links
     normals, origins = np.empty((values.shape[0], n_poses, 3)), np.empty((values.shape[0], n_poses, 3))
-    block = start_block(base, n_links, 1, 1)
-    vector, cosine, sine = block.vector.reshape(-1), block.cosine.reshape(-1), block.sine.reshape(-1)
+    block, block_cosine, block_sine = start_block(base, n_links, 1, 1)
     joint_cos, joint_sin = np.cos(q), np.sin(q)
     for k in range(values.shape[0]):
-        fill_block(slots, values[k : k + 1], n_links, block)
+        fill_block(slots, values[k : k + 1], n_links, block, block_cosine, block_sine)
+        vector, cosine, sine = block[:, 0], block_cosine[:, 0], block_sine[:, 0]
         for m in range(n_poses):
             nx = sine[first + THETA_ET]
             ny = -cosine[first + THETA_ET] * sine[first + BETA_ET]

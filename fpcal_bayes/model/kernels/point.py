@@ -25,7 +25,6 @@ from fpcal_bayes.model.kernels.jacobian import (
     chain_axes,
     derivative_columns,
     optical_axis_moves,
-    prismatic_axes,
     row_changes,
 )
 from fpcal_bayes.model.kernels.lengths import (
@@ -35,8 +34,6 @@ from fpcal_bayes.model.kernels.lengths import (
     STRIDE,
     X_WF,
     Z_WF,
-    Lanes,
-    Layout,
     fill_block,
     optical_axis,
     start_block,
@@ -57,31 +54,51 @@ def point_columns(revolute: Bools, slots: Ints) -> Ints:
 
 
 @compiled
-def batch_points(base: Floats, slots: Ints, values: Floats, rows: Layout, columns: Ints) -> tuple[Floats, Floats]:
+def batch_points(
+    base: Floats,
+    slots: Ints,
+    values: Floats,
+    path: int,
+    axis_is_z: bool,
+    revolute: Bools,
+    group_q: Floats,
+    group_cos: Floats,
+    group_sin: Floats,
+    group_start: Ints,
+    prismatic_q: Floats,
+    starts: Ints,
+    ends: Ints,
+    columns: Ints,
+) -> tuple[Floats, Floats]:
     """As `batch_jacobians`, of the length to a point; `columns`, which may be none, come from `point_columns`.
 
     The path is 0 for a fixed beam, else the beam follows.
     """
-    revolute, path, group_q, prismatic_q = rows.revolute, rows.path, rows.group_q, rows.prismatic_q
-    n_links, n_rows, n_wanted = revolute.size, rows.ends.size, columns.shape[0]
+    n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
     out, jacobian = np.empty((values.shape[0], n_rows)), np.empty((values.shape[0], n_rows, n_wanted))
-    block = start_block(base, n_links, 1, 1)
-    one = Lanes(block.vector.reshape(-1), block.cosine.reshape(-1), block.sine.reshape(-1))
-    vector, fibre = one.vector, one.vector[first + X_WF : first + Z_WF + 1]
+    block_vector, block_cosine, block_sine = start_block(base, n_links, 1, 1)
+    vector, cosine, sine = np.empty(base.size), np.empty(base.size), np.empty(base.size)
     frame, axes = np.empty((4, 3)), np.empty((n_links + 1, 5, 3))
     block_axis, axis_moves, slides = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
     along, point, away, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     lengths, derivatives = np.empty(n_poses), np.empty((n_poses, n_wanted))
     for k in range(values.shape[0]):
-        fill_block(slots, values[k : k + 1], n_links, block)
-        optical_axis(block, n_links, rows.axis_is_z, block_axis, 1)
-        optical_axis_moves(one, first, rows.axis_is_z, axis_moves)
+        fill_block(slots, values[k : k + 1], n_links, block_vector, block_cosine, block_sine)
+        optical_axis(block_cosine, block_sine, n_links, axis_is_z, block_axis, 1)
+        vector[:], cosine[:], sine[:] = block_vector[:, 0], block_cosine[:, 0], block_sine[:, 0]
+        fibre = vector[first + X_WF : first + Z_WF + 1]
+        optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            chain_axes(one, revolute, group_q[g], rows.group_cos[g], rows.group_sin[g], frame, axes)
-            prismatic_axes(vector, revolute, axes, slides)
-            for m in range(rows.group_start[g], rows.group_start[g + 1]):
+            chain_axes(vector, cosine, sine, revolute, group_q[g], group_cos[g], group_sin[g], frame, axes)
+            prismatic = 0
+            for link in range(n_links):
+                if not revolute[link]:
+                    for i in range(3):
+                        slides[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
+                    prismatic += 1
+            for m in range(group_start[g], group_start[g + 1]):
                 for i in range(3):
                     point[i] = frame[3, i] + vector[first + X_ET] * frame[0, i] + vector[first + Y_ET] * frame[1, i]
                     point[i] += vector[first + Z_ET] * frame[2, i]
@@ -132,5 +149,5 @@ def batch_points(base: Floats, slots: Ints, values: Floats, rows: Layout, column
                                 change += (vector[at + RUNOUT_SIN] * c - vector[at + RUNOUT_COS] * s) * straight
                                 change *= group_q[g, link]
                     derivatives[m, j] = change
-        row_changes(rows, lengths, derivatives, out[k], jacobian[k])
+        row_changes(starts, ends, lengths, derivatives, out[k], jacobian[k])
     return out, jacobian

@@ -1,14 +1,13 @@
 """Compiled kernels: tool pose, its derivatives by the joints, and damped Newton steps towards a pose."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.model.kernels.compile import compiled
 from fpcal_bayes.model.kernels.jacobian import chain_axes
-from fpcal_bayes.model.kernels.lengths import GAIN, RUNOUT_COS, RUNOUT_SIN, STRIDE, Lanes, start_block
+from fpcal_bayes.model.kernels.lengths import GAIN, RUNOUT_COS, RUNOUT_SIN, STRIDE, start_block
 
 #: Errors in um and rad at which Newton ends, and within which a pose counts as met.
 POSITION_GOAL, ANGLE_GOAL = 1e-9, 1e-13
@@ -16,40 +15,31 @@ POSITION_MET, ANGLE_MET = 5e-8, 5e-11
 _STEPS = 60
 
 
-class Chain(NamedTuple):
-    """The chain of one model vector, with what `pose_error` and `pose_jacobian` leave of the last joint values."""
-
-    one: Lanes
-    revolute: Bools
-    # cosines and sines of the joint values, shape (n_joints,)
-    joint_cos: Floats
-    joint_sin: Floats
-    frame: Floats  # tool frame, prismatic joints in, shape (4, 3)
-    axes: Floats  # of `chain_axes`, shape (n_joints + 1, 5, 3)
-    error: Floats  # position in um, rotation vector in rad, both in the world frame, shape (6,)
-    jacobian: Floats  # derivatives of the tool pose by the joints, rows as in `error`, shape (6, n_joints)
-
-
 @compiled
-def chain_of(vector: Floats, revolute: Bools) -> Chain:
-    """The chain of a model vector, at no joint values yet."""
-    n = revolute.size
-    block = start_block(vector, n, 1, 1)
-    one = Lanes(block.vector.reshape(-1), block.cosine.reshape(-1), block.sine.reshape(-1))
-    frame, axes, error, jacobian = np.empty((4, 3)), np.empty((n + 1, 5, 3)), np.empty(6), np.empty((6, n))
-    return Chain(one, revolute, np.empty(n), np.empty(n), frame, axes, error, jacobian)
+def pose_error(
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
+    revolute: Bools,
+    q: Floats,
+    target: Floats,
+    joint_cos: Floats,
+    joint_sin: Floats,
+    frame: Floats,
+    axes: Floats,
+    error: Floats,
+) -> None:
+    """What is missing between the tool frame at `q` and its target wTe, shape (4, 4); prismatic joints are in.
 
-
-@compiled
-def pose_error(chain: Chain, q: Floats, target: Floats) -> None:
-    """What is missing between the tool frame at `q` and its target wTe, shape (4, 4)."""
-    revolute, frame, axes, error = chain.revolute, chain.frame, chain.axes, chain.error
+    frame, axes: written as by `chain_axes`, the origin of `frame` with prismatic joints in.
+    error: written, shape (6,): position in um, rotation vector in rad, both in the world frame.
+    """
     for link in range(revolute.size):
-        chain.joint_cos[link], chain.joint_sin[link] = math.cos(q[link]), math.sin(q[link])
-    chain_axes(chain.one, revolute, q, chain.joint_cos, chain.joint_sin, frame, axes)
+        joint_cos[link], joint_sin[link] = math.cos(q[link]), math.sin(q[link])
+    chain_axes(vector, cosine, sine, revolute, q, joint_cos, joint_sin, frame, axes)
     for link in range(revolute.size):
         if not revolute[link]:
-            travel = q[link] * (1.0 + chain.one.vector[STRIDE * link + GAIN])
+            travel = q[link] * (1.0 + vector[STRIDE * link + GAIN])
             for i in range(3):
                 frame[3, i] += travel * axes[link, 2, i]
     trace = 0.0
@@ -73,9 +63,8 @@ def pose_error(chain: Chain, q: Floats, target: Floats) -> None:
 
 
 @compiled
-def pose_jacobian(chain: Chain, q: Floats) -> None:
-    """Derivatives of the tool pose by the joints, at the `q` of the last `pose_error`."""
-    vector, revolute, frame, axes, jacobian = chain.one.vector, chain.revolute, chain.frame, chain.axes, chain.jacobian
+def pose_jacobian(vector: Floats, revolute: Bools, q: Floats, frame: Floats, axes: Floats, jacobian: Floats) -> None:
+    """Derivatives of the tool pose by the joints; writes `jacobian` (6, n_joints) from what `pose_error` left."""
     # From the tool to the base: `behind` is what the prismatic joints behind a joint add to its lever arm.
     n_links = revolute.size
     origin_x, origin_y, origin_z = frame[3, 0], frame[3, 1], frame[3, 2]
@@ -148,11 +137,24 @@ def within(error: Floats, position: float, angle: float) -> bool:
 
 
 @compiled
-def newton(chain: Chain, length: float, target: Floats, q: Floats) -> bool:
+def newton(
+    vector: Floats,
+    cosine: Floats,
+    sine: Floats,
+    revolute: Bools,
+    length: float,
+    target: Floats,
+    q: Floats,
+    joint_cos: Floats,
+    joint_sin: Floats,
+    frame: Floats,
+    axes: Floats,
+    error: Floats,
+    jacobian: Floats,
+) -> bool:
     """Damped Newton steps from `q`, which is overwritten; whether the pose is met."""
-    revolute, error, jacobian = chain.revolute, chain.error, chain.jacobian
     n = revolute.size
-    pose_error(chain, q, target)
+    pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
     if within(error, POSITION_GOAL, ANGLE_GOAL):
         return True
     trial, step, normal = np.empty(n), np.empty(n), np.empty((n, n))
@@ -160,7 +162,7 @@ def newton(chain: Chain, length: float, target: Floats, q: Floats) -> bool:
     for _ in range(_STEPS):
         if within(error, POSITION_GOAL, ANGLE_GOAL) or damping > 1e8:
             break
-        pose_jacobian(chain, q)
+        pose_jacobian(vector, revolute, q, frame, axes, jacobian)
         for j in range(n):
             for i in range(6):
                 jacobian[i, j] *= (1.0 if revolute[j] else length) / (length if i < 3 else 1.0)
@@ -181,7 +183,7 @@ def newton(chain: Chain, length: float, target: Floats, q: Floats) -> bool:
                 short = min(1.0, 1.0 / largest) if largest > 0.0 else 1.0
                 for i in range(n):
                     trial[i] = q[i] + short * step[i] * (1.0 if revolute[i] else length)
-                pose_error(chain, trial, target)
+                pose_error(vector, cosine, sine, revolute, trial, target, joint_cos, joint_sin, frame, axes, error)
                 smaller = error_size(error, length)
                 improved = smaller < size
             if improved:
@@ -189,7 +191,7 @@ def newton(chain: Chain, length: float, target: Floats, q: Floats) -> bool:
                 q[:] = trial
             else:
                 damping = max(damping, 1e-12) * 10.0
-                pose_error(chain, q, target)
+                pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
                 # What rounding leaves cannot be improved upon.
                 if within(error, POSITION_MET, ANGLE_MET):
                     return True
@@ -225,14 +227,18 @@ def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
 
     q: joint vectors, shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
     """
-    n_vectors, n_poses, origin = vectors.shape[0], q.shape[1], np.eye(4)
+    n, n_vectors, n_poses = revolute.size, vectors.shape[0], q.shape[1]
     poses = np.zeros((n_vectors, n_poses, 4, 4))
+    joint_cos, joint_sin = np.empty(n), np.empty(n)
+    frame, axes, error, origin = np.empty((4, 3)), np.empty((n + 1, 5, 3)), np.empty(6), np.eye(4)
     for k in range(n_vectors):
-        chain = chain_of(vectors[k], revolute)
+        _, block_cosine, block_sine = start_block(vectors[k], n, 1, 1)
+        cosine, sine = block_cosine[:, 0].copy(), block_sine[:, 0].copy()
         for m in range(n_poses):
-            pose_error(chain, q[k if q.shape[0] > 1 else 0, m], origin)
+            here = q[k if q.shape[0] > 1 else 0, m]
+            pose_error(vectors[k], cosine, sine, revolute, here, origin, joint_cos, joint_sin, frame, axes, error)
             for i in range(3):
                 for j in range(4):
-                    poses[k, m, i, j] = chain.frame[j, i]
+                    poses[k, m, i, j] = frame[j, i]
             poses[k, m, 3, 3] = 1.0
     return poses

@@ -16,9 +16,7 @@ import numpy as np
 
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.model.kernels.compile import compiled
-from fpcal_bayes.model.kernels.jacobian import prismatic_axes
-from fpcal_bayes.model.kernels.lengths import ALPHA, BETA, GAIN, STRIDE, THETA, Lanes
-from fpcal_bayes.model.kernels.pose import Chain
+from fpcal_bayes.model.kernels.lengths import ALPHA, BETA, GAIN, STRIDE, THETA
 
 #: How far |cos p2| may pass 1 by rounding.
 _COSINE_SLACK = 1e-9
@@ -26,9 +24,9 @@ _TURN = 2.0 * math.pi
 
 
 @compiled
-def constant_rotations(one: Lanes, revolute: Bools, between: Floats) -> None:
+def constant_rotations(cosine: Floats, sine: Floats, revolute: Bools, between: Floats) -> None:
     """Rotations before, between and behind the revolute joints; writes `between` (n_revolute + 1, 3, 3)."""
-    part, x, cosine, sine = 0, between[0], one.cosine, one.sine
+    part, x = 0, between[0]
     x[:] = np.eye(3)
     for link in range(revolute.size):
         at = STRIDE * link
@@ -115,11 +113,14 @@ def nearest_first(vector: Floats, revolute: Bools, low: Floats, high: Floats, ne
 
 
 @compiled
-def place_prismatic(chain: Chain, q: Floats) -> float:
+def place_prismatic(vector: Floats, revolute: Bools, axes: Floats, error: Floats, q: Floats) -> float:
     """Move three prismatic joints, standing at `q`, by the position error; returns the determinant of their axes."""
-    a, cross, right = np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
-    revolute, error = chain.revolute, chain.error
-    prismatic_axes(chain.one.vector, revolute, chain.axes, a)
+    used, a, cross, right = 0, np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
+    for link in range(revolute.size):
+        if not revolute[link]:
+            for i in range(3):
+                a[used, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
+            used += 1
     for row in range(3):
         b, c = (row + 1) % 3, (row + 2) % 3
         for i in range(3):

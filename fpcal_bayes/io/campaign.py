@@ -12,7 +12,6 @@ from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
 from fpcal_bayes.io.columns import Column, from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
-from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell.beams import Opd
@@ -102,7 +101,10 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         name, sha256, program, command = (
             reader.text_attribute(root, key) for key in ("cell_name", "cell_sha256", "program_version", "command")
         )
-        opd: Opd = Tables(path).choice({"opd": reader.text_attribute(root, "opd")}, "", "opd", get_args(Opd), None)
+        text = reader.text_attribute(root, "opd")
+        opd: Opd | None = next((choice for choice in get_args(Opd) if choice == text), None)
+        if opd is None:
+            raise InputError(f"{path}: attribute opd: expected one of {', '.join(get_args(Opd))}, found {text!r:.40}")
         seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
         about = reader.text_attribute(root, "about") if "about" in root.attrs else ""
         _require_cell(path, name, sha256, opd, cell)

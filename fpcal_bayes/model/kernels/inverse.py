@@ -126,7 +126,7 @@ def solve_pose(
             for j in range(n):
                 for i in range(3):
                     jacobian[i, j] /= length if revolute[j] else 1.0
-            singular = abs(np.linalg.det(jacobian)) < SINGULAR_BELOW
+            singular = abs(float(np.linalg.det(jacobian))) < SINGULAR_BELOW
         if not met and not singular:
             continue
         outside = worst_joint(revolute, low, high, q)

@@ -18,9 +18,9 @@ from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.infer.observability.observe import observe, whitened_jacobian
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_csv, write_csv
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, read_often, seen_by_all
 from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model import chain

@@ -74,17 +74,10 @@ class TestSimulateTraces:
         index = read_recordings("a.csv", femto)
         assert [scan is not None for scan in index.scans_after] == [False, False, True]
 
-    def test_disturbances_and_sampling(self, femto: Cell) -> None:
-        short_plan(femto)
-        options = ("--samples-per-fringe", 4, "--disturbances", "hard", "--quiet")
-        run("simulate", "-o", "a.csv", "--traces", "--protocol", "plan.csv", *options)
-        assert all(len(trace) < 300 for trace in read_recordings("a.csv", femto).traces)
-
     @pytest.mark.parametrize(
         ("options", "message"),
         [
             (["--path", "circle.csv"], "--path: is taken with --traces only"),
-            (["--samples-per-fringe", "4"], "--samples-per-fringe: is taken with --traces only"),
             (["--traces", "--sigma-nm", "3"], "--sigma-nm: is not taken with --traces"),
             (["--traces", "--time-h", "3"], "--time-h: is taken with --path only"),
             (["--traces", "--path", "circle.csv", "--protocol", "paper"], "--protocol: is not taken with --path"),

@@ -20,7 +20,7 @@ from fpcal_bayes.io.sweeps import read_csv, write_csv
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.cell.tables import Envelope
 from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import prior_draws

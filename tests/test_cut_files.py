@@ -10,8 +10,8 @@ from fpcal_bayes.core.files import require_line_end
 from fpcal_bayes.infer.posterior.netcdf import write_netcdf
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.cell import load_cell
+from fpcal_bayes.io.joint_paths import read_path
 from fpcal_bayes.io.sweeps import read_csv, write_csv
-from fpcal_bayes.io.task_paths import read_path
 from fpcal_bayes.io.traces import read_scan
 from fpcal_bayes.io.truth import read_truth
 from fpcal_bayes.measure.campaign import Campaign

@@ -7,7 +7,7 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.tables import DriftSize
 
 WHOLE = (Path(__file__).parents[1] / "data" / "femto-st.toml").read_text().split("[extrinsic.drift]")[0]
 TEXT = "\n".join(line for line in WHOLE.splitlines() if not line.startswith("drift = "))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.cell.tables import Interferometer
 from fpcal_bayes.model.interferometer import fringe, mirror_amplitude, mirror_views, read_out, reflected
 
 OPTICS = Interferometer(1.56)

@@ -18,8 +18,8 @@ from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.tasks.source import PATH_POINTS
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import protocol_by_name
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate

@@ -9,17 +9,18 @@ from scipy.spatial.transform import Rotation
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
+from fpcal_bayes.io.cell_tables import read_mechanics
+from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.measure.protocol import protocol_by_name
 from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design, drive_of, path_design
-from fpcal_bayes.model.mechanics.basis import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.response import directions, pose_responses, responses
+from fpcal_bayes.model.mechanics.terms import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
@@ -136,11 +137,14 @@ def test_sheet_words_by_draws():
 
 
 def test_tables_of_a_cell():
-    joint = joint_mechanics(
-        {"straightness_nm": 30.0, "return_nm": 2, "lever_mm": [0, 0, 80]}, prismatic=True, place="x"
-    )
+    axis = load_cell(mechanics="none").joints[0]
+
+    def read(own: dict[str, object], whole: dict[str, object]) -> Mechanics:
+        return read_mechanics(Tables("x.toml"), {"joint": [{"mechanics": own}], "mechanics": whole}, [axis])
+
+    cell = read({"straightness_nm": 30.0, "return_nm": 2, "lever_mm": [0, 0, 80]}, {"drift_nm_per_min": 3.0})
+    joint = cell.joints[0]
     assert (joint.straightness_nm, joint.return_sd, joint.lever_mm) == (30.0, 2.0, (0.0, 0.0, 80.0))
-    cell = cell_mechanics({"drift_nm_per_min": 3.0}, (joint,), place="mechanics")
     assert cell.any
     assert cell.drift_nm_per_min == 3.0
     for table, word in (
@@ -150,8 +154,8 @@ def test_tables_of_a_cell():
         ({"straightness_nm": "30"}, "finite number"),
         ({"lever_mm": [1, 2]}, "three numbers"),
     ):
-        with pytest.raises(InputError, match=word):
-            joint_mechanics(table, prismatic=True, place="joint 1.mechanics")
+        with pytest.raises(InputError, match=rf"x\.toml: key joint 1\.mechanics.*{word}"):
+            read(table, {})
 
 
 def _drive(cell, name="paper-mid"):
@@ -294,7 +298,7 @@ def test_the_closed_form_is_the_spread_of_draws(cause):
 
 def test_a_slow_reading_error_is_stated_for_the_cell():
     cell = load_cell(mechanics="none")
-    stated = cell_mechanics({"correlated_nm": 4.0}, (JointMechanics(),) * 6, place="mechanics")
+    stated = Mechanics((JointMechanics(),) * 6, correlated_nm=4.0)
     plan, drive = _drive(cell)
     made = design(Terms.of(cell, stated), cell.parameters.nominal, drive, np.full(len(plan), 0.005))
     slow = made.matrix[:, [name == "slow reading error" for name in made.names]]

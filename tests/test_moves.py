@@ -14,9 +14,8 @@ from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.io.moves import read_moves, write_order_moves
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.io.tickets import write_ticket
-from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.ticket import Ticket
+from fpcal_bayes.measure.ticket import Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.joints import ControllerAxis
 

@@ -9,7 +9,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.cell.tables import Interferometer
 
 TEXT = data_file("femto-st.toml").read_text(encoding="utf-8")
 

@@ -18,9 +18,12 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.report.check import check_content, check_sentences, check_warnings
-from fpcal_bayes.simulator.optics import HARD, RecorderSettings
+from fpcal_bayes.simulator.optics import RecorderSettings
 from fpcal_bayes.simulator.recorder import record_path
 from fpcal_bayes.simulator.sweeps import simulate_um
+
+#: A poor day: gain, offset, second harmonic and noise relative to the fringes.
+HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
 
 #: Fewer samples than the default: the tests are about the method.
 SHORT = RecorderSettings(rate_hz=50.0)

@@ -13,8 +13,8 @@ from fpcal_bayes.infer.design.rows import TRACE_READINGS, plan_rows, sweep_rows
 from fpcal_bayes.infer.mechanics.rows import row_whitening
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, read_often
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Terms, design, path_design

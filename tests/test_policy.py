@@ -21,8 +21,7 @@ from fpcal_bayes.infer.tasks.error import peak_to_peak, task_errors, task_jacobi
 from fpcal_bayes.infer.tasks.pose import pose_errors
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
-from fpcal_bayes.model.cell.own_tasks import OwnTask
+from fpcal_bayes.model.cell.tables import DriftSize, OwnTask
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings

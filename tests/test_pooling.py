@@ -11,7 +11,7 @@ import fpcal_bayes as fp
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.infer.fit.prior import bends
 from fpcal_bayes.io.sweeps import packed, unpacked
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics

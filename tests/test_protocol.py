@@ -115,7 +115,7 @@ def test_an_absolute_length_keeps_its_sign():
 
 
 def test_single_sweep():
-    sweep = single_sweep(CELL, 5, -0.01, 0.02, pose=np.array([1.0, 2.0, 3.0, 0.01, 0.0, 1.0]), label="x")
+    sweep = single_sweep(CELL, 5, -0.01, 0.02, pose=np.array([1.0, 2.0, 3.0, 0.01, 0.0, 1.0]))
     assert sweep.q_start.tolist() == [[1.0, 2.0, 3.0, 0.01, -0.01, 1.0]]
     assert sweep.q_end.tolist() == [[1.0, 2.0, 3.0, 0.01, 0.02, 1.0]]
     for arguments in ((0, 0.0, 0.1), (7, 0.0, 0.1), (1, 0.0, 200.0), (1, 1.0, 1.0)):

@@ -7,18 +7,21 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
 from fpcal_bayes.measure.recordings import check_index
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.measure.truth import Truth, paper_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.interferometer import fringe, mirror_views
-from fpcal_bayes.simulator.optics import HARD, Chances, RecorderSettings, SimulatedOptics
+from fpcal_bayes.simulator.optics import Chances, RecorderSettings, SimulatedOptics
 from fpcal_bayes.simulator.recorder import record_path, record_sweeps, reference_joint
 from fpcal_bayes.simulator.sweeps import machine_of, noise_free, simulate
+
+#: A poor day: gain, offset, second harmonic and noise relative to the fringes.
+HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
 
 CLEAN = RecorderSettings(envelope_change=0.0, offset_drift=0.0, noise=0.0)
 

@@ -59,7 +59,8 @@ def test_without_noise_it_is_the_reference_case(opd, key):
 
 def test_rows_see_the_truth_of_their_time():
     times = np.array([200.0, 12.0, 0.0, 12.0, 192.0])
-    plan = join([single_sweep(CELL, 4, -0.05, 0.05, time_h=time) for time in times])
+    plan = join([single_sweep(CELL, 4, -0.05, 0.05)] * len(times))
+    plan = replace(plan, time_h=np.array(times, dtype=float))
     model = CavityModel.of(CELL, TRUTH.parameters)
     rows = model.rows(plan.q_start[:1], plan.q_end[:1])
     expected = [model.predict(TRUTH.at(time), rows)[0] for time in times]

@@ -10,8 +10,8 @@ from rig_fixtures import write_rig, write_ticket
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.sweeps import write_csv
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.ticket import orders_of
 from fpcal_bayes.rig.drivers.interface import Address
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice

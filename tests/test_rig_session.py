@@ -19,7 +19,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.ticket import orders_of
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.clock import Halt, Halted

@@ -18,8 +18,8 @@ from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps, write_csv, write_sweeps
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.protocol import paper_protocol
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.rig import reader
 from fpcal_bayes.rig.bench import Bench, only_one

@@ -9,7 +9,7 @@ from path_length import path_length
 from task_fixtures import paper_values
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.io.task_paths import read_path
+from fpcal_bayes.io.joint_paths import read_path
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell

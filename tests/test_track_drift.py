@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from track_fixtures import CELL, DRIFT
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.tables import DriftSize
 from fpcal_bayes.tracking.drift import DriftModel
 
 DEG = np.pi / 180.0

@@ -12,7 +12,7 @@ from track_fixtures import CELL, DRIFT, SIGMA, campaign
 
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.tables import DriftSize
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import Innovation, inflate, predict, update

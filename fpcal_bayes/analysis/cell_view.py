@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.model.axes import Sight, direction_words, home, joint_axes, sight
+from fpcal_bayes.model.axes import Sight, axis_words, direction_words, home, joint_axes, sight
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.motion.tasks import follow_offsets
@@ -94,16 +94,10 @@ def view_cell(cell: Cell, q: Floats | None = None) -> CellView:
 
 
 def _axis(cell: Cell, i: int, direction: Floats, point: Floats) -> AxisView:
-    kind = cell.joints[i].kind
-    words = f"{'moves along' if kind == 'prismatic' else 'turns about'} {direction_words(direction)}"
-    return AxisView(f"q{i + 1}", kind, direction, point, words, _limits(cell, i))
-
-
-def _limits(cell: Cell, i: int) -> str:
     joint, scale = cell.joints[i], cell.joint_scales[i]
-    if not (np.isfinite(joint.low) or np.isfinite(joint.high)):
-        return "without limit"
-    return f"{joint.low / scale:g} to {joint.high / scale:g} {joint.unit}"
+    limits = f"{joint.low / scale:g} to {joint.high / scale:g} {joint.unit}"
+    limits = limits if np.isfinite(joint.low) or np.isfinite(joint.high) else "without limit"
+    return AxisView(f"q{i + 1}", joint.kind, direction, point, axis_words(joint.kind, direction), limits)
 
 
 def _reach(cell: Cell, vector: Floats) -> Reach:

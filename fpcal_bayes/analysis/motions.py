@@ -7,8 +7,8 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics import group_of
-from fpcal_bayes.model.mechanics.basis import harmonics, polynomials
 from fpcal_bayes.model.mechanics.response import ROLL
+from fpcal_bayes.model.mechanics.terms import harmonics, polynomials
 
 _POINTS = 61
 

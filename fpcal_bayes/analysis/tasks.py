@@ -10,7 +10,7 @@ from fpcal_bayes.infer.tasks.budget import Budget
 from fpcal_bayes.infer.tasks.error import peak_to_peak
 from fpcal_bayes.infer.tasks.pose import FREEDOMS, PoseErrors
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
-from fpcal_bayes.model.cell.own_tasks import OwnTask
+from fpcal_bayes.model.cell.tables import OwnTask
 from fpcal_bayes.motion.tasks import Task
 
 

@@ -15,7 +15,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.check import impossible
-from fpcal_bayes.model.cell.layout import Layout, layout_of_axes, layout_of_links, read_axes, read_side
+from fpcal_bayes.model.cell.layout import layout_of_axes, layout_of_links, read_axes, read_side
 from fpcal_bayes.report.cell import cell_figure, cell_words
 from fpcal_bayes.report.pages import save_figure
 
@@ -57,12 +57,13 @@ def _make(options: argparse.Namespace) -> int:
     name = options.name or options.output.stem
     if not name.isprintable() or not name.strip() or '"' in name or "\\" in name or len(name) > 100:
         raise InputError(f"--name {name!r:.40}: expected a line of text without quotes")
+    side = read_side(options.side)
+    if options.new is not None:
+        layout = layout_of_axes(read_axes(options.new), side, options.gap_um)
+    else:
+        layout = layout_of_links(*read_dh_table(options.from_dh), side, options.gap_um)
     text = new_cell_text(
-        _layout(options),
-        name,
-        wavelength_nm=options.wavelength_nm,
-        opd=options.opd or "axis",
-        gap_sd_um=options.gap_sd_um,
+        layout, name, wavelength_nm=options.wavelength_nm, opd=options.opd or "axis", gap_sd_um=options.gap_sd_um
     )
     write_text(options.output, text)
     try:
@@ -71,14 +72,6 @@ def _make(options: argparse.Namespace) -> int:
         options.output.unlink()
         raise
     return _look(options, options.output)
-
-
-def _layout(options: argparse.Namespace) -> Layout:
-
-    side = read_side(options.side)
-    if options.new is not None:
-        return layout_of_axes(read_axes(options.new), side, options.gap_um)
-    return layout_of_links(*read_dh_table(options.from_dh), side, options.gap_um)
 
 
 def joints_at(cell: Cell, text: str) -> Floats:

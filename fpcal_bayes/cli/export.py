@@ -10,7 +10,7 @@ from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.io.joint_paths import check_suffix, read_joint_path
 from fpcal_bayes.io.moves import write_order_moves, write_path_moves
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.ticket import orders_of
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,9 +14,8 @@ from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.io.tickets import read_ticket
-from fpcal_bayes.measure.orders import orders_of
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.ticket import Ticket
+from fpcal_bayes.measure.ticket import Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
 from fpcal_bayes.rig.bench import Bench, is_recording, only_one

@@ -1,7 +1,6 @@
 """``fpcal simulate``: measure sweeps on a simulated cell."""
 
 import argparse
-from dataclasses import replace
 
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
 from fpcal_bayes.cli.common import cell_of, check_suffix, console
@@ -21,7 +20,6 @@ from fpcal_bayes.measure.truth import Truth, default_truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope
-from fpcal_bayes.simulator.optics import HARD, RecorderSettings
 from fpcal_bayes.simulator.recorder import check_recordable, record_path, record_sweeps
 from fpcal_bayes.simulator.sweeps import require_drivable, simulate_um
 
@@ -55,25 +53,19 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_options(options: argparse.Namespace) -> None:
     """Refuse options that would have no effect."""
-    for name in ("path", "samples_per_fringe", "disturbances"):
-        if getattr(options, name) is not None and not options.traces:
-            raise InputError(f"--{name.replace('_', '-')}: is taken with --traces only")
+    if options.path is not None and not options.traces:
+        raise InputError("--path: is taken with --traces only")
     if options.traces and options.sigma_nm is not None:
         raise InputError("--sigma-nm: is not taken with --traces, whose noise is that of the photodiode")
     if options.time_h is not None and options.path is None:
         raise InputError("--time-h: is taken with --path only; sweeps have their own times")
-    for name in ("protocol", "signs", "samples_per_fringe"):
+    for name in ("protocol", "signs"):
         if options.path is not None and getattr(options, name) is not None:
-            raise InputError(f"--{name.replace('_', '-')}: is not taken with --path")
+            raise InputError(f"--{name}: is not taken with --path")
 
 
 def _machine(cell: Cell) -> str:
     return "" if cell.mechanics is None else ", a machine drawn from the stated error motions"
-
-
-def _settings(options: argparse.Namespace) -> RecorderSettings:
-    settings = HARD if options.disturbances == "hard" else RecorderSettings()
-    return replace(settings, samples_per_fringe=options.samples_per_fringe)
 
 
 def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps, protocol: str) -> int:
@@ -101,7 +93,7 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     """Traces of sweeps, with an index."""
     check_recordable(plan)
     warm_up(cell)
-    index = record_sweeps(cell, truth, plan, _settings(options), seed=options.seed, scans=plan.signed)
+    index = record_sweeps(cell, truth, plan, seed=options.seed, scans=plan.signed)
     write_recordings(options.output, index, cell)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
@@ -120,7 +112,7 @@ def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     warm_up(cell)
     model, values = CavityModel.of(cell, truth.parameters), truth.at(options.time_h or 0.0)
     require_task_within_envelope(model, values, path, name=str(options.path), exact=True)
-    trace = record_path(cell, truth, path, options.time_h or 0.0, _settings(options), options.seed)
+    trace = record_path(cell, truth, path, options.time_h or 0.0, seed=options.seed)
     write_path_trace(options.output, trace, cell)
     console(options).say(
         f"{len(trace)} samples recorded along {options.path}{_machine(cell)}, "

@@ -283,13 +283,7 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, a folder, empty, or not UTF-8 text.
-    """
+    """Read a UTF-8 text file; `InputError` if it is missing, a folder, empty, or not UTF-8 text."""
     require_readable(path)
     try:
         return path.read_bytes().decode("utf-8-sig")

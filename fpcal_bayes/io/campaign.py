@@ -101,7 +101,10 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         name, sha256, program, command = (
             reader.text_attribute(root, key) for key in ("cell_name", "cell_sha256", "program_version", "command")
         )
-        opd = _opd(path, reader.text_attribute(root, "opd"))
+        text = reader.text_attribute(root, "opd")
+        opd: Opd | None = next((choice for choice in get_args(Opd) if choice == text), None)
+        if opd is None:
+            raise InputError(f"{path}: attribute opd: expected one of {', '.join(get_args(Opd))}, found {text!r:.40}")
         seed = reader.integer_attribute(root, "seed") if "seed" in root.attrs else None
         about = reader.text_attribute(root, "about") if "about" in root.attrs else ""
         _require_cell(path, name, sha256, opd, cell)
@@ -128,13 +131,6 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         doubtful=doubtful,
         about=about,
     )
-
-
-def _opd(path: Path, text: str) -> Opd:
-    for choice in get_args(Opd):
-        if text == choice:
-            return choice  # type: ignore[no-any-return]
-    raise InputError(f"{path}: attribute opd: expected one of {', '.join(get_args(Opd))}, found {text!r:.40}")
 
 
 def _require_cell(path: Path, name: str, sha256: str, opd: Opd, cell: Cell) -> None:

@@ -9,18 +9,13 @@ from typing import Any, Literal, get_args
 from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import read_text, require_line_end, write_text
 from fpcal_bayes.core.resources import built_in_cells, data_file
-from fpcal_bayes.io.cell_beams import read_beams, refuse_envelope
-from fpcal_bayes.io.cell_envelope import read_envelope
-from fpcal_bayes.io.cell_tasks import read_tasks
-from fpcal_bayes.io.mechanics import cell_mechanics, joint_mechanics
+from fpcal_bayes.io.cell_tables import read_beams, read_envelope, read_mechanics, read_tasks
 from fpcal_bayes.io.validate import Tables, is_number, literal
 from fpcal_bayes.model.cell.beams import AT, Opd, OpticalAxis
 from fpcal_bayes.model.cell.cell import Cell, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
-from fpcal_bayes.model.cell.drift_sizes import SIZES_IN_UNIT, DriftSize
-from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, ControllerAxis, Joint
-from fpcal_bayes.model.cell.optics import Beams, Interferometer
+from fpcal_bayes.model.cell.tables import SIZES_IN_UNIT, Beams, DriftSize, Interferometer
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, SCALES, UNITS, ParameterSet
 from fpcal_bayes.model.priors import LogNormal, Marginal, TruncatedNormal, Uniform
 
@@ -151,8 +146,7 @@ class _Reader(Tables):
             "",
             {"schema", "name", "optics", "joint", "beam", "extrinsic", "envelope", "mechanics", "task", _CHECKED},
         )
-        if not isinstance(table.get(_CHECKED, False), bool):
-            raise self.error(_CHECKED, f"expected true or false, found {literal(table[_CHECKED])}")
+        checked = self.flag(table, "", _CHECKED)
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
         name = self.text(table, "", "name")
@@ -173,9 +167,7 @@ class _Reader(Tables):
             joints.append(self.joint(joint_table, place))
             for stem in LINK_SLOTS:
                 if stem in joint_table:
-                    optional = stem in LINK_SLOTS[5:]
-                    entry = self.parameter(joint_table, place, stem, optional)
-                    entries[f"{stem}_{number}"] = entry
+                    entries[f"{stem}_{number}"] = self.parameter(joint_table, place, stem, stem in LINK_SLOTS[5:])
                     if stem.startswith("runout") and joints[-1].kind == "prismatic":
                         raise self.error(f"{place}.{stem}", "a prismatic joint has no runout")
         named = table.get("beam", [])
@@ -188,8 +180,6 @@ class _Reader(Tables):
                     entries[f"{stem}{suffix}"] = self.parameter(extrinsic, place, stem, optional=False)
         own = [name for beam in beams[1:] for name in beam.parameters if name.endswith(f"{AT}{beam.name}")]
         parameters = make_parameters(entries, len(joints), beams[0].target, own)
-        if "envelope" in table:
-            refuse_envelope(self, beams)
         cell = Cell(
             name=name,
             joints=tuple(joints),
@@ -200,21 +190,19 @@ class _Reader(Tables):
             target=beams[0].target,
             beam=beams[0].name,
             further=tuple(beams[1:]),
-            handedness_checked=table.get(_CHECKED, False),
+            handedness_checked=checked,
             drift=self.drifts(joint_tables, parts, parameters),
             optics=self.interferometer(optics, beams[0].wavelength),
-            mechanics=self.mechanics(table, joint_tables, joints),
-            envelope=read_envelope(self, table.get("envelope"), len(joints)),
-            tasks=read_tasks(self, table.get("task", [])),
+            mechanics=read_mechanics(self, table, joints),
+            envelope=read_envelope(self, table, len(joints), beams),
+            tasks=read_tasks(self, table),
         )
         if not cell.free:
             raise self.error("joint", "no parameter has a prior_sd: there is nothing to identify")
         return cell
 
     def interferometer(self, optics: dict[str, Any], wavelength: float) -> Interferometer:
-        bits = optics.get("bits", Interferometer.bits)
-        if isinstance(bits, bool) or not isinstance(bits, int) or not 1 <= bits <= 32:
-            raise self.error("optics.bits", f"expected a whole number from 1 to 32, found {literal(bits)}")
+        bits = self.whole(optics, "optics", "bits", 1, 32, Interferometer.bits)
         numbers = {
             field: self.number(optics, "optics", key, low=low, high=high, default=getattr(Interferometer, field))
             for key, (field, low, high) in _OPTICS_KEYS.items()
@@ -233,13 +221,10 @@ class _Reader(Tables):
             limits = table[f"limits_{unit}"]
             if not (isinstance(limits, list) and len(limits) == 2 and all(map(is_number, limits))):
                 raise self.error(f"{place}.limits_{unit}", f"expected two numbers [low, high], found {literal(limits)}")
-            if max(map(abs, limits)) > largest(unit):
-                raise self.error(
-                    f"{place}.limits_{unit}", f"expected at most {largest(unit):g}, found {literal(limits)}"
-                )
-            low, high = (float(x) * SCALES[unit] for x in limits)
-            if not low < high:
-                raise self.error(f"{place}.limits_{unit}", f"expected low < high, found {literal(limits)}")
+            far, (low, high) = max(map(abs, limits)) > largest(unit), (float(x) * SCALES[unit] for x in limits)
+            if far or not low < high:
+                expected = f"at most {largest(unit):g}" if far else "low < high"
+                raise self.error(f"{place}.limits_{unit}", f"expected {expected}, found {literal(limits)}")
         repeatability, resolution = (
             self.number(table, place, f"{key}_{unit}", low=0.0, default=0.0) * SCALES[unit]
             for key in ("repeatability", "resolution")
@@ -247,22 +232,6 @@ class _Reader(Tables):
         controller = self.controller(table, place, kind) if "controller" in table else None
         speed = self.number(table, place, speed_key, low=1e-9) * SCALES[unit] if speed_key in table else None
         return Joint(kind, low, high, repeatability, controller, resolution, speed)
-
-    def mechanics(
-        self, table: dict[str, Any], joint_tables: list[dict[str, Any]], joints: list[Joint]
-    ) -> Mechanics | None:
-        """Sizes of the error motions; None where the file states none, not even a repeatability."""
-        stated = any("mechanics" in part for part in (table, *joint_tables))
-        if not stated and not any(joint.repeatability for joint in joints):
-            return None
-        made: list[JointMechanics] = []
-        for number, (part, joint) in enumerate(zip(joint_tables, joints, strict=True), 1):
-            own = self.table(part, f"joint {number}", "mechanics") if "mechanics" in part else {}
-            place = f"{self.file}: key joint {number}.mechanics"
-            made.append(joint_mechanics(own, prismatic=joint.kind == "prismatic", place=place))
-        whole = self.table(table, "", "mechanics") if "mechanics" in table else {}
-        found = cell_mechanics(whole, tuple(made), place=f"{self.file}: key mechanics")
-        return found if found.any or any(joint.repeatability for joint in joints) else None
 
     def controller(self, table: dict[str, Any], place: str, kind: str) -> ControllerAxis:
         axis = self.table(table, place, "controller")
@@ -295,9 +264,7 @@ class _Reader(Tables):
                 raise self.error(f"{place}.{stem}_{unit}", f"expected 0 (held) or at least {_LEAST_SD:g}")
             return value * SCALES[unit]
 
-        flag = table.get("optional", optional)
-        if not isinstance(flag, bool):
-            raise self.error(f"{place}.optional", f"expected true or false, found {literal(flag)}")
+        flag = self.flag(table, place, "optional", optional)
         if kind == "normal":
             return ParameterEntry(length("nominal", default=0.0), length("prior_sd", low=0.0, default=0.0), flag)
         ends = [length(end) if f"{end}_{unit}" in table else None for end in ("low", "high")]

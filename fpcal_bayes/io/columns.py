@@ -1,13 +1,12 @@
 """The columns of sweep, plan and index files: one table of what each holds, and sweeps as columns and back.
 
-CSV, HDF5 and MATLAB readers and writers all work from `COLUMNS`.
+CSV, HDF5 and MATLAB readers and writers all work from these.
 """
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,58 +24,21 @@ from fpcal_bayes.model.cell.cell import Cell
 Column = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class ColumnSpec:
-    """What a column holds, beside those of the joints, whose names depend on the cell and which hold numbers."""
-
-    name: str
-    #: Every sweep file has the leading columns and the measurement, which a plan may leave out; then come optional
-    #: ones. Those of a plan say how it is to be measured and stand beside no measurement. Those of an index are
-    #: no columns of sweeps.
-    place: Literal["leading", "measurement", "optional", "plan", "index"]
-    text: bool = False
-    default: str = ""  # of a text: what an empty field means; a column that says nothing else is not written
-    may_be_empty: bool = False  # a number that may be missing, NaN
-
-
-COLUMNS = {
-    spec.name: spec
-    for spec in (
-        ColumnSpec("session", "leading", text=True),
-        ColumnSpec("time_h", "leading"),
-        ColumnSpec("label", "leading", text=True),
-        ColumnSpec("dl_um", "measurement"),
-        ColumnSpec("sigma_um", "measurement"),
-        ColumnSpec("signed", "measurement"),
-        ColumnSpec("group", "optional", text=True),
-        ColumnSpec("kind", "optional", text=True, default="sweep"),
-        ColumnSpec("trace", "optional", text=True),
-        ColumnSpec("utc", "optional", text=True),
-        ColumnSpec("temperature_c", "optional", may_be_empty=True),
-        ColumnSpec("t_start_h", "optional", may_be_empty=True),
-        ColumnSpec("t_end_h", "optional", may_be_empty=True),
-        ColumnSpec("approach", "optional", text=True),
-        ColumnSpec("beam", "optional", text=True),
-        ColumnSpec("shot", "optional", text=True),
-        ColumnSpec("scale_ppm", "optional", may_be_empty=True),
-        ColumnSpec("readings", "plan", may_be_empty=True),
-        ColumnSpec("expires_h", "plan", may_be_empty=True),
-        ColumnSpec("expires_utc", "plan", text=True),
-        ColumnSpec("ticket", "plan", text=True),
-        ColumnSpec("wavelength_nm", "index", may_be_empty=True),
-        ColumnSpec("pressure_hpa", "index", may_be_empty=True),
-        ColumnSpec("humidity_pct", "index", may_be_empty=True),
-        ColumnSpec("scan_before", "index", text=True),
-        ColumnSpec("scan_after", "index", text=True),
-    )
-}
-
-
-def _named(place: str) -> tuple[str, ...]:
-    return tuple(spec.name for spec in COLUMNS.values() if spec.place == place)
-
-
-LEADING, MEASUREMENT, OPTIONAL, PLAN, INDEX = map(_named, ("leading", "measurement", "optional", "plan", "index"))
+# Every sweep file has the leading columns, the joints' and the measurement, which a plan may leave out; then come
+# optional ones. Those of a plan say how it is to be measured and stand beside no measurement. Those of an index are no
+# columns of sweeps. Numbers of the last three may be missing, NaN.
+LEADING = ("session", "time_h", "label")
+MEASUREMENT = ("dl_um", "sigma_um", "signed")
+OPTIONAL = (
+    *("group", "kind", "trace", "utc", "temperature_c"),
+    *("t_start_h", "t_end_h", "approach", "beam", "shot", "scale_ppm"),
+)
+PLAN = ("readings", "expires_h", "expires_utc", "ticket")
+INDEX = ("wavelength_nm", "pressure_hpa", "humidity_pct", "scan_before", "scan_after")
+_TEXTS = ("session", "label", "group", "kind", "trace", "utc", "approach", "beam", "shot")
+_OTHER_TEXTS = ("expires_utc", "ticket", "scan_before", "scan_after")
+#: What an empty field of the column `kind` means; of other texts it means an empty text.
+_DEFAULT_KIND = "sweep"
 #: Of an index: the light and the air, in the order of `TraceIndex`, and the files of wavelength scans.
 CONDITIONS = ("wavelength_nm", "temperature_c", "pressure_hpa", "humidity_pct")
 SCANS = ("scan_before", "scan_after")
@@ -98,7 +60,11 @@ _UTC = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d(:?\d\d){0,2}([.,]\d+)?(Z|[+-]\d\d(
 
 def is_text(name: str) -> bool:
     """Whether a column holds texts; the others hold numbers."""
-    return name in COLUMNS and COLUMNS[name].text
+    return name in _TEXTS or name in _OTHER_TEXTS
+
+
+def _may_be_empty(name: str) -> bool:
+    return name in OPTIONAL or name in PLAN or name in INDEX
 
 
 def joint_columns(cell: Cell) -> tuple[str, ...]:
@@ -115,10 +81,7 @@ def required_columns(cell: Cell) -> tuple[str, ...]:
 def check_names(
     names: Sequence[str], cell: Cell, file: object, *, plan: bool, row: int | None = None, also: Collection[str] = ()
 ) -> None:
-    """Hold the names of a file's columns to those of the cell, and to those that may stand there `also`.
-
-    In a plan, columns other than the joints' may be missing. `file` and `row` are for the message.
-    """
+    """Hold the names of a file's columns, in its `row`, to those of the cell and those that may stand there `also`."""
     required, joints = required_columns(cell), joint_columns(cell)
     owns = f"cell {cell.name!r} has {len(cell.joints)} joints, {', '.join(cell.joint_columns)}"
     seen: set[str] = set()
@@ -151,7 +114,7 @@ def parsed(records: Records) -> dict[str, Column]:
         if is_text(name):
             # A text too long for its column is refused later; cut here, it does not widen every row of the array.
             table[name] = np.array([text[: MAX_TEXT + 1] for text in texts], dtype=np.str_)
-        elif name in COLUMNS and COLUMNS[name].may_be_empty:
+        elif _may_be_empty(name):
             known = np.array([text != "" for text in texts])
             table[name] = np.where(known, records.numbers(name, [text or "0" for text in texts]), np.nan)
         else:
@@ -207,7 +170,8 @@ def to_columns(
         table["signed"] = sweeps.signed.astype(np.uint8)
     for name in OPTIONAL:
         values = getattr(sweeps, name)
-        if (values != COLUMNS[name].default if is_text(name) else ~np.isnan(values)).any():
+        nothing = _DEFAULT_KIND if name == "kind" else ""
+        if (values != nothing if is_text(name) else ~np.isnan(values)).any():
             table[name] = values
     table |= asked or {}
     from_columns(table, cell, str(file), rows, plan=not sweeps.measured, whole=True)
@@ -236,7 +200,7 @@ def from_columns(
         if is_text(name):
             refuse(_flags(values, lambda text: len(text) > MAX_TEXT), name, f"expected at most {MAX_TEXT} characters")
             refuse(_flags(values, _CONTROL.search), name, "expected text without control characters")
-        elif name in COLUMNS and COLUMNS[name].may_be_empty:
+        elif _may_be_empty(name):
             refuse(np.isinf(values), name, "expected a finite number or nothing")
         else:
             refuse(~np.isfinite(values), name, "expected a finite number")
@@ -259,9 +223,8 @@ def from_columns(
     q_start, q_end = np.hsplit(q, 2)
     others: dict[str, Any] = {name: table[name] for name in (*LEADING, *OPTIONAL) if name in table}
     others.setdefault("label", [f"row {row}" for row in rows])
-    for name, values in others.items():
-        if is_text(name) and COLUMNS[name].default:
-            others[name] = np.where(values == "", COLUMNS[name].default, values)
+    if "kind" in others:
+        others["kind"] = np.where(others["kind"] == "", _DEFAULT_KIND, others["kind"])
     sweeps = Sweeps.of_um_rad(
         q_start,
         q_end,

@@ -64,7 +64,7 @@ def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Esti
         If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
     """
     content = read_result(path, cell, text)
-    if content.get("fit", {}).get("converged") is False if isinstance(content.get("fit"), dict) else False:
+    if isinstance(content.get("fit"), dict) and content["fit"].get("converged") is False:
         raise InputError(
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
         )
@@ -173,9 +173,8 @@ class _Reader(Tables):
             matrix = np.array(stated.get("matrix"), dtype=float).reshape(len(names), len(names))
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error("covariance.matrix", f"expected {len(names)} rows of {len(names)} numbers") from error
-        if not np.abs(matrix).max(initial=0.0) <= largest("um") ** 2:
-            raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
-        if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+        small = np.abs(matrix).max(initial=0.0) <= largest("um") ** 2
+        if not small or not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         matrix = (matrix + matrix.T) / 2
         variances = np.diag(matrix)

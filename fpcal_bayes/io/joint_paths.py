@@ -1,4 +1,4 @@
-"""Joint paths in files: CSV, and MAT for controllers that are driven from MATLAB."""
+"""Joint paths in files: CSV, and MAT for controllers that are driven from MATLAB; a user's path of poses."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.files import replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
@@ -14,6 +14,7 @@ from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 #: Columns that may stand beside the joints'.
 _OTHERS = ("status", "predicted_sd_nm")
+PATH_COLUMNS = ("x_um", "y_um", "z_um", "rx_deg", "ry_deg", "rz_deg")
 
 
 def read_joint_path(path: str | Path, cell: Cell) -> Floats:
@@ -63,3 +64,23 @@ def write_joints(
     content = {**columns, "q": shown, "status": texts, "predicted_sd_nm": sd_nm[:, None], "task": task}
     with replacing(path) as temporary, temporary.open("wb") as handle:
         savemat(handle, content, oned_as="column")
+
+
+def read_path(path: str | Path) -> Floats:
+    """Moves (n, 6) away from the aligned pose in um and rad, from a CSV with the columns `PATH_COLUMNS`, n > 1."""
+    path = Path(path)
+    records = read_records(path, f"the header {','.join(PATH_COLUMNS)}")
+    records.require_header(PATH_COLUMNS)
+    numbers = [
+        records.numbers(name, texts, finite=True, expected="expected a finite number")
+        for name, texts in records.columns().items()
+    ]
+    shown: Floats = np.column_stack(numbers)
+    n = len(shown)
+    if n < 2:
+        raise InputError(f"{path}: {n} row{'' if n == 1 else 's'}, expected a path of two or more")
+    for row, place in np.argwhere(np.abs(shown) > [largest(name) for name in PATH_COLUMNS]):
+        name = PATH_COLUMNS[place]
+        raise located(path, f"expected at most {largest(name):g}", row=int(records.rows[row]), column=name)
+    shown *= np.repeat([1.0, np.pi / 180.0], 3)
+    return shown

@@ -22,10 +22,10 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.io.joint_paths import check_suffix
 from fpcal_bayes.io.recordings_mat import load_variables, mat_numbers, mat_texts
-from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Order
 from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 _TEXTS = ("controller", "channel", "unit", "utc", "session", "label", "group")

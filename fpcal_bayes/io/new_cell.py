@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records
-from fpcal_bayes.model.axes import direction_words
+from fpcal_bayes.model.axes import axis_words, direction_words
 from fpcal_bayes.model.cell.joints import JOINT_UNITS, JointKind
 from fpcal_bayes.model.cell.layout import Layout
 from fpcal_bayes.model.parameters import EXTRINSICS, UNITS
@@ -77,7 +77,7 @@ def new_cell_text(
 ) -> str:
     """The text of a cell file; a gap without standard deviation was not measured, and is left to be filled in."""
     directions = layout.directions()
-    words = [_axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]
+    words = [axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]
     title = "; ".join(f"q{i} {word}" for i, word in enumerate(words, 1))
     side = direction_words(layout.side)
     text = _HEAD.format(
@@ -110,10 +110,6 @@ def new_cell_text(
     else:
         gap += f"gap_sd_um = {gap_sd_um:g}"
     return text + "\n" + _ENVELOPE.format(least=f"least_gap_um = {layout.gap / 4.0:g}".ljust(34), gap=gap)
-
-
-def _axis_words(kind: JointKind, direction: Floats) -> str:
-    return f"{'moves along' if kind == 'prismatic' else 'turns about'} {direction_words(direction)}"
 
 
 def _joint(layout: Layout, i: int, word: str, direction: Floats) -> str:

@@ -116,10 +116,7 @@ def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[
 def read_csv(
     path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False, text: str | None = None
 ) -> Sweeps:
-    """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1.
-
-    In a plan, columns other than the joints' may be missing and stand in any order.
-    """
+    """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1."""
     path = Path(path)
     records = read_records(path, "a header and sweeps", text)
     header, row = records.header, records.header_row

@@ -97,6 +97,42 @@ class Tables:
             raise self.error(_at(place, key), f"expected a number from {low:g} to {high:g}, found {self.shown(value)}")
         return float(value)
 
+    def numbers(
+        self, table: dict[str, Any], place: str, key: str, n: int, expected: str = "", *, most: float = math.inf
+    ) -> list[float]:
+        """A list of `n` finite numbers, of size `most` at most."""
+        values = table.get(key)
+        if not isinstance(values, list) or len(values) != n:
+            raise self.error(_at(place, key), expected or f"expected {n} numbers")
+        named = {str(i): value for i, value in enumerate(values)}
+        return [self.number(named, _at(place, key), i, low=-most, high=most) for i in named]
+
+    def flag(self, table: dict[str, Any], place: str, key: str, default: bool = False) -> bool:
+        """True or false."""
+        value = table.get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(_at(place, key), f"expected true or false, found {self.shown(value)}")
+        return value
+
+    def whole(self, table: dict[str, Any], place: str, key: str, low: int, high: int, default: int) -> int:
+        """A whole number from `low` to `high`."""
+        value = table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            found = f"found {self.shown(value)}"
+            raise self.error(_at(place, key), f"expected a whole number from {low} to {high}, {found}")
+        return value
+
+    def optional(self, parent: dict[str, Any], place: str, key: str) -> dict[str, Any]:
+        """A table in a table, empty where there is none."""
+        return self.table(parent, place, key) if key in parent else {}
+
+    def tables(self, table: dict[str, Any], key: str, expected: str) -> list[dict[str, Any]]:
+        """A list of tables, which may be missing."""
+        found = table.get(key, [])
+        if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+            raise self.error(key, expected)
+        return found
+
 
 def _at(place: str, key: str) -> str:
     return f"{place}.{key}" if place else key

@@ -9,7 +9,7 @@ _PLACES = {
     "Trace": "traces",
     "TraceIndex": "recordings",
     "Truth": "truth",
-    "drive_of_sweeps": "drive",
+    "drive_of_sweeps": "sharing",
     "join": "sweeps",
     "paper_protocol": "protocol",
     "paper_truth": "truth",

@@ -69,24 +69,10 @@ def add_midpoints(sweeps: Sweeps) -> Sweeps:
 
 
 def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
-    """A plan in which each sweep is read at evenly spaced places after its start.
+    """A plan in which each sweep is read at `readings` evenly spaced places after its start, one number or one a row.
 
-    Parameters
-    ----------
-    sweeps
-        Whole sweeps, n of them.
-    readings
-        How often each is read, one number or shape (n,): 1 at the end, 2 at the middle and the end, and so on.
-
-    Returns
-    -------
-    Sweeps
-        The rows of a sweep that is read more than once follow each other, in a group named after it.
-
-    Raises
-    ------
-    InputError
-        If a sweep is read less than once, or one of a group more than once.
+    The rows of a sweep that is read more than once follow each other, in a group named after it. `InputError` if a
+    sweep is read less than once, or one of a group more than once.
     """
     often = np.broadcast_to(readings, len(sweeps))
     bad = (often < 1) | ((often > 1) & ((sweeps.group != "") | (sweeps.kind != "sweep")))
@@ -102,8 +88,8 @@ def read_often(sweeps: Sweeps, readings: int | Ints) -> Sweeps:
     times = Counter(sources)
     names = np.array(
         [
-            source[1] if source[1] and times[source] == 1 else f"{source[1]} row {row}".lstrip()
-            for source, row in zip(sources, rows, strict=True)
+            label if label and times[source] == 1 else f"{label} row {row}".lstrip()
+            for source, label, row in zip(sources, labels, rows, strict=True)
         ]
     )
     order = np.repeat(np.arange(len(sweeps)), often)
@@ -156,31 +142,14 @@ def motions_alone(sweeps: Sweeps) -> Sweeps:
     return replace(driven, beam=nothing, shot=nothing)
 
 
-def single_sweep(
-    cell: Cell,
-    joint: int,
-    start: float,
-    end: float,
-    *,
-    pose: Floats | None = None,
-    session: str = "session-1",
-    label: str = "",
-    time_h: float = 0.0,
-) -> Sweeps:
-    """A plan of one sweep: one joint moves, the others stand still.
-
-    joint: number of the joint, 1 for ``q1``.
-    start, end: of that joint, in um or rad.
-    pose: joint vector at which the others stand, in um and rad, shape (n_joints,); by default zero.
-    """
+def single_sweep(cell: Cell, joint: int, start: float, end: float, *, pose: Floats | None = None) -> Sweeps:
+    """A plan of one sweep: joint number `joint` moves in um or rad, the others stand at `pose`, by default zero."""
     n_joints = len(cell.joints)
     if not 1 <= joint <= n_joints:
         raise InputError(f"joint {joint}: expected 1 to {n_joints}")
     q = np.zeros((2, n_joints)) if pose is None else np.tile(np.asarray(pose, dtype=float), (2, 1))
     q[:, joint - 1] = start, end
-    label = label or f"q{joint}"
-    sweeps = Sweeps.of_um_rad(q[:1], q[1:], session=session, label=label, time_h=time_h, file="single sweep")
-    sweeps = seen_by_all(sweeps, cell)
+    sweeps = seen_by_all(Sweeps.of_um_rad(q[:1], q[1:], label=f"q{joint}", file="single sweep"), cell)
     check_sweeps(sweeps, cell)
     return sweeps
 

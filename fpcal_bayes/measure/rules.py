@@ -35,18 +35,16 @@ def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
     still = (sweeps.q_start == sweeps.q_end).all(axis=1) & (sweeps.kind == "sweep")
     refuse(still, f"{columns[0][0]}_end_{columns[0][1]}", "start and end are the same, expected a sweep that moves")
     refuse(sweeps.sigma <= 0, "sigma_um", "expected a standard deviation above zero")
-    refuse(
-        (sweeps.group != "") & sweeps.absolute, "group", "an absolute length has no start to share, expected no group"
-    )
+    shared = (sweeps.group != "") & sweeps.absolute
+    refuse(shared, "group", "an absolute length has no start to share, expected no group")
 
     unpaired = np.isnan(sweeps.t_start_h) != np.isnan(sweeps.t_end_h)
     refuse(unpaired, "t_end_h", "expected t_start_h and t_end_h together")
     refuse(sweeps.t_end_h < sweeps.t_start_h, "t_end_h", "expected a time at or after t_start_h")
     signs = {text: len(text) == len(cell.joints) and set(text) <= set("+-0") for text in set(sweeps.approach.tolist())}
     bad = np.array([bool(text) and not signs[text] for text in sweeps.approach.tolist()])
-    refuse(
-        bad, "approach", f"expected one of +-0 for each of {len(cell.joints)} joints, as in {'+' * len(cell.joints)}"
-    )
+    n = len(cell.joints)
+    refuse(bad, "approach", f"expected one of +-0 for each of {n} joints, as in {'+' * n}")
 
     beams = f"expected one of {', '.join(cell.beams)}" if cell.beam else f"cell {cell.name!r} names no beam"
     refuse(~np.isin(sweeps.beam, ("", *cell.beams)), "beam", f"{beams}, see [[beam]] of the cell")

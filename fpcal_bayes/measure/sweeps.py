@@ -25,6 +25,16 @@ _CHANCE = 1e-6
 #: With a larger sigma, in um, fringes are counted: readings of one sweep then agree by chance.
 _COUNTED = 0.1
 
+#: What a column holds where nothing is said of it.
+_DEFAULTS: dict[str, Any] = {
+    "session": "session-1",
+    "kind": "sweep",
+    **dict.fromkeys(("label", "group", "trace", "utc", "approach", "beam", "shot"), ""),
+    "time_h": 0.0,
+    **dict.fromkeys(("dl", "sigma", "temperature_c", "t_start_h", "t_end_h", "scale_ppm"), np.nan),
+    "signed": True,
+}
+
 
 @dataclass(frozen=True)
 class Sweeps:
@@ -123,61 +133,21 @@ class Sweeps:
         q_start: Floats,
         q_end: Floats,
         *,
-        session: str | Sequence[str] = "session-1",
-        label: str | Sequence[str] = "",
-        time_h: float | Floats = 0.0,
-        dl: float | Floats = np.nan,
-        sigma: float | Floats = np.nan,
-        signed: bool | NDArray[np.bool_] = True,
-        group: str | Sequence[str] = "",
-        kind: str | Sequence[str] = "sweep",
-        trace: str | Sequence[str] = "",
-        utc: str | Sequence[str] = "",
-        temperature_c: float | Floats = np.nan,
-        t_start_h: float | Floats = np.nan,
-        t_end_h: float | Floats = np.nan,
-        approach: str | Sequence[str] = "",
-        beam: str | Sequence[str] = "",
-        shot: str | Sequence[str] = "",
-        scale_ppm: float | Floats = np.nan,
         common: Floats | None = None,
         file: str = "sweeps",
         rows: NDArray[np.int64] | None = None,
+        **columns: Any,
     ) -> "Sweeps":
-        """Build sweeps from joint vectors (n, n_joints); single values hold for all rows."""
+        """Build sweeps from joint vectors (n, n_joints); single values of other columns hold for all rows."""
         q_start, q_end = np.array(q_start, dtype=float), np.array(q_end, dtype=float)
         n = len(q_start)
-
-        def texts(value: str | Sequence[str]) -> Texts:
-            return np.broadcast_to(np.asarray(value, dtype=np.str_), n).copy()
-
-        def numbers(value: float | Floats) -> Floats:
-            return np.broadcast_to(np.asarray(value, dtype=float), n).copy()
-
-        return cls(
-            session=texts(session),
-            label=texts(label),
-            time_h=numbers(time_h),
-            q_start=q_start,
-            q_end=q_end,
-            dl=numbers(dl),
-            sigma=numbers(sigma),
-            signed=np.broadcast_to(np.asarray(signed, dtype=bool), n).copy(),
-            group=texts(group),
-            kind=texts(kind),
-            trace=texts(trace),
-            utc=texts(utc),
-            temperature_c=numbers(temperature_c),
-            t_start_h=numbers(t_start_h),
-            t_end_h=numbers(t_end_h),
-            approach=texts(approach),
-            beam=texts(beam),
-            shot=texts(shot),
-            scale_ppm=numbers(scale_ppm),
-            common=np.zeros((n, 0)) if common is None else common,
-            file=file,
-            rows=np.arange(2, n + 2) if rows is None else rows,
-        )
+        others = {
+            name: np.broadcast_to(np.asarray(value, dtype=type(_DEFAULTS.get(name))), n).copy()
+            for name, value in (_DEFAULTS | columns).items()
+        }
+        common = np.zeros((n, 0)) if common is None else common
+        rows = np.arange(2, n + 2) if rows is None else rows
+        return cls(q_start=q_start, q_end=q_end, common=common, file=file, rows=rows, **others)
 
     def __len__(self) -> int:
         return len(self.dl)
@@ -326,17 +296,5 @@ def repeated_rows(sweeps: Sweeps) -> NDArray[np.bool_]:
 
 def as_plan(sweeps: Sweeps, *, session: str, time_h: float, file: str = "plan") -> Sweeps:
     """The same sweeps to be measured in a session to come: nothing in them was measured."""
-    n = len(sweeps)
-    return Sweeps.of_um_rad(
-        sweeps.q_start,
-        sweeps.q_end,
-        session=session,
-        time_h=time_h,
-        label=sweeps.label.tolist(),
-        group=sweeps.group.tolist(),
-        kind=sweeps.kind.tolist(),
-        beam=sweeps.beam.tolist(),
-        shot=sweeps.shot.tolist(),
-        file=file,
-        rows=np.arange(2, n + 2),
-    )
+    kept = {name: getattr(sweeps, name) for name in ("label", "group", "kind", "beam", "shot")}
+    return Sweeps.of_um_rad(sweeps.q_start, sweeps.q_end, session=session, time_h=time_h, file=file, **kept)

@@ -1,4 +1,4 @@
-"""A ticket: which sweeps to measure, at how many readings each, and until when."""
+"""A ticket: which sweeps to measure, at how many readings each, until when, and the drives that it asks for."""
 
 from dataclasses import dataclass
 from typing import NoReturn
@@ -6,9 +6,9 @@ from typing import NoReturn
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from fpcal_bayes.core.errors import located
+from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.times import clock, iso
-from fpcal_bayes.core.typing import Ints
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -83,11 +83,60 @@ def check_measured(ticket: Ticket, measured: Sweeps, cell: Cell) -> int:
             refuse(i, "time_h", f"measured after the ticket expired at {until}: ask for a new one")
         at = int(np.argmin(off[i]))
         if off[i, at] > 1.0:
-            label = str(planned.label[at])
-            refuse(
-                i, "label", f"no row of {ticket.file} asks for it; nearest is {label!r}, {off[i, at]:.3g} times too far"
-            )
+            nearest = f"nearest is {str(planned.label[at])!r}, {off[i, at]:.3g} times too far"
+            refuse(i, "label", f"no row of {ticket.file} asks for it; {nearest}")
         if i not in stands:
             again = int(measured.rows[row_of[at]])
             refuse(i, "label", f"row {again} is the same sweep of the ticket, expected each once")
     return len(planned) - len(stands)
+
+
+@dataclass(frozen=True)
+class Order:
+    """One drive: from a start through some poses, where the length is read, and back."""
+
+    row: int  # line of the ticket
+    # session, label, time_h, group: the rows that come of it; `group` is empty where there is one, without a group of
+    # its own
+    session: str
+    label: str
+    time_h: float
+    group: str
+    start: Floats  # joint vector in um and rad, shape (n_joints,)
+    # targets, labels: joint vectors where the length is read, shape (n, n_joints), and the labels of their rows
+    targets: Floats
+    labels: tuple[str, ...]
+    whole: bool  # whether the whole way is recorded
+
+
+def orders_of(ticket: Ticket) -> list[Order]:
+    """The drives of a ticket: a row with n readings is one, and so are the rows of a group."""
+    plan = ticket.plan
+    if plan is None:
+        return []
+    if len(plan.sessions) > 1:
+        raise InputError(f"{ticket.file}: sessions {', '.join(plan.sessions)}: expected a ticket of one session")
+    for i, row in enumerate(plan.rows.tolist()):
+        if plan.kind[i] != "sweep":
+            found = f"only sweeps are driven, found {plan.kind[i]!s}: leave that row out"
+            raise located(ticket.file, found, row=row, column="kind")
+        if plan.group[i] and ticket.readings[i] != 1:
+            raise located(ticket.file, "expected 1 in rows of a group", row=row, column="readings")
+    rows, members = ticket.rows(), dict[str, list[int]]()
+    for i in range(len(rows)):
+        members.setdefault(str(rows.group[i]) or f"\0{i}", []).append(i)
+    whole = set(plan.rows[ticket.readings == 0].tolist())
+    return [
+        Order(
+            row=int(rows.rows[first]),
+            session=str(rows.session[first]),
+            label=str(rows.group[first] or rows.label[first]),
+            time_h=float(rows.time_h[first]),
+            group=str(rows.group[first]),
+            start=rows.q_start[first],
+            targets=rows.q_end[[first, *others]],
+            labels=tuple(rows.label[[first, *others]].tolist()),
+            whole=int(rows.rows[first]) in whole,
+        )
+        for first, *others in members.values()
+    ]

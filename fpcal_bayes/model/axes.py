@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.joints import JointKind
 from fpcal_bayes.model.parameters import LINK_SLOTS
 
 _STRIDE = len(LINK_SLOTS)
@@ -81,6 +82,11 @@ def direction_words(direction: Floats) -> str:
     rest[along] = 0.0
     towards = [_signed(direction, i) for i in np.argsort(-rest)[:2] if rest[i] > np.sin(ALONG)]
     return f"{main}, {np.degrees(off):.3g} deg off it towards {' and '.join(towards) or 'another axis'}"
+
+
+def axis_words(kind: JointKind, direction: Floats) -> str:
+    """What an axis does: ``moves along +x``, ``turns about -z``."""
+    return f"{'moves along' if kind == 'prismatic' else 'turns about'} {direction_words(direction)}"
 
 
 def _signed(direction: Floats, axis: int) -> str:

@@ -42,11 +42,6 @@ class PoseGroups:
     prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
     inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
 
-    @property
-    def n_groups(self) -> int:
-        """Number of distinct revolute joint vectors."""
-        return len(self.group_q)
-
 
 def joint_vectors(cell: Cell, q: Floats) -> Floats:
     """Joint vectors as the kernels read them, which look at no shape; raises ValueError where it is another one."""
@@ -174,11 +169,9 @@ class CavityModel:
         return vector
 
     def rows(self, q_start: Floats, q_end: Floats, absolute: Bools | None = None, beam: Ints | None = None) -> Rows:
-        """Lay out sweeps for the kernels.
+        """Lay out sweeps (n_rows, n_joints) for the kernels.
 
-        q_start, q_end: joint vectors, shape (n_rows, n_joints), in um and rad.
-        absolute: rows that give L(end) itself, shape (n_rows,).
-        beam: number of the beam that read each row, shape (n_rows,); by default the first.
+        absolute: rows that give L(end) itself; beam: number of the beam that read each row, by default the first.
         """
         if self.cell.further:
             beam = np.zeros(len(q_end), dtype=np.int64) if beam is None else beam
@@ -217,12 +210,7 @@ class CavityModel:
         return waves
 
     def predict(self, values: Floats, rows: Rows) -> Floats:
-        """Predict rows for one or many parameter vectors.
-
-        values: free parameters in um and rad, shape (n,) or (n_vectors, n).
-        rows: from `rows` or `pose_rows`.
-        Returns shape (n_rows,) or (n_vectors, n_rows), in um.
-        """
+        """Predict rows for free parameters (n,) or (n_vectors, n); shape (n_rows,) or (n_vectors, n_rows), in um."""
         many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
@@ -234,15 +222,11 @@ class CavityModel:
             groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
             result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
         else:
-            result, _ = batch_points(*self._arguments(many, rows), self._columns[:0])
+            result, _ = self._differentiated(many, rows, self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
 
     def predict_with_jacobian(self, values: Floats, rows: Rows) -> tuple[Floats, Floats]:
-        """Predict rows with their derivatives by the free parameters.
-
-        Returns predictions (n_rows,) and derivatives (n_rows, n), each with a leading axis n_vectors where `values` has
-        one; in um, and um per um or rad.
-        """
+        """As `predict`, with derivatives by the free parameters, shape (n_rows, n) or (n_vectors, n_rows, n)."""
         many = self._vectors(values)
         if rows.parts:
             result = np.empty((len(many), len(rows.ends)))
@@ -267,13 +251,7 @@ class CavityModel:
         return kernel(*self._arguments(values, rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
-        """Derivatives of the cavity length by the joints.
-
-        values: free parameters, shape (n,).
-        q: joint vectors, shape (n_poses, n_joints).
-        beam: number of the beam of each pose, shape (n_poses,); by default the first.
-        Returns shape (n_poses, n_joints), in um per um or rad.
-        """
+        """Derivatives of the length by the joints at poses (n_poses, n_joints), by the number of each pose's beam."""
         if self.cell.further:
             moves = np.empty(q.shape)
             for number, (view, own) in enumerate(self.views):
@@ -293,12 +271,9 @@ class CavityModel:
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror in the world frame, columns three and four of wTt.
+        """Normals and origins of the first beam's mirror, columns three and four of wTt; `InputError` for a point.
 
-        values: free parameters, shape (n,) or (n_vectors, n).
-        q: joint vectors, shape (n_poses, n_joints).
-        Returns normals and origins, each of shape (n_poses, 3), with a leading axis n_vectors where `values` has one.
-        Raises InputError if the target is a point, which has no normal.
+        Of poses (n_poses, n_joints): each (n_poses, 3), with a leading axis n_vectors where `values` has one.
         """
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
@@ -317,19 +292,7 @@ class CavityModel:
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
     def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
-        poses = rows.poses
-        return (
-            self.held,
-            self.free.slots,
-            values,
-            self._path,
-            self._axis_is_z,
-            self.cell.revolute,
-            poses.group_q,
-            poses.group_cos,
-            poses.group_sin,
-            poses.group_start,
-            poses.prismatic_q,
-            rows.starts,
-            rows.ends,
-        )
+        cell, groups = self.cell, rows.poses
+        turned = groups.group_q, groups.group_cos, groups.group_sin, groups.group_start, groups.prismatic_q
+        path = self._path, self._axis_is_z, cell.revolute
+        return (self.held, self.free.slots, values, *path, *turned, rows.starts, rows.ends)

@@ -54,10 +54,7 @@ def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
 
 
 def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
-    """DGM: wTe, the end-effector frame in the world frame, paper equation (12); shape (4, 4).
-
-    vector, q: model vector (model size,) and joint vector (n_joints,), in um and rad.
-    """
+    """DGM: wTe (4, 4), the end-effector frame in the world, of model and joint vector; paper equation (12)."""
     pose = np.eye(4)
     for i, joint in enumerate(cell.joints):
         link = vector[_STRIDE * i : _STRIDE * (i + 1)]

@@ -1,7 +1,6 @@
 """Motion is held to the cell's envelope: which rows leave it, refused with what to do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,28 +20,19 @@ _MEASURE_GAP = "measure it by a wavelength scan (a row of kind absolute), or sta
 _ALONG_BEAM = 0.5
 #: Standard deviations by which a length is below zero that no cell can have given.
 _LIKELY = 2.0
-_TOUCHING_UM = 1e-9
+_TOUCHING_UM = 1e-6
+#: Lengths of one pose that are known better than this, in um, say no more together than one of them.
+_LEAST_SD = 1e-4
 #: Share of a joint's range that gives way at a time.
 _CUT = 0.02
 #: Draws that ranges are found with, and rows that share the risk: a plan has fewer, and is looked at again as a whole.
 _FEW, _ROWS = 400, 100
 
 
-@dataclass(frozen=True)
-class Breach:
-    """A row whose path leaves the envelope: its position, and a sentence with what to do."""
-
-    row: int
-    what: str
-
-
 def breaches(
     model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int | None = None
-) -> list[Breach]:
-    """Where a path leaves the cell's envelope, at most once a row and in the order of the rows.
-
-    Arguments as in `margin`; by default the rows of the path share the risk.
-    """
+) -> dict[int, str]:
+    """Where a path leaves the cell's envelope: rows in their order, each with what to do; arguments as in `margin`."""
     envelope = require_envelope(model.cell)
     rows = len(np.unique(path.row)) if rows is None else rows
     found = margin(model, draws, path, exact=exact, rows=rows, boxes=True)
@@ -67,29 +57,19 @@ def breaches(
     else:
         for row, text in _blind(model, draws, path):
             seen.setdefault(row, text)
-    degrees = np.degrees(found.most_tilt)
-    most = float(np.degrees(envelope.max_tilt))
-    note(
-        found.most_tilt > envelope.max_tilt,
-        f"the mirror may tilt by {{}} deg at {SIGMAS:g} sd, max_tilt_deg = {most:g}: tilt less",
-        degrees,
-    )
-    away = found.most_aside
-    note(
-        away > envelope.mirror_radius,
+    most = np.degrees(envelope.max_tilt)
+    tilted = f"the mirror may tilt by {{}} deg at {SIGMAS:g} sd, max_tilt_deg = {most:g}: tilt less"
+    note(found.most_tilt > envelope.max_tilt, tilted, np.degrees(found.most_tilt))
+    aside = (
         f"the light may meet the mirror's plane {{}} um from its middle at {SIGMAS:g} sd, mirror_radius_um = "
-        f"{envelope.mirror_radius:g}: move less across the beam",
-        away,
+        f"{envelope.mirror_radius:g}: move less across the beam"
     )
-    rates = np.zeros(len(path.q))
+    note(found.most_aside > envelope.mirror_radius, aside, found.most_aside)
+    rates, fastest = np.zeros(len(path.q)), envelope.max_fringe_rate
     np.maximum.at(rates, path.step[:, 1], found.rate)
-    fast = rates > envelope.max_fringe_rate
-    note(
-        fast,
-        f"{{}} fringes a second, max_fringe_rate_hz = {envelope.max_fringe_rate:g}: state a lower speed of the joint",
-        rates,
-    )
-    return [Breach(row, what) for row, what in sorted(seen.items())]
+    fast = f"{{}} fringes a second, max_fringe_rate_hz = {fastest:g}: state a lower speed of the joint"
+    note(rates > fastest, fast, rates)
+    return dict(sorted(seen.items()))
 
 
 def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
@@ -116,9 +96,7 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
         return over
 
     if excess(at[None])[0] > 0:
-        raise InputError(
-            f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0].what}"
-        )
+        raise InputError(f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0]}")
     while True:
         box = lattice(cell, low, high)[0]
         over = excess(box)
@@ -157,10 +135,9 @@ def require_within_envelope(
     rows: Sequence[int] | None = None,
     exact: bool = False,
 ) -> None:
-    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on their whole path.
+    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on the way.
 
-    The first such row raises `InputError`, with what to do. `draws` are of what is known of the cell, `exact` is as in
-    `margin`; `rows` are lines of the file.
+    `draws` are of what is known of the cell, `exact` is as in `margin`; `rows` are lines of the file.
     """
     cell = model.cell
     if cell.envelope is None or not len(q_start):
@@ -173,9 +150,8 @@ def require_within_envelope(
             )
             raise located(file, what, row=row + 1 if rows is None else rows[row])
     found = breaches(model, draws, sweep_path(cell, q_start, q_end), exact=exact)
-    if found:
-        row = found[0].row
-        raise located(file, found[0].what, row=row + 1 if rows is None else rows[row])
+    for row, what in found.items():
+        raise located(file, what, row=row + 1 if rows is None else rows[row])
 
 
 def require_task_within_envelope(
@@ -185,8 +161,8 @@ def require_task_within_envelope(
     if model.cell.envelope is None or not len(q):
         return
     found = breaches(model, draws, task_path(model.cell, q, start), exact=exact)
-    if found:
-        raise InputError(f"task {name!r}, point {found[0].row + 1}: {found[0].what}")
+    for row, what in found.items():
+        raise InputError(f"task {name!r}, point {row + 1}: {what}")
 
 
 def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, file: object, rows: Sequence[int]) -> None:
@@ -213,7 +189,7 @@ def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats])
     rows = jacobian * model.free.prior_sd
     n = len(q)
     # What the prior leaves of the lengths, given those that are known.
-    noise = np.diag(np.concatenate([seen[2], stated[:, 1]]) ** 2)
+    noise = np.diag(np.maximum(np.concatenate([seen[2], stated[:, 1]]), _LEAST_SD) ** 2)
     gain = np.linalg.solve(rows[n:] @ rows[n:].T + noise, rows[n:] @ rows[:n].T).T
     expected = lengths[:n] + gain @ (np.concatenate([seen[1], stated[:, 0]]) - lengths[n:])
     variance = (rows[:n] ** 2).sum(axis=1) - (gain * (rows[:n] @ rows[n:].T)).sum(axis=1)

@@ -93,16 +93,12 @@ class Estimate(Result):
 
     def content(self) -> dict[str, Any]:
         """The JSON content: parameters, covariance, cell, data, times."""
-        shown = self.shown()
         exact = np.diag(self.covariance) == 0
         uncertain = [i for i in range(len(self.parameters)) if not exact[i]]
         scales = self.parameters.scales[uncertain]
         matrix = self.covariance[np.ix_(uncertain, uncertain)] / np.outer(scales, scales)
         return {
-            "parameters": {
-                p.name: {**shown[p.name], "unit": p.unit, "prior_sd": p.shown(p.prior_sd), "status": status}
-                for p, status in zip(self.parameters, self.status, strict=True)
-            },
+            "parameters": {name: self[name] for name in self.parameters.names},
             "covariance": {"names": [self.parameters.names[i] for i in uncertain], "matrix": matrix.tolist()},
             "cell": describe(self.cell),
             "data": self.data,

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.optics import Interferometer
+from fpcal_bayes.model.cell.tables import Interferometer
 from fpcal_bayes.model.chain import fibre_in_world, optical_axis
 
 Complexes = NDArray[np.complex128]

@@ -105,12 +105,7 @@ class InverseModel:
         return np.random.default_rng(0).uniform(low, high, (n_starts, len(low)))
 
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
-        """DGM: tool frames wTe of joint vectors.
-
-        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        q: joint vectors, shape (n_poses, n_joints), or (n_vectors, n_poses, n_joints) with one set a vector.
-        Returns shape (n_poses, 4, 4), with a leading axis n_vectors where `vectors` has one.
-        """
+        """DGM: tool frames wTe (n_poses, 4, 4) of joint vectors, with an axis n_vectors in front as in `vectors`."""
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         if many.shape[1] != len(self.cell.parameters) or np.shape(q)[-1] != len(self.cell.joints):
             raise ValueError(
@@ -122,61 +117,34 @@ class InverseModel:
         return poses[0] if np.ndim(vectors) == 1 else poses
 
     def solve(
-        self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False, check: bool = True
+        self, vectors: Floats, poses: Floats, *, near: Floats | None = None, follow: bool = False
     ) -> JointSolutions:
-        """IGM: joint values at which the tool frame takes `poses`.
+        """IGM: joint values at which the tool frame takes `poses` wTe, shape (..., 4, 4), by one or many model vectors.
 
-        vectors: model vectors, shape (model size,) or (n_vectors, model size), in um and rad.
-        poses: wTe, shape (4, 4) or (n_poses, 4, 4), or (n_vectors, n_poses, 4, 4) with one set a vector.
-        near: of several solutions inside the limits the one nearest to these joint values is taken, shape (n_joints,);
-        by default `home`.
+        near: of several solutions inside the limits the one nearest to these joint values is taken, by default `home`.
         follow: poses are points of a path: each is solved near the one before it.
-        check: whether to look whether `poses` are poses.
         Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
-        if check:
-            check_poses(poses)
-        if len(self.cell.joints) < 6:
-            return self._solve_few(vectors, poses, self.home if near is None else near)
+        check_poses(poses)
+        near = self.home if near is None else np.ascontiguousarray(near, dtype=float)
         many = np.ascontiguousarray(np.atleast_2d(vectors), dtype=float)
         targets = np.ascontiguousarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
-        q, status, joint = batch_inverse(
-            many,
-            self.cell.revolute,
-            self.cell.low,
-            self.cell.high,
-            targets,
-            self.home if near is None else np.ascontiguousarray(near, dtype=float),
-            follow,
-            self._starts,
-            -1,
-        )
+        cell = self.cell
+        if len(cell.joints) < 6:
+            all_targets = np.broadcast_to(targets, (len(many), *targets.shape[1:]))
+            parts = [FewJoints.of(cell, v).solve(t, near) for v, t in zip(many, all_targets, strict=True)]
+            q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
+        else:
+            limits = cell.revolute, cell.low, cell.high
+            q, status, joint = batch_inverse(many, *limits, targets, near, follow, self._starts, -1)
         if np.ndim(poses) == 2:
             q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
         if np.ndim(vectors) == 1:
             q, status, joint = q[0], status[0], joint[0]
-        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
-
-    def _solve_few(self, vectors: Floats, poses: Floats, near: Floats) -> JointSolutions:
-        """`solve` for fewer than six joints."""
-        targets = np.asarray(poses, dtype=float).reshape((1,) * (4 - np.ndim(poses)) + np.shape(poses))
-        many = np.atleast_2d(vectors)
-        parts = [
-            FewJoints.of(self.cell, vector).solve(targets[k if len(targets) > 1 else 0], near)
-            for k, vector in enumerate(many)
-        ]
-        q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
-        if np.ndim(poses) == 2:
-            q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
-        if np.ndim(vectors) == 1:
-            q, status, joint = q[0], status[0], joint[0]
-        return JointSolutions(self.cell, q, np.asarray(status), np.asarray(joint))
+        return JointSolutions(cell, q, np.asarray(status), np.asarray(joint))
 
     def missed(self, vector: Floats, poses: Floats, q: Floats) -> Floats:
-        """What joint values (n_poses, n_joints) leave undone of poses (n_poses, 4, 4), shape (n_poses, 6).
-
-        Zero for six joints; else in um, turns in rad times `LEVER` um (see `FewJoints`).
-        """
+        """What joint values leave undone of poses (n_poses, 4, 4), as `FewJoints.missed`; zero for six joints."""
         if len(self.cell.joints) == 6:
             return np.zeros((len(poses), 6))
         return FewJoints.of(self.cell, vector).missed(poses, q)

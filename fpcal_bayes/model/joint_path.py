@@ -63,56 +63,44 @@ def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True)
 
     ways: also from joint zero to the first start and from each end to the next start, in any order of the joints.
     """
-    parts: list[Floats] = []
-    rows: list[Ints] = []
-    between: list[Bools] = []
-    steps, count = [], 0
+    pieces, steps, count = [], [], 0
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     before = home(cell)
-    for row, (start, end) in enumerate(zip(q_start, q_end, strict=True)):
+    for start, end in zip(q_start, q_end, strict=True):
         way = box(cell, before, start) if ways else start[None][:0]
         line = start + share * (end - start)
         if in_turn(cell, start != end):
             line = np.vstack([line, box(cell, start, end)])
         first = count + len(way)
         steps.append(np.column_stack([np.arange(first, first + POINTS - 1), np.arange(first + 1, first + POINTS)]))
-        parts += [way, line]
-        rows.append(np.full(len(way) + len(line), row))
-        between.append(np.arange(len(way) + len(line)) < len(way))
+        pieces.append((way, line))
         count += len(way) + len(line)
         before = end
-    return _joined(cell, parts, rows, between, steps)
+    return _joined(cell, pieces, steps)
 
 
 def task_path(cell: Cell, q: Floats, start: Floats | None = None) -> JointPath:
-    """The path of a task through joint vectors `q` (n_points, n_joints), from `start`, joint zero by default.
-
-    Between points joints that no group moves at once take an unknown order: every pose between counts.
-    """
-    parts: list[Floats] = []
-    rows: list[Ints] = []
-    between: list[Bools] = []
-    steps, count = [], 0
+    """The path of a task through joint vectors (n_points, n_joints), from `start`, by default joint zero."""
+    pieces, steps, count = [], [], 0
     before = home(cell) if start is None else start
     for row, point in enumerate(q):
         way = box(cell, before, point) if row == 0 or in_turn(cell, before != point) else point[None][:0]
         if row > 0:
             steps.append(np.array([[count - 1, count + len(way)]]))
-        parts += [way, point[None]]
-        rows.append(np.full(len(way) + 1, row))
-        between.append(np.arange(len(way) + 1) < len(way))
+        pieces.append((way, point[None]))
         count += len(way) + 1
         before = point
-    return _joined(cell, parts, rows, between, steps)
+    return _joined(cell, pieces, steps)
 
 
-def _joined(
-    cell: Cell, parts: Sequence[Floats], rows: Sequence[Ints], between: Sequence[Bools], steps: Sequence[Ints]
-) -> JointPath:
-    q = np.vstack(parts)
+def _joined(cell: Cell, pieces: Sequence[tuple[Floats, Floats]], steps: Sequence[Ints]) -> JointPath:
+    """A path from the way to each row's start and the poses of the row itself."""
+    q = np.vstack([part for piece in pieces for part in piece])
+    row = np.repeat(np.arange(len(pieces)), [len(way) + len(line) for way, line in pieces])
+    between = np.concatenate([np.repeat([True, False], [len(way), len(line)]) for way, line in pieces])
     step = np.vstack(steps) if steps else np.zeros((0, 2), dtype=np.int64)
     seconds = (np.abs(q[step[:, 1]] - q[step[:, 0]]) / speeds(cell)).max(axis=1, initial=0.0)
-    return JointPath(q, np.concatenate(rows), np.concatenate(between), step, seconds)
+    return JointPath(q, row, between, step, seconds)
 
 
 def box(cell: Cell, start: Floats, end: Floats) -> Floats:

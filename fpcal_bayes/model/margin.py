@@ -16,7 +16,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.cell.tables import Envelope
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.joint_path import JointPath, lattice
 
@@ -88,10 +88,6 @@ class Known:
         vectors = model.vector(draws)
         return cls(model, draws, vectors[:, None, -3:], chain.optical_axis(model.cell, vectors)[:, None])
 
-    def first(self, n: int) -> "Known":
-        """The first `n` draws."""
-        return Known(self.model, self.draws[:n], self.fibre[:n], self.light[:n])
-
     def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
 
@@ -127,7 +123,8 @@ def margin(
     known = (np.zeros(len(told.draws)), 0.0) if exact else _gap(told, envelope)
     shift, gap_sd = (np.zeros(len(told.draws)), 0.0) if known is None else known
     sigmas = float(-ndtri(ndtr(-SIGMAS) / rows))
-    few, bounds = told.first(_SCREEN), (envelope, shift[:_SCREEN], gap_sd, sigmas)
+    few = Known(model, told.draws[:_SCREEN], told.fibre[:_SCREEN], told.light[:_SCREEN])
+    bounds = (envelope, shift[:_SCREEN], gap_sd, sigmas)
     looked = np.ones(len(path.q), dtype=bool)
     if boxes:
         looked = _left_by_boxes(few, path.q, bounds, known is not None)

@@ -84,8 +84,7 @@ class TruncatedNormal:
 
     def score(self, value: Floats) -> Floats:
         """Scores of values, same shape."""
-        if not ((value > self.low) & (value < self.high)).all():
-            raise InputError(f"a value outside its prior's limits, {self.low:g} to {self.high:g} (um or rad)")
+        _require_inside(value, self.low, self.high)
         low, high = self._ends
         deviate = (value - self.centre) / self.spread
         below = (special.ndtr(deviate) - special.ndtr(low)) / self._mass
@@ -135,8 +134,7 @@ class Uniform:
 
     def score(self, value: Floats) -> Floats:
         """Scores of values, same shape."""
-        if not ((value > self.low) & (value < self.high)).all():
-            raise InputError(f"a value outside its prior's limits, {self.low:g} to {self.high:g} (um or rad)")
+        _require_inside(value, self.low, self.high)
         width = self.high - self.low
         return _smaller_tail((value - self.low) / width, (self.high - value) / width)
 
@@ -186,6 +184,11 @@ class LogNormal:
     def settings(self) -> list[float]:
         """The numbers that define it."""
         return [self.median, self.factor]
+
+
+def _require_inside(value: Floats, low: float, high: float) -> None:
+    if not ((value > low) & (value < high)).all():
+        raise InputError(f"a value outside its prior's limits, {low:g} to {high:g} (um or rad)")
 
 
 def _smaller_tail(below: Floats, above: Floats) -> Floats:

@@ -14,30 +14,16 @@ LEAST_EXPECTED = 5.0
 
 Verdict = Literal["usable", "doubtful", "unusable"]
 
+_FORBID = (
+    *("not-converged", "poor-fit", "intrinsics-moved", "problem"),
+    *("bent-prior", "held-uncertain", "omitted", "stale"),
+)
+_WARN = (
+    *("held-exact", "drift", "too-good-fit", "second-solution", "signs", "duplicates", "nothing-determined"),
+    *("mechanics", "residuals", "verification", "priors", "mechanics-left-out", "unrecorded"),
+)
 #: What can be held against a result, and whether it forbids the use of it. The others are said and leave it usable.
-KINDS: dict[str, bool] = {
-    "not-converged": True,
-    "poor-fit": True,
-    "intrinsics-moved": True,
-    "problem": True,
-    "bent-prior": True,
-    "held-uncertain": True,
-    "omitted": True,
-    "held-exact": False,
-    "drift": False,
-    "stale": True,
-    "too-good-fit": False,
-    "second-solution": False,
-    "signs": False,
-    "duplicates": False,
-    "nothing-determined": False,
-    "mechanics": False,
-    "residuals": False,
-    "verification": False,
-    "priors": False,
-    "mechanics-left-out": False,
-    "unrecorded": False,
-}
+KINDS = dict.fromkeys(_FORBID, True) | dict.fromkeys(_WARN, False)
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,7 @@ def compensated_joints(
 
 
 def compensated(estimate: Estimate, task: Task, before: Floats | None = None) -> Task:
-    """A task whose joint path makes up for the error motions that the estimate knows, where that gains.
-
-    Points that cannot be driven to stay as they are; `before` as in `compensated_joints`.
-    """
+    """A task whose joint path makes up for the error motions that the estimate knows, where it is driven and gains."""
     ok = task.ok
     if estimate.mechanics is None or not ok.any():
         return task

@@ -151,9 +151,12 @@ class Controller:
         check_poses(pose)
         tools = self._placement.tool_poses(np.asarray(pose, dtype=float))
         plain = self._inverse.solve(self._vector, tools, near=self._q)
-        reached = self._go(self._compensated(plain))
-        self._plain = plain.q
-        return reached
+        found = self._compensated(plain)
+        if not found.ok:
+            raise InputError(f"the pose cannot be taken: {found.texts()}")
+        self.require_within(found.q[None])
+        self._q, self._plain = found.q, plain.q
+        return self.q
 
     def move(
         self, translation_um: Sequence[float] = (0.0, 0.0, 0.0), rotation_deg: Sequence[float] = (0.0, 0.0, 0.0)
@@ -274,13 +277,6 @@ class Controller:
         # Inside these ranges no way is too near, so that only longer looks take their time.
         if not ((ends >= low) & (ends <= high)).all():
             require_task_within_envelope(model, draws, q, name="move", start=start)
-
-    def _go(self, found: JointSolutions) -> Floats:
-        if not found.ok:
-            raise InputError(f"the pose cannot be taken: {found.texts()}")
-        self.require_within(found.q[None])
-        self._q = found.q
-        return self.q
 
 
 def checked_joints(cell: Cell, values: ArrayLike) -> Floats:

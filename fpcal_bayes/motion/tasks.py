@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, UnreachableError
 from fpcal_bayes.core.typing import Bools, Floats, Ints
-from fpcal_bayes.io.task_paths import read_path
+from fpcal_bayes.io.joint_paths import read_path
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.own_tasks import OWN_KINDS, OwnTask
+from fpcal_bayes.model.cell.tables import OWN_KINDS, OwnTask
 from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.inverse_few import LEVER
 from fpcal_bayes.motion.placement import Placement
@@ -103,19 +103,13 @@ class Task:
 
 
 def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = None, n_points: int = 61) -> Task:
-    """A task as a joint path.
+    """A task of `TASKS`, or of the cell's own, as a joint path by a model vector (model size,).
 
     All tasks start from the aligned pose, q0: mirror normal Zt along +Yf, Xt along Xf, and the mirror point that
     reflects at joint vector zero, tPr, where it reflects there, wPr. ``circle`` translates around wPr in the mirror
     plane, ``line-x`` and ``line-z`` along Xf and Zf from -150 to 150 um; ``tilt-x`` and ``tilt-z`` turn by -3 to 3 deg
     about Xf and Zf through wPr, less where the limits are narrower (see `half_line`, `half_tilt`); ``spin`` turns about
-    Yf through wPr, to either side until a joint limit or 90 deg.
-
-    cell: with six joints, or with fewer: points that ask for a direction that it has not say so.
-    vector: model vector that the joint path is found with, shape (model size,), in um and rad.
-    name: one of `TASKS`, or of the cell's own.
-    radius: of the circle, in um; by default see `default_radius`.
-    n_points: points of the path, both ends included; the circle ends where it starts.
+    Yf through wPr, to either side until a joint limit or 90 deg. By default the radius is `default_radius`.
     """
     own = {task.name: task for task in cell.tasks}
     if name not in TASKS and name not in own:
@@ -126,34 +120,8 @@ def task_path(cell: Cell, vector: Floats, name: str, *, radius: float | None = N
         raise InputError(f"radius {radius:g} um: expected a number above zero")
     if n_points < 2:
         raise InputError(f"task {name!r} with {n_points} points: expected at least two")
-    if name in own:
-        return _own_path(cell, vector, own[name], n_points)
     placement, offsets = Placement.of(cell, vector), np.zeros((n_points, 6))
-    if name == "circle":
-        phase = np.linspace(0.0, 2.0 * np.pi, n_points)
-        offsets[:, 0], offsets[:, 2] = radius * np.cos(phase), radius * np.sin(phase)
-        return _follow(cell, vector, placement, name, offsets, np.degrees(phase), "deg")
-    if name.startswith("line"):
-        half = half_line(cell)
-        along = np.linspace(-half, half, n_points)
-        offsets[:, 0 if name == "line-x" else 2] = along
-        return _follow(cell, vector, placement, name, offsets, along, "um")
-    if name.startswith("tilt"):
-        half = half_tilt(cell)
-        angle = np.linspace(-half, half, n_points)
-    else:
-        first, last = (_spin_end(cell, vector, placement, side) for side in (-1.0, 1.0))
-        # A robot that cannot spin says so at every point.
-        still = len(cell.joints) < 6 and last - first < _SPIN_LEAST
-        ends = (-FARTHEST_SPIN, FARTHEST_SPIN) if still else (first, last)
-        angle = np.linspace(*ends, n_points)
-    offsets[:, {"tilt-x": 3, "spin": 4, "tilt-z": 5}[name]] = angle
-    return _follow(cell, vector, placement, name, offsets, np.degrees(angle), "deg")
-
-
-def _own_path(cell: Cell, vector: Floats, task: OwnTask, n_points: int) -> Task:
-    """A task that the cell states, as a joint path."""
-    offsets = np.zeros((n_points, 6))
+    task = own[name] if name in own else _built_in(cell, vector, placement, name, radius)
     offsets[:, :3] = task.centre
     if task.kind == "circle":
         phase = np.linspace(0.0, 2.0 * np.pi, n_points)
@@ -164,7 +132,21 @@ def _own_path(cell: Cell, vector: Floats, task: OwnTask, n_points: int) -> Task:
         offsets[:, OWN_KINDS[task.kind]] += along
         along = np.degrees(along) if task.turns else along
     unit = "deg" if task.turns or task.kind == "circle" else "um"
-    return _follow(cell, vector, Placement.of(cell, vector), task.name, offsets, along, unit)
+    return _follow(cell, vector, placement, name, offsets, along, unit)
+
+
+def _built_in(cell: Cell, vector: Floats, placement: Placement, name: str, radius: float) -> OwnTask:
+    """A task of `TASKS` in the size that it has on this cell."""
+    if name == "circle":
+        return OwnTask(name, name, radius)
+    if name == "spin":
+        low, high = (_spin_end(cell, vector, placement, side) for side in (-1.0, 1.0))
+        # A robot that cannot spin says so at every point.
+        if len(cell.joints) < 6 and high - low < _SPIN_LEAST:
+            low, high = -FARTHEST_SPIN, FARTHEST_SPIN
+        return OwnTask(name, name, low=low, high=high)
+    half = half_line(cell) if name.startswith("line") else half_tilt(cell)
+    return OwnTask(name, name, low=-half, high=half)
 
 
 def half_line(cell: Cell) -> float:

@@ -93,21 +93,22 @@ def cell_figure(view: CellView) -> Figure:
     axis.text(-1.3, 0.62, "base", ha="center", fontsize=9, color="0.3")
     for place, joint in zip(places, view.axes, strict=True):
         _draw_joint(axis, place, joint)
-    _draw_world(axis, np.array([-1.3, -2.35]))
+    world = np.array([-1.3, -2.35])
+    for name, direction in zip("xyz", np.eye(3), strict=True):
+        _arrow(axis, world, world + 0.55 * _PAGE @ direction, "black", 1.2)
+        x, y = world + 0.75 * _PAGE @ direction
+        axis.text(x, y, name, fontsize=9, ha="center", va="center")
     end = np.array([_APART * n + 1.6, 0.1])
     axis.plot([places[-1][0], end[0]], [0, end[1]], color="0.8", linewidth=6, solid_capstyle="butt", zorder=0)
     _draw_optics(axis, end, view)
-    axis.text(-1.6, 2.3, _title(view), fontsize=11, va="top", parse_math=False)
+    at = ", ".join(f"q{i}={v:g}" for i, v in enumerate(_shown(view), 1) if v)
+    title = f"{drawable(view.cell.name)} at {at or 'joint zero'}" + ("  (refused)" if view.refused else "")
+    axis.text(-1.6, 2.3, title, fontsize=11, va="top", parse_math=False)
     note = "Directions are true; axes are drawn apart, lengths not to scale."
     axis.text(-1.6, -3.15, note, fontsize=8, color="0.35", va="bottom")
     axis.set_xlim(-2.1, end[0] + 4.6)
     axis.set_ylim(-3.3, 2.5)
     return figure
-
-
-def _title(view: CellView) -> str:
-    at = ", ".join(f"q{i}={v:g}" for i, v in enumerate(_shown(view), 1) if v)
-    return f"{drawable(view.cell.name)} at {at or 'joint zero'}" + ("  (refused)" if view.refused else "")
 
 
 def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
@@ -125,7 +126,7 @@ def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
         _arrow(axis, ring[-6], ring[-1], colour, 2.4)
         _arrow(axis, place + 0.8 * (tip - place), tip, colour, 1.0)
     axis.plot(*place, "o", color="black", markersize=4)
-    plus = tip + 0.22 * _unit(tip - place)
+    plus = tip + 0.22 * (tip - place) / max(float(np.linalg.norm(tip - place)), 1e-9)
     axis.text(plus[0], plus[1], "+", fontsize=11, color=colour, ha="center", va="center")
     head, _, rest = joint.words.partition(", ")
     text = f"{joint.name}\n{head.replace('moves along', 'moves')}"
@@ -133,14 +134,6 @@ def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
     if rest:
         off = rest.replace(" towards", "\ntowards")
         axis.text(place[0], -2.08, off, ha="center", va="top", fontsize=7.5, color=colour)
-
-
-def _draw_world(axis: Axes, place: Floats) -> None:
-    for name, direction in zip("xyz", np.eye(3), strict=True):
-        tip = place + 0.55 * _PAGE @ direction
-        _arrow(axis, place, tip, "black", 1.2)
-        beside = place + 0.75 * _PAGE @ direction
-        axis.text(beside[0], beside[1], name, fontsize=9, ha="center", va="center")
 
 
 def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
@@ -179,16 +172,8 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     gap = f"gap {seen.length:.4g} um" if np.isfinite(seen.length) else "no gap"
     if seen.length < 0:
         gap = f"mirror {-seen.length:.4g} um\nbehind the fibre"
-    text = f"{gap}\n{_degrees(seen.tilt)} deg off the light"
-    axis.text(
-        place[0] + (2.4 if upright else 0.9),
-        -1.35,
-        text,
-        fontsize=9,
-        ha="center",
-        va="top",
-        color=VERMILION if wrong else "black",
-    )
+    text, colour = f"{gap}\n{_degrees(seen.tilt)} deg off the light", VERMILION if wrong else "black"
+    axis.text(place[0] + (2.4 if upright else 0.9), -1.35, text, fontsize=9, ha="center", va="top", color=colour)
 
 
 def _arrow(axis: Axes, start: Floats, end: Floats, colour: str, width: float, zorder: float = 3) -> None:
@@ -202,11 +187,6 @@ def _across(direction: Floats) -> tuple[Floats, Floats]:
     first = np.cross(helper, direction)
     first /= np.linalg.norm(first)
     return first, np.cross(direction, first)
-
-
-def _unit(vector: Floats) -> Floats:
-    unit: Floats = vector / max(float(np.linalg.norm(vector)), 1e-9)
-    return unit
 
 
 def _shown(view: CellView) -> list[float]:

@@ -9,7 +9,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.own_tasks import OwnTask
+from fpcal_bayes.model.cell.tables import OwnTask
 from fpcal_bayes.motion.tasks import Task
 from fpcal_bayes.report.table import Table, plain_table
 

@@ -20,10 +20,9 @@ from fpcal_bayes.core.times import clock as read_clock
 from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
-from fpcal_bayes.measure.orders import Order, orders_of
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.ticket import Ticket
+from fpcal_bayes.measure.ticket import Order, Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.results import doubtful_of, recordings_of, sweeps_of, write_session
 from fpcal_bayes.rig.settings import IDSDevice, Rig

@@ -17,7 +17,7 @@ from fpcal_bayes.core.errors import HeldError, InputError
 from fpcal_bayes.core.files import exclusive
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.traces import write_trace
-from fpcal_bayes.measure.orders import Order
+from fpcal_bayes.measure.ticket import Order
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS

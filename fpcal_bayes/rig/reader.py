@@ -57,7 +57,7 @@ class _Reader(Tables):
         self.keys(table, "", {"schema", "name", "clock", "session", "controller", "joint", "interferometer", "emulate"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
-        session = self.table({"session": {}} | table, "", "session")
+        session = self.optional(table, "", "session")
         self.keys(session, "session", {"close_nm", "repeats", "least_gap_um"})
         named = self.table(table, "", "controller")
         controllers = tuple(self.controller(named, name) for name in named)
@@ -77,14 +77,14 @@ class _Reader(Tables):
         return Rig(
             file=str(self.file),
             name=self.text(table, "", "name"),
-            clock=self.clock(self.table({"clock": {}} | table, "", "clock")),
+            clock=self.clock(self.optional(table, "", "clock")),
             controllers=controllers,
             joints=driven,
             instrument=instrument,
             close=self.number(session, "session", "close_nm", low=0.0, default=30.0) * 1e-3,
             repeats=self.whole(session, "session", "repeats", 0, 100, 1),
             least_gap=self.number(session, "session", "least_gap_um", low=0.0, default=0.0),
-            emulation=self.emulation(self.table({"emulate": {}} | table, "", "emulate"), {*named, *counting}),
+            emulation=self.emulation(self.optional(table, "", "emulate"), {*named, *counting}),
         )
 
     def clock(self, table: dict[str, Any]) -> Clock:
@@ -189,15 +189,3 @@ class _Reader(Tables):
 
     def line(self, table: dict[str, Any], place: str, key: str, default: str) -> str:
         return self.text(table, place, key) if key in table else default
-
-    def flag(self, table: dict[str, Any], place: str, key: str) -> bool:
-        value = table.get(key, False)
-        if not isinstance(value, bool):
-            raise self.error(f"{place}.{key}", f"expected true or false, found {literal(value)}")
-        return value
-
-    def whole(self, table: dict[str, Any], place: str, key: str, low: int, high: int, default: int) -> int:
-        value = table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.error(f"{place}.{key}", f"expected a whole number from {low} to {high}, found {literal(value)}")
-        return value

@@ -13,9 +13,9 @@ from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
-from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.ticket import Order
 from fpcal_bayes.model.cell.cell import Cell
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.orders import Order
+from fpcal_bayes.measure.ticket import Order
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -46,7 +46,7 @@ class CellEnvelope:
                 count += len(turn)
         q, row_of = np.vstack(poses), np.concatenate(rows)
         path = JointPath(q, row_of, np.zeros(len(q), dtype=bool), np.vstack(steps), np.concatenate(seconds))
-        found = {breach.row: breach.what for breach in breaches(self._model, self._draws, path)}
+        found = breaches(self._model, self._draws, path)
         return [found.get(row) for row in range(len(moves))]
 
 

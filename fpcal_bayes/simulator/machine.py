@@ -21,62 +21,35 @@ _STRIDE, _FEATURES, _GRID = 8, 12, 401
 
 @dataclass(frozen=True)
 class MachineSettings:
-    """How a machine is drawn beside its sizes.
+    """How a machine is drawn beside its sizes."""
 
-    Attributes
-    ----------
-    spread
-        A size is drawn within this factor of what is stated, either way.
-    student
-        Degrees of freedom of the reading noise, scaled to the stated sigma; None for normal noise.
-    slow_nm, slow_rows
-        Standard deviation and correlation length, in rows, of a slow reading error.
-    mirror_radius_m
-        Of the mirror's curvature; infinite for a flat one.
-    scale_ppm
-        Error of the wavelength.
-    """
-
-    spread: float = 1.33
+    spread: float = 1.33  # a size is drawn within this factor of what is stated, either way
+    # degrees of freedom of the reading noise, scaled to the stated sigma; None for normal noise
     student: float | None = None
+    # slow_nm, slow_rows: Standard deviation and correlation length, in rows, of a slow reading error
     slow_nm: float = 0.0
     slow_rows: float = 10.0
-    mirror_radius_m: float = np.inf
-    scale_ppm: float = 0.0
+    mirror_radius_m: float = np.inf  # of the mirror's curvature; infinite for a flat one
+    scale_ppm: float = 0.0  # error of the wavelength
 
 
 @dataclass
 class Machine:
-    """One machine: geometry, error motions and their random state.
+    """One machine: geometry, error motions and their random state."""
 
-    Attributes
-    ----------
-    cell
-        The cell whose chain, path model and joint limits hold.
-    vector
-        True model vector, shape (model size,), in um and rad.
-    motions
-        Of each joint six functions of its value: displacements in um and tilts in rad, about own axis, upward, across.
-    lever
-        From the sheet's point to the mirror, in um, in world axes at joint zero, shape (n_joints, 3).
-    half_reversal, return_sd, encoder, period, phase
-        Of each joint, in um and rad, shape (n_joints,).
-    drift
-        Rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several.
-    settings, rng
-        Noise and its random numbers.
-    """
-
-    cell: Cell
-    vector: Floats
+    cell: Cell  # the cell whose chain, path model and joint limits hold
+    vector: Floats  # true model vector, shape (model size,), in um and rad
+    # of each joint six functions of its value: displacements in um and tilts in rad, about own axis, upward, across
     motions: list[list[Function]]
-    lever: Floats
+    lever: Floats  # from the sheet's point to the mirror, in um, in world axes at joint zero, shape (n_joints, 3)
+    # half_reversal, return_sd, encoder, period, phase: Of each joint, in um and rad, shape (n_joints,)
     half_reversal: Floats
     return_sd: Floats
     encoder: Floats
     period: Floats
     phase: Floats
-    drift: Floats
+    drift: Floats  # rate of the fibre in um per minute, shape (3,), or (n_beams, 3) where there are several
+    # settings, rng: Noise and its random numbers
     settings: MachineSettings
     rng: np.random.Generator
     side: Floats = field(default_factory=lambda: np.zeros(0))
@@ -151,8 +124,7 @@ class Machine:
     def reach(self, poses: Floats, side: Floats) -> Floats:
         """Own-axis errors with which the joints reach poses one after the other, shape (n, n_joints).
 
-        Reversal by the direction of approach, a return error that stays while a joint stands still, the encoder's
-        periodic error.
+        A return error stays while a joint stands still; reversal is by the direction of approach.
         """
         reached = np.empty_like(poses)
         error = self.return_sd * self.rng.standard_normal(poses.shape[1])
@@ -178,26 +150,16 @@ class Machine:
 
     def sweep(self, drive: Drive, sigma: float | Floats) -> Floats:
         """Measured changes of cavity length of rows driven in file order, in um, shape (n,); `sigma` is of the rows."""
-        if self.cell.further:
-            return self._seen_by_beams(drive, sigma)
         q, minutes, starts, ends = _poses(drive)
-        lengths = self.lengths(q, self.reach(q, self.side), minutes)
-        noise = self._noise(len(q))
-        own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[ends]
-        dl: Floats = lengths[ends] + own * sigma / np.sqrt(2.0)
-        dl -= np.where(drive.absolute, 0.0, lengths[starts] + noise[starts] * sigma / np.sqrt(2.0))
-        return dl + self._slow(len(drive))
-
-    def _seen_by_beams(self, drive: Drive, sigma: float | Floats) -> Floats:
-        """As `sweep`, of rows that several beams read at the same moments, one after the other in `drive`."""
-        q, minutes, starts, ends = _poses(drive)
-        reached, beam, read = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), []
-        noise = np.array([self._noise(len(q)) for _ in self.cell.beams])
-        for at in (starts, ends):
-            own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, at] * sigma / np.sqrt(2.0)
-            read.append(self.lengths(q[at], reached[at], minutes[at], beam) + own)
-        slow = np.array([self._slow(len(drive)) for _ in self.cell.beams])
-        return np.asarray(read[1] - np.where(drive.absolute, 0.0, read[0]) + slow[beam, np.arange(len(drive))])
+        reached, beam, beams = self.reach(q, self.side), self.cell.beam_numbers(drive.beam), range(len(self.cell.beams))
+        lengths = np.array([self.lengths(q, reached, minutes, np.full(len(q), number)) for number in beams])
+        noise = np.array([self._noise(len(q)) for _ in beams])
+        own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, ends]
+        dl: Floats = lengths[beam, ends] + own * sigma / np.sqrt(2.0)
+        dl -= np.where(drive.absolute, 0.0, lengths[beam, starts] + noise[beam, starts] * sigma / np.sqrt(2.0))
+        slow = np.array([self._slow(len(drive)) for _ in beams])
+        dl += slow[beam, np.arange(len(drive))]
+        return dl
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""
@@ -214,8 +176,7 @@ class Machine:
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
 
-        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet. Return errors
-        are the emulated cell's own, of `return_sd`, and so is drift.
+        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet.
         """
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))

@@ -67,25 +67,25 @@ class RecorderSettings:
     quadrature: bool = True
 
     def __post_init__(self) -> None:
+        def above(name: str) -> bool:
+            return bool(np.all(np.asarray(getattr(self, name)) > 0))
+
         positive = ("duration_s", "rate_hz", "fewest_samples", "scan_from", "scan_to", "reference_fringes")
-        for name in positive:
-            self._require(name, getattr(self, name) > 0, "a number above zero")
+        checks = {name: (above(name), "a number above zero") for name in positive}
         for name in ("rest_s", "envelope_change", "offset_drift", "cyclic_error", "length_noise"):
-            self._require(name, getattr(self, name) >= 0, "zero or more")
-        self._require("velocity_ripple", 0 <= self.velocity_ripple < 1, "0 to below 1: the joint must not turn back")
-        self._require("ripple_cycles", int(self.ripple_cycles) == self.ripple_cycles > 0, "a whole number above zero")
-        self._require("noise", self.noise is None or self.noise >= 0, "zero or more")
-        self._require("scan_samples", self.scan_samples >= 2, "two or more")
-        if self.samples_per_fringe is not None:
-            self._require("samples_per_fringe", bool((np.asarray(self.samples_per_fringe) > 0).all()), "above zero")
+            checks[name] = getattr(self, name) >= 0, "zero or more"
+        checks |= {
+            "velocity_ripple": (0 <= self.velocity_ripple < 1, "0 to below 1: the joint must not turn back"),
+            "ripple_cycles": (int(self.ripple_cycles) == self.ripple_cycles > 0, "a whole number above zero"),
+            "noise": (self.noise is None or self.noise >= 0, "zero or more"),
+            "scan_samples": (self.scan_samples >= 2, "two or more"),
+            "samples_per_fringe": (self.samples_per_fringe is None or above("samples_per_fringe"), "above zero"),
+        }
+        for name, (good, expected) in checks.items():
+            if not good:
+                raise InputError(f"recorder: {name} = {getattr(self, name)}: expected {expected}")
 
-    def _require(self, name: str, good: bool, expected: str) -> None:
-        if not good:
-            raise InputError(f"recorder: {name} = {getattr(self, name)}: expected {expected}")
 
-
-#: A poor day: gain, offset, second harmonic and noise relative to the fringes.
-HARD = RecorderSettings(envelope_change=0.2, offset_drift=0.1, cyclic_error=0.01, noise=0.01)
 #: How joints have reached poses: own-axis errors (n, n_joints) in um and rad, without the encoders' part, and
 #: minutes of the session (n,).
 Reached = tuple[Floats, Floats]
@@ -108,19 +108,16 @@ class Chances:
     end: Floats
 
     @classmethod
-    def draw(cls, stream: np.random.SeedSequence, n_joints: int) -> "Chances":
-        """Draw from one stream, which then goes on as that of the noise."""
-        random = np.random.default_rng(stream)
-        ripple, envelope, offset, cyclic = random.uniform(0.0, 2.0 * np.pi, 4).tolist()
-        start, end = random.standard_normal((2, n_joints))
-        return cls(random, ripple, envelope, offset, cyclic, start, end)
-
-    @classmethod
     def several(cls, seed: int, n: int, n_joints: int) -> list["Chances"]:
-        """One for each of `n` recordings; `InputError` if the seed is negative."""
+        """One for each of `n` recordings, from a stream of its own; `InputError` if the seed is negative."""
         if seed < 0:
             raise InputError(f"seed {seed}: expected a whole number, zero or more")
-        return [cls.draw(stream, n_joints) for stream in np.random.SeedSequence(seed).spawn(n)]
+        made = []
+        for stream in np.random.SeedSequence(seed).spawn(n):
+            random = np.random.default_rng(stream)
+            phases = random.uniform(0.0, 2.0 * np.pi, 4).tolist()
+            made.append(cls(random, *phases, *random.standard_normal((2, n_joints))))
+        return made
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.reference import fit_fringe
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint, no_trace
 from fpcal_bayes.measure.rules import check_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import FEWEST, PathTrace, Trace, WavelengthScan
 from fpcal_bayes.measure.truth import Truth
@@ -53,13 +53,8 @@ def record_sweeps(
     """Record sweeps on the simulated cell; one with mechanics is a machine that is drawn by `seed`.
 
     sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
-    Joints reach either end with the cell's repeatability; the traces hold the positions that the controller
-    believes.
-    settings: by default `RecorderSettings`.
-    seed: equal seeds give equal recordings.
-    scans: which sweeps have a wavelength scan before and after, shape (n,), or all, or none. Absolute lengths have one
-    at their end in any case.
-    Returns its sweeps are a plan, without measurement.
+    Joints reach either end with the cell's repeatability; traces hold the positions that the controller believes.
+    scans: which sweeps have a wavelength scan before and after, shape (n,); absolute lengths have one in any case.
     """
     settings = RecorderSettings() if settings is None else settings
     machine = None if cell.mechanics is None else machine_of(cell, truth, seed)

@@ -6,9 +6,8 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.drive import drive_of_sweeps
 from fpcal_bayes.measure.rules import check_sweeps
-from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sharing import Sharing, drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -36,11 +35,9 @@ def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
 def noise_free(
     cell: Cell, truth: Truth, sweeps: Sweeps, q_start: Floats | None = None, q_end: Floats | None = None
 ) -> Floats:
-    """Changes of cavity length that the truth makes, each at the time of its row.
+    """Changes of cavity length that the truth makes, each at the time of its row, with its sign, in um, shape (n,).
 
-    sweeps: which sweeps; measurements in them are not looked at. The sign is that of the change, known or not.
     q_start, q_end: joint vectors reached, shape (n, n_joints), in um and rad; by default those commanded.
-    Returns in um, shape (n,); the cavity length itself in absolute rows.
     """
     model = CavityModel.of(cell, truth.parameters)
     q_start = sweeps.q_start if q_start is None else q_start
@@ -80,7 +77,7 @@ def simulate(
 def simulate_um(
     cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma: float | Floats, seed: int, machine_seed: int | None = None
 ) -> Sweeps:
-    """Measure sweeps on the simulated cell.
+    """Measure sweeps on the simulated cell; rows that are not signed get the size of their change.
 
     A cell with mechanics is a machine whose error motions are drawn from the stated sizes by `machine_seed` (by
     default `seed`), with functions of another family than those that are fitted; see `simulator.machine`.
@@ -90,27 +87,9 @@ def simulate_um(
     An absolute length is one reading with the noise sigma. Joints reach each pose with the cell's repeatability;
     the sweeps that come back hold the pose commanded, as a controller would.
 
-    Parameters
-    ----------
-    sweeps
-        A plan; measurements in it are replaced. Rows that are not signed get the size of their change.
-    sigma
-        Standard deviation of a row's noise in um: one, or one per row, shape (n,).
-    seed
-        Seed of numpy's default generator. Drawn as standard normals, whatever is used of them, one set per row: joints
-        at the start (n, n_joints), joints at the end (n, n_joints), reading at the start (n,), reading at the end (n,).
-        A group uses the start of its first row, a shot its end. Equal seeds thus give equal noise for any sigma and
-        repeatability.
-
-    Returns
-    -------
-    Sweeps
-        The same rows with measurement.
-
-    Raises
-    ------
-    InputError
-        If sigma is not above zero, the seed is negative, or the sweeps break a rule of `check_sweeps`.
+    Standard normals are drawn whatever is used of them, one set per row: joints at the start, joints at the end,
+    reading at the start, reading at the end. A group uses the start of its first row, a shot its end. Equal seeds thus
+    give equal noise for any sigma and repeatability.
     """
     sigma = np.broadcast_to(np.asarray(sigma, dtype=float), len(sweeps))
     if not (np.isfinite(sigma).all() and (sigma > 0).all()):

@@ -12,7 +12,7 @@ from scipy import linalg, sparse, special
 from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
-from fpcal_bayes.measure.drive import sweep_numbers
+from fpcal_bayes.measure.sharing import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.drift import DriftModel, State

@@ -12,7 +12,7 @@ from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
+from fpcal_bayes.model.cell.tables import DriftSize
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.tracking.motions import MotionStates

@@ -19,7 +19,7 @@ from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
 from fpcal_bayes.infer.mechanics.scales import LOG_SD, LOG_SD_NOISE
 from fpcal_bayes.infer.tasks.pose import without_common_turn
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import Design, PathDesign, Terms, design, path_design

@@ -6,7 +6,7 @@ import numpy as np
 
 from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.drive import sweep_numbers
+from fpcal_bayes.measure.sharing import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.trust import Trust

@@ -27,7 +27,7 @@ from fpcal_bayes.model import chain
 from fpcal_bayes.model.axes import home
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.envelope import Envelope
+from fpcal_bayes.model.cell.tables import Envelope
 from fpcal_bayes.model.envelope import require_task_within_envelope
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.joint_path import JointPath, sweep_path, task_path

@@ -58,8 +58,7 @@ lines like `alpha_2 = -90.1` (um, deg; what is not named is nominal), or several
 --traces records the irradiance in place of dL: FILE is an index for `fpcal ingest`, a CSV with its traces in a folder
 beside it or HDF5 with everything inside; the truth goes to FILE_truth.toml. Sweeps have wavelength scans before and
 after (--signs paper: X and Z translations only). 200 samples a second for 10 s a sweep, so at least 35 a fringe with
-the paper's protocol. --disturbances hard: 20 % change of gain; 10 % drift of the offset, 1 % second harmonic and 1 %
-noise relative to the fringes' amplitude. The velocity has a ripple of 10 % always.
+the paper's protocol. The velocity has a ripple of 10 %.
 
 --path records the joint path of `fpcal control -o JOINTS.csv` in place of sweeps, for `fpcal check`.
 """
@@ -79,8 +78,6 @@ def simulate(commands: Commands) -> None:
     add("--traces", action="store_true", help="record the irradiance, for fpcal ingest")
     add("--path", metavar="JOINTS", help="with --traces: record this joint path, for fpcal check")
     add("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
-    add("--samples-per-fringe", type=positive, metavar="N", help="with --traces: where the length changes fastest")
-    add("--disturbances", choices=("small", "hard"), help="with --traces (default: small)")
 
 
 _INGEST = """\

@@ -13,7 +13,7 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.mechanics import Terms, design, path_design
 from fpcal_bayes.model.mechanics.design import at_poses

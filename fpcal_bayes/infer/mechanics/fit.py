@@ -12,7 +12,7 @@ from fpcal_bayes.infer.fit.minimise import Solution, descended, minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.rows import RowNoise, scaled_whitening
 from fpcal_bayes.infer.mechanics.scales import LinearRows, ScaleDensity, ScalePosterior, sample_scales
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Design, Drive, Mechanics, Terms, design

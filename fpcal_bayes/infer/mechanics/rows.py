@@ -7,8 +7,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.noise import Whitening, shared_whitening, whitening_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
-from fpcal_bayes.measure.drive import drive_of_sweeps
-from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sharing import Sharing, drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.mechanics import Design, Terms, design

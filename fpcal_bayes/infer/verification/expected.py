@@ -24,7 +24,7 @@ from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.rows import RowNoise
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.mechanics import Design, Terms, design
 

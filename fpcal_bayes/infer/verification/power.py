@@ -14,7 +14,7 @@ from scipy import linalg, special
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.infer.verification.expected import Expected
-from fpcal_bayes.measure.drive import drive_of_sweeps
+from fpcal_bayes.measure.sharing import drive_of_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics import Terms, design

@@ -18,7 +18,7 @@ from fpcal_bayes.infer.tasks.source import path_points
 from fpcal_bayes.infer.verification.expected import Expected
 from fpcal_bayes.infer.verification.power import LEVEL, effects_of
 from fpcal_bayes.io.estimate import read_result, require_unchanged
-from fpcal_bayes.measure.drive import sweep_numbers
+from fpcal_bayes.measure.sharing import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate

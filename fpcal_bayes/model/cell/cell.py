@@ -12,12 +12,9 @@ from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
 from fpcal_bayes.core.typing import Ints
 from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, Opd, OpticalAxis, Target
-from fpcal_bayes.model.cell.drift_sizes import DriftSize
-from fpcal_bayes.model.cell.envelope import Envelope
 from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
-from fpcal_bayes.model.cell.optics import Interferometer
-from fpcal_bayes.model.cell.own_tasks import OwnTask
+from fpcal_bayes.model.cell.tables import DriftSize, Envelope, Interferometer, OwnTask
 from fpcal_bayes.model.parameters import EXTRINSICS, LINK_SLOTS, POINT_EXTRINSICS, UNITS, Parameter, ParameterSet
 from fpcal_bayes.model.priors import Marginal
 
@@ -116,17 +113,8 @@ class Cell:
                 replace(self.parameters[int(i)], name=self.parameters[int(i)].name.partition(AT)[0], slot=slot)
                 for slot, i in enumerate(index)
             )
-            cell = replace(
-                self,
-                parameters=parameters,
-                wavelength=beam.wavelength,
-                opd=beam.opd,
-                optical_axis=beam.optical_axis,
-                target=beam.target,
-                beam=beam.name,
-                further=(),
-                drift=(),
-            )
+            own_light = {name: getattr(beam, name) for name in ("wavelength", "opd", "optical_axis", "target")}
+            cell = replace(self, parameters=parameters, beam=beam.name, further=(), drift=(), **own_light)
             made.append(View(cell, index))
         return tuple(made)
 
@@ -179,6 +167,8 @@ class Cell:
     @cached_property
     def sha256(self) -> str:
         """Hash of everything that the cell's numbers depend on; layout and comments of the file do not."""
+        rest = [[b.name, b.target, b.wavelength, b.opd, b.optical_axis, *b.parameters] for b in self.further]
+        beams = [[self.beam, self.target], *rest]
         return content_sha256(
             {
                 "name": self.name,
@@ -189,16 +179,10 @@ class Cell:
                 "parameters": [
                     [p.name, p.nominal, p.prior_sd, p.optional, *_settings(p.prior)] for p in self.parameters
                 ],
-                **self._named_beams(),
+                # A cell with one nameless beam on a plane mirror has no beams in its hash.
+                **({"beams": beams} if self.beam or self.further or self.target != "plane-mirror" else {}),
             }
         )
-
-    def _named_beams(self) -> dict[str, Any]:
-        """What a cell with one nameless beam and a plane mirror does not have in its hash."""
-        if not self.beam and not self.further and self.target == "plane-mirror":
-            return {}
-        rest = [[b.name, b.target, b.wavelength, b.opd, b.optical_axis, *b.parameters] for b in self.further]
-        return {"beams": [[self.beam, self.target], *rest]}
 
     @property
     def ideal(self) -> "Cell":
@@ -258,13 +242,7 @@ def make_parameters(
     target: Target = "plane-mirror",
     further: Sequence[str] = (),
 ) -> ParameterSet:
-    """Every parameter of the model vector of a chain.
-
-    entries: by name; what is missing is zero and cannot be freed.
-    n_joints: number of links of the chain.
-    target: of the first beam.
-    further: names of the parameters that further beams have of their own.
-    """
+    """Every parameter of the model vector of a chain, zero where no entry is; `further` are those of further beams."""
     names = [(f"{stem}_{i}", UNITS[stem], "intrinsic") for i in range(1, n_joints + 1) for stem in LINK_SLOTS]
     names += [(name, UNITS[name.partition(AT)[0]], "extrinsic") for name in (*further, *extrinsics_of(target))]
     unknown = set(entries) - {name for name, _, _ in names}
@@ -296,26 +274,18 @@ def check_joints(
     # An endless joint that stands many turns away is a value in another unit.
     endless = cell.revolute & np.isinf(cell.low) & np.isinf(cell.high)
     far = endless & (np.abs(q) > _MOST_TURNS * 2.0 * np.pi + slack)
-    if far.any():
-        row, column = (int(i) for i in np.argwhere(far)[0])
-        raise located(
-            file,
-            f"{q[row, column] / cell.joint_scales[column]:.6g} deg is more than two turns from zero, expected a value "
-            "in deg within them, or limits_deg in the cell",
-            row=rows[row] if rows is not None else row + 1,
-            column=columns[column],
-        )
-    if not outside.any():
-        return
-    row, column = (int(i) for i in np.argwhere(outside)[0])
-    joint, scale = cell.joints[column], cell.joint_scales[column]
-    raise located(
-        file,
-        f"{q[row, column] / scale:g} {joint.unit} is outside the limits of cell {cell.name!r}, "
-        f"expected {joint.low / scale:g} to {joint.high / scale:g} {joint.unit}",
-        row=rows[row] if rows is not None else row + 1,
-        column=columns[column],
-    )
+    for bad in (far, outside):
+        if bad.any():
+            row, column = (int(i) for i in np.argwhere(bad)[0])
+            joint, scale = cell.joints[column], cell.joint_scales[column]
+            value, low, high = (x / scale for x in (q[row, column], joint.low, joint.high))
+            if bad is far:
+                what = f"{value:.6g} deg is more than two turns from zero, expected a value in deg within them, or "
+                what += "limits_deg in the cell"
+            else:
+                what = f"{value:g} {joint.unit} is outside the limits of cell {cell.name!r}, expected "
+                what += f"{low:g} to {high:g} {joint.unit}"
+            raise located(file, what, row=rows[row] if rows is not None else row + 1, column=columns[column])
 
 
 def _settings(prior: Marginal | None) -> list[str | float | None]:

@@ -27,10 +27,8 @@ def impossible(cell: Cell) -> Iterator[tuple[str, str]]:
     if cell.wavelength < _SHORTEST_WAVE:
         shown = 1e3 * cell.wavelength
         mend = f"{1e3 * shown:g}" if shown < 20.0 else "1550"
-        yield (
-            "optics.wavelength_nm",
-            f"{shown:g} nm is no light that a fibre guides, expected nm: wavelength_nm = {mend}",
-        )
+        what = f"{shown:g} nm is no light that a fibre guides, expected nm: wavelength_nm = {mend}"
+        yield "optics.wavelength_nm", what
     for view, _ in cell.views:
         if view.target == "plane-mirror" and view.optical_axis != "z":
             place = f"beam {view.beam}: " if view is not cell.views[0].cell else ""
@@ -53,18 +51,14 @@ def _misplaced(cell: Cell) -> Iterator[tuple[str, str]]:
         yield (
             "extrinsic.beta_et",
             f"the mirror turns its back to the light at joint zero: its normal points along {normal}, as the light "
-            f"does; to turn it round: beta_et nominal_deg = {_wrapped(beta):g}{_OR_AXES}",
+            f"does; to turn it round: beta_et nominal_deg = {wrapped(beta):g}{_OR_AXES}",
         )
     elif seen.tilt > _FARTHEST_TILT:
-        text = (
-            f"the mirror stands {np.degrees(seen.tilt):.0f} deg off the light at joint zero: its normal points along "
-        )
-        yield (
-            "extrinsic.beta_et",
-            f"{text}{normal}, the light along {light}; {_turn_mirror(cell, vector, -seen.light)}",
-        )
+        text = f"the mirror stands {np.degrees(seen.tilt):.0f} deg off the light at joint zero: its normal points along"
+        turn = _turn_mirror(cell, vector, -seen.light)
+        yield "extrinsic.beta_et", f"{text} {normal}, the light along {light}; {turn}"
     elif not seen.length > 0:
-        theta, beta = (_wrapped(_degrees(vector, name, cell) + 180.0) for name in ("theta_wf", "beta_et"))
+        theta, beta = (wrapped(_degrees(vector, name, cell) + 180.0) for name in ("theta_wf", "beta_et"))
         yield (
             "extrinsic.y_wf",
             f"{_behind(seen.length)}the light leaves the fibre along {light}; either the fibre stands opposite "
@@ -92,14 +86,11 @@ def _task_axis(cell: Cell, vector: Floats) -> Iterator[tuple[str, str]]:
         f"tasks start with the mirror's x axis along the fibre's ({direction_words(seen.fibre_x)}), but at joint zero "
         f"it points along {direction_words(seen.across)}"
     )
-    if most == 0:
-        theta = _wrapped(_degrees(vector, f"theta_{last}", cell) + np.degrees(wanted - float(home(cell)[-1])))
-        yield (f"joint {last}.theta", f"{text}, and the limits of q{last} do not reach: theta nominal_deg = {theta:g}")
-    else:
-        yield (
-            f"joint {last}.theta",
-            f"{text}; turn the last frame: theta and beta_et, as fpcal cell --new works them out",
-        )
+    theta = wrapped(_degrees(vector, f"theta_{last}", cell) + np.degrees(wanted - float(home(cell)[-1])))
+    mend = f", and the limits of q{last} do not reach: theta nominal_deg = {theta:g}"
+    if most > 0:
+        mend = "; turn the last frame: theta and beta_et, as fpcal cell --new works them out"
+    yield f"joint {last}.theta", text + mend
 
 
 def _behind(length: float) -> str:
@@ -107,7 +98,7 @@ def _behind(length: float) -> str:
 
 
 def _turn_light(cell: Cell, vector: Floats, normal: str) -> str:
-    theta = _wrapped(_degrees(vector, "theta_wf", cell) + 180.0)
+    theta = wrapped(_degrees(vector, "theta_wf", cell) + 180.0)
     return f"the light leaves away from the mirror, along {normal}; to turn it round: theta_wf nominal_deg = {theta:g}"
 
 
@@ -125,9 +116,8 @@ def _turn_mirror(cell: Cell, vector: Floats, wanted: Floats) -> str:
     """The angles of the mirror in the tool frame that turn its normal along `wanted`."""
     tool = chain.tool_pose(cell, vector, home(cell))
     beta, theta = mirror_angles(tool[:3, :3].T @ wanted)
-    angles = (
-        f"beta_et nominal_deg = {_wrapped(np.degrees(beta)):g}, theta_et nominal_deg = {_wrapped(np.degrees(theta)):g}"
-    )
+    beta_deg, theta_deg = wrapped(np.degrees(beta)), wrapped(np.degrees(theta))
+    angles = f"beta_et nominal_deg = {beta_deg:g}, theta_et nominal_deg = {theta_deg:g}"
     return f"to turn it there: {angles}{_OR_AXES}"
 
 
@@ -142,6 +132,7 @@ def _degrees(vector: Floats, name: str, cell: Cell) -> float:
     return float(np.degrees(vector[cell.parameters[name].slot]))
 
 
-def _wrapped(degrees: float) -> float:
+def wrapped(degrees: float) -> float:
+    """An angle from above -180 to 180 deg, without what rounding leaves."""
     turned = round((degrees + 180.0) % 360.0 - 180.0, 6) + 0.0
     return 180.0 if turned == -180.0 else turned

@@ -20,51 +20,32 @@ TERMS = {
 
 @dataclass(frozen=True)
 class JointMechanics:
-    """What a data sheet states of one joint, in the units of the sheet; zero is "none".
+    """What a data sheet states of one joint, in the units of the sheet; zero is "none"."""
 
-    Attributes
-    ----------
-    straightness_nm, flatness_nm, crosstalk_nm
-        Of a joint that moves along: peak to valley across the travel, without its best line. `straightness_nm` holds
-        for both directions across where there is no `flatness_nm`; else that holds for the upward one (Zw; Yw for a
-        joint along Zw). `crosstalk_nm` adds in square to both.
-    pitch_urad, yaw_urad, roll_urad
-        Peak to valley of the tilts; yaw about the upward direction, roll about the joint's own.
-    radial_runout_nm, axial_runout_nm, wobble_urad
-        Of a joint that turns: half of peak to valley. An endless joint's fundamental radial harmonic is eccentricity,
-        a matter of geometry, and is not counted.
-    linearity
-        Along or about the joint's own axis: peak to valley, its gain included, in nm or urad.
-    reversal
-        Lost motion between the two directions of approach, in nm or urad.
-    return_sd
-        Unidirectional repeatability, one standard deviation, in nm or urad.
-    encoder
-        Amplitude of the encoder's periodic error, in nm or urad.
-    encoder_period
-        In um or deg; None where it is not known.
-    lever_mm
-        From the point that the data sheet speaks of to the mirror, in world axes at joint zero.
-    source
-        Where the sizes come from; ``assumed`` where nobody states them.
-    """
-
+    # straightness_nm, flatness_nm, crosstalk_nm: Of a joint that moves along: peak to valley across the travel, without
+    # its best line. `straightness_nm` holds for both directions across where there is no `flatness_nm`; else that holds
+    # for the upward one (Zw; Yw for a joint along Zw). `crosstalk_nm` adds in square to both
     straightness_nm: float = 0.0
     flatness_nm: float | None = None
     crosstalk_nm: float = 0.0
+    # pitch_urad, yaw_urad, roll_urad: Peak to valley of the tilts; yaw about the upward direction, roll about the
+    # joint's own
     pitch_urad: float = 0.0
     yaw_urad: float = 0.0
     roll_urad: float = 0.0
+    # radial_runout_nm, axial_runout_nm, wobble_urad: Of a joint that turns: half of peak to valley. An endless joint's
+    # fundamental radial harmonic is eccentricity, a matter of geometry, and is not counted
     radial_runout_nm: float = 0.0
     axial_runout_nm: float = 0.0
     wobble_urad: float = 0.0
-    linearity: float = 0.0
-    reversal: float = 0.0
-    return_sd: float = 0.0
-    encoder: float = 0.0
-    encoder_period: float | None = None
+    linearity: float = 0.0  # along or about the joint's own axis: peak to valley, its gain included, in nm or urad
+    reversal: float = 0.0  # Lost motion between the two directions of approach, in nm or urad
+    return_sd: float = 0.0  # unidirectional repeatability, one standard deviation, in nm or urad
+    encoder: float = 0.0  # amplitude of the encoder's periodic error, in nm or urad
+    encoder_period: float | None = None  # in um or deg; None where it is not known
+    # from the point that the data sheet speaks of to the mirror, in world axes at joint zero
     lever_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    source: str = ""
+    source: str = ""  # where the sizes come from; ``assumed`` where nobody states them
 
     @property
     def any(self) -> bool:
@@ -81,24 +62,14 @@ class JointMechanics:
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Sizes of a cell's error motions.
+    """Sizes of a cell's error motions."""
 
-    Attributes
-    ----------
-    joints
-        One per joint, from base to tool.
-    drift_nm_per_min
-        Rate at which the fibre drifts within a session, one standard deviation in each direction.
-    minutes_per_sweep
-        Time between the starts of two sweeps where the rows do not state their times.
-    correlated_nm
-        Standard deviation of a reading error that changes slowly from row to row; None: four fifths of the readings'
-        own sigma.
-    """
-
-    joints: tuple[JointMechanics, ...]
+    joints: tuple[JointMechanics, ...]  # one per joint, from base to tool
+    # rate at which the fibre drifts within a session, one standard deviation in each direction
     drift_nm_per_min: float = 0.0
-    minutes_per_sweep: float = 1.0
+    minutes_per_sweep: float = 1.0  # time between the starts of two sweeps where the rows do not state their times
+    # standard deviation of a reading error that changes slowly from row to row; None: four fifths of the readings' own
+    # sigma
     correlated_nm: float | None = None
 
     @property

@@ -59,13 +59,7 @@ class Joint:
         return JOINT_UNITS[self.kind]
 
     def to_controller(self, shown: ArrayLike) -> NDArray[np.float64]:
-        """What the controller shows at joint values as files hold them (um or deg), same shape.
-
-        Raises
-        ------
-        InputError
-            If the cell names no controller for the joint.
-        """
+        """What the controller shows at joint values as files hold them (um or deg); `InputError` if there is none."""
         values = np.asarray(shown, dtype=float)
         return self._axis().reading_of(values if self.kind == "prismatic" else np.radians(values))
 

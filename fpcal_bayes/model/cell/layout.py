@@ -15,7 +15,7 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model import chain
-from fpcal_bayes.model.cell.check import mirror_angles
+from fpcal_bayes.model.cell.check import mirror_angles, wrapped
 from fpcal_bayes.model.cell.joints import JointKind
 
 _WORD = re.compile(r"(?P<sign>[+-]?)(?P<turns>r?)(?P<inner>[+-]?)(?P<axis>[xyz])")
@@ -35,11 +35,6 @@ class AxisWord:
     def vector(self) -> Floats:
         """The direction, shape (3,)."""
         return np.array(self.direction, dtype=float)
-
-    def __str__(self) -> str:
-        axis = int(np.argmax(np.abs(self.direction)))
-        word = f"{'+' if self.direction[axis] > 0 else '-'}{'xyz'[axis]}"
-        return f"moves along {word}" if self.kind == "prismatic" else f"turns about {word}"
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,9 @@ def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout
     links, frame = np.zeros((len(axes), 5)), np.eye(3)
     for i, axis in enumerate(axes):
         if i > 0:
-            links[i - 1, 3] = _theta_before(frame.T @ axis.vector)
+            # The turn about z after which the next axis has no x component.
+            across = (frame.T @ axis.vector)[0]
+            links[i - 1, 3] = 0.0 if abs(across) < 0.5 else -90.0 if across > 0 else 90.0
             frame = frame @ chain.rot_z(np.radians(links[i - 1, 3]))[:3, :3]
         wanted = np.round(frame.T @ axis.vector)
         if wanted[0]:
@@ -119,13 +116,6 @@ def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap
     The theta of a last axis that turns about the mirror's normal is turned such that tasks can use it.
     """
     return _faced(tuple(kinds), np.array(links, dtype=float), side, gap)
-
-
-def _theta_before(wanted: Floats) -> float:
-    """The turn about z after which the direction `wanted` (3,) of the next axis has no x component, in deg."""
-    if abs(wanted[0]) < 0.5:
-        return 0.0
-    return -90.0 if wanted[0] > 0 else 90.0
 
 
 def _faced(kinds: tuple[JointKind, ...], links: Floats, side: Floats, gap: float) -> Layout:
@@ -151,7 +141,7 @@ def _faced(kinds: tuple[JointKind, ...], links: Floats, side: Floats, gap: float
                     best, found = cost, angles
     turn, beta_et, theta_et, beta_wf, theta_wf = found
     links = links.copy()
-    links[-1, 3] = _wrapped(links[-1, 3] + turn)
+    links[-1, 3] = wrapped(links[-1, 3] + turn)
     end = _frames(links)[-1][:3, 3] + gap * side
     free = _worth_a_prior(kinds, links, side, theta_et, theta_wf)
     return Layout(kinds, links, free, beta_et, theta_et, beta_wf, theta_wf, end + 0.0, side, gap)
@@ -163,13 +153,13 @@ def _turns(frame: Floats, side: Floats, across: Floats, about: float) -> list[fl
         return list(_QUARTERS)
     x, y = float(frame[:, 0] @ across), float(frame[:, 1] @ across)
     exact = round(float(np.degrees(np.arctan2(y, x))), 6)
-    return [_wrapped(exact + quarter) for quarter in _QUARTERS]
+    return [wrapped(exact + quarter) for quarter in _QUARTERS]
 
 
 def _mirror_choices(normal: Floats) -> list[tuple[float, float]]:
     """Angles beta_et and theta_et in deg that put the mirror's normal along `normal` (3,) of the tool frame."""
     beta, theta = (round(float(np.degrees(angle)), 6) for angle in mirror_angles(normal))
-    choices = [(beta, theta), (_wrapped(beta + 180.0), _wrapped(180.0 - theta))]
+    choices = [(beta, theta), (wrapped(beta + 180.0), wrapped(180.0 - theta))]
     if np.hypot(normal[1], normal[2]) < 1e-6:
         choices = [(quarter, theta) for quarter in _QUARTERS]
     return choices
@@ -210,8 +200,3 @@ def _frames(links: Floats) -> list[Floats]:
         link = np.array([np.radians(beta), np.radians(alpha), d, np.radians(theta), r, 0.0, 0.0, 0.0])
         frames.append(frames[-1] @ chain.link_transform(link, 0.0, True))
     return frames
-
-
-def _wrapped(degrees: float) -> float:
-    turned = round((degrees + 180.0) % 360.0 - 180.0, 6) + 0.0
-    return 180.0 if turned == -180.0 else turned

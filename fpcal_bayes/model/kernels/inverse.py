@@ -15,7 +15,6 @@ from fpcal_bayes.model.kernels.pose import newton, pose_error, pose_jacobian
 from fpcal_bayes.model.kernels.turns import (
     axes_volume,
     constant_rotations,
-    determinant,
     nearest_first,
     place_prismatic,
     three_turns,
@@ -108,26 +107,27 @@ def solve_pose(
                     q[link] = turns[attempt, which]
                     which += 1
             pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
-            volume = place_prismatic(vector, revolute, frame, axes, error, q)
+            volume = place_prismatic(vector, revolute, axes, error, q)
         else:
             q[:] = near if attempt == 0 else starts[attempt - 1]
         met = newton(
             vector, cosine, sine, revolute, length, target, q, joint_cos, joint_sin, frame, axes, error, jacobian
         )
-        if not closed:
+        if closed:
+            singular = abs(volume) < SINGULAR_BELOW or abs(axes_volume(revolute, axes)) < SINGULAR_BELOW
+        elif not met:
+            continue
+        else:
             for link in range(n):
                 if revolute[link]:
                     period = _TURN / abs(1.0 + vector[STRIDE * link + GAIN])
                     q[link] = wind(q[link], period, near[link], low[link], high[link])
-        if closed:
-            singular = abs(volume) < SINGULAR_BELOW or abs(axes_volume(revolute, axes)) < SINGULAR_BELOW
-        else:
             pose_jacobian(vector, revolute, q, frame, axes, jacobian)
             for j in range(n):
                 for i in range(3):
                     jacobian[i, j] /= length if revolute[j] else 1.0
-            singular = abs(determinant(jacobian, n)) < SINGULAR_BELOW
-        if not met and not (closed and singular):
+            singular = abs(float(np.linalg.det(jacobian))) < SINGULAR_BELOW
+        if not met and not singular:
             continue
         outside = worst_joint(revolute, low, high, q)
         far = distance(revolute, q, near)
@@ -154,15 +154,10 @@ def batch_inverse(
     starts: Floats,
     branch: int,
 ) -> tuple[Floats, Ints, Ints]:
-    """Joint values of many tool poses for many model vectors.
+    """Joint values (n_vectors, n_poses, n_joints) of many tool poses, status and saturated joint, (n_vectors, n_poses).
 
-    vectors: model vectors, shape (n_vectors, model size), in um and rad.
-    revolute, low, high: kind and limits of each joint, shape (n_joints,).
     targets: wTe, shape (n_vectors, n_poses, 4, 4), or (1, n_poses, 4, 4) for all vectors.
-    near: where to look for a solution first, and near which to choose among several, shape (n_joints,).
-    follow: whether each pose is looked for near the one before it instead.
-    starts, branch: as in `solve_pose`.
-    Returns joint values (n_vectors, n_poses, n_joints), status and saturated joint, each (n_vectors, n_poses).
+    follow: whether each pose is looked for near the one before it instead of `near`; the others as in `solve_pose`.
     """
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], targets.shape[1]
     q = np.empty((n_vectors, n_poses, n))

@@ -93,9 +93,8 @@ def chain_axes(
     frame: Floats,
     axes: Floats,
 ) -> None:
-    """Axes and points of one group's chain in the world frame, prismatic joints at zero.
+    """Axes and points of one group's chain in the world frame, for one model vector, prismatic joints at zero.
 
-    vector, cosine, sine: one model vector and its trigonometry, shape (model size,).
     frame: work space, shape (4, 3): X, Y, Z and origin of the frame that has been reached.
     axes: written, shape (n_links + 1, 5, 3). For link i: Y of the frame before it (axis of beta), X after beta (of
     alpha and d), Z (of theta and r), origin before it, origin after d. Last row: X of the tool (axis of beta_et), Y
@@ -141,6 +140,21 @@ def chain_axes(
         axes[n_links, 2, i] = z
         axes[n_links, 3, i] = s_theta * x + c_theta * (c_beta * z - s_beta * y)
         axes[n_links, 4, i] = frame[3, i] + vector[first + Z_ET] * z
+
+
+@compiled
+def row_changes(starts: Ints, ends: Ints, lengths: Floats, derivatives: Floats, out: Floats, jacobian: Floats) -> None:
+    """From poses (n_poses,), (n_poses, n) to rows; writes `out` (n_rows,) and `jacobian` (n_rows, n)."""
+    for row in range(ends.size):
+        end, start = ends[row], starts[row]
+        if start >= 0:
+            out[row] = lengths[end] - lengths[start]
+            for j in range(derivatives.shape[1]):
+                jacobian[row, j] = derivatives[end, j] - derivatives[start, j]
+        else:
+            out[row] = lengths[end]
+            for j in range(derivatives.shape[1]):
+                jacobian[row, j] = derivatives[end, j]
 
 
 @compiled
@@ -228,12 +242,7 @@ def batch_jacobians(
     ends: Ints,
     columns: Ints,
 ) -> tuple[Floats, Floats]:
-    """Changes of cavity length and their derivatives, for many parameter vectors.
-
-    Parameters are those of `fpcal_bayes.model.kernels.lengths.batch_lengths`; `columns` come from `derivative_columns`.
-
-    Returns changes, shape (n_vectors, n_rows), in um, and derivatives, shape (n_vectors, n_rows, n_wanted).
-    """
+    """As `batch_lengths`, with derivatives (n_vectors, n_rows, n_columns); `columns` come from `derivative_columns`."""
     n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
@@ -285,14 +294,5 @@ def batch_jacobians(
                     if q != 0.0:
                         for j in range(n_wanted):
                             derivatives[m, j] += changes[2 + p, j] * q
-        for row_index in range(n_rows):
-            end, start = ends[row_index], starts[row_index]
-            if start >= 0:
-                out[k, row_index] = lengths[end] - lengths[start]
-                for j in range(n_wanted):
-                    jacobian[k, row_index, j] = derivatives[end, j] - derivatives[start, j]
-            else:
-                out[k, row_index] = lengths[end]
-                for j in range(n_wanted):
-                    jacobian[k, row_index, j] = derivatives[end, j]
+        row_changes(starts, ends, lengths, derivatives, out[k], jacobian[k])
     return out, jacobian

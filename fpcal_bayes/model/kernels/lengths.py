@@ -101,11 +101,9 @@ def carry_plane(
     slope: Floats,
     n_lanes: int,
 ) -> None:
-    """Carry the mirror plane of one group to the world frame, prismatic joints at zero, for a block of vectors.
+    """Carry the mirror plane of one group to the world frame, prismatic joints at zero, for a block of LANES vectors.
 
-    vector, cosine, sine: model vectors and their trigonometry, shape (model size, LANES).
     used: whether an entry of the model vector may differ from zero in some lane, shape (model size,).
-    joint_q, joint_cos, joint_sin: the group's joint values, shape (n_links,).
     plane, slope: written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
     n_lanes: columns in use; the others are neither read nor written.
     """
@@ -166,14 +164,12 @@ def batch_lengths(
     starts: Ints,
     ends: Ints,
 ) -> Floats:
-    """Changes of cavity length, L(end) - L(start), for many parameter vectors.
+    """Changes of cavity length, L(end) - L(start), for many parameter vectors, shape (n_vectors, n_rows), in um.
 
     base: model vector of the values that are held.
-    slots, values: positions in the model vector of the free parameters, shape (n,), and their values, shape (n_vectors,
-    n).
+    slots, values: places of the free parameters in the model vector, (n,), and their values, (n_vectors, n).
     path: 0 along the axis; 1 the perpendicular distance; 2 or -2 that with a sign, on the side where it is positive.
     starts, ends: pose of each row; a start of -1 gives L(end) itself.
-    Returns shape (n_vectors, n_rows), in um.
     """
     n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]

@@ -25,6 +25,7 @@ from fpcal_bayes.model.kernels.jacobian import (
     chain_axes,
     derivative_columns,
     optical_axis_moves,
+    row_changes,
 )
 from fpcal_bayes.model.kernels.lengths import (
     GAIN,
@@ -69,12 +70,9 @@ def batch_points(
     ends: Ints,
     columns: Ints,
 ) -> tuple[Floats, Floats]:
-    """Changes of the length to a point and their derivatives, for many parameter vectors.
+    """As `batch_jacobians`, of the length to a point; `columns`, which may be none, come from `point_columns`.
 
-    Parameters are those of `fpcal_bayes.model.kernels.jacobian.batch_jacobians`; `columns` come from `point_columns`
-    and may be none, `path` is 0 for a fixed beam, else the beam follows.
-
-    Returns changes, shape (n_vectors, n_rows), in um, and derivatives, shape (n_vectors, n_rows, n_wanted).
+    The path is 0 for a fixed beam, else the beam follows.
     """
     n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
@@ -151,12 +149,5 @@ def batch_points(
                                 change += (vector[at + RUNOUT_SIN] * c - vector[at + RUNOUT_COS] * s) * straight
                                 change *= group_q[g, link]
                     derivatives[m, j] = change
-        for row in range(n_rows):
-            out[k, row] = lengths[ends[row]]
-            for j in range(n_wanted):
-                jacobian[k, row, j] = derivatives[ends[row], j]
-            if starts[row] >= 0:
-                out[k, row] -= lengths[starts[row]]
-                for j in range(n_wanted):
-                    jacobian[k, row, j] -= derivatives[starts[row], j]
+        row_changes(starts, ends, lengths, derivatives, out[k], jacobian[k])
     return out, jacobian

@@ -29,11 +29,9 @@ def pose_error(
     axes: Floats,
     error: Floats,
 ) -> None:
-    """What is missing between the tool frame at `q` and its target; prismatic joints are in.
+    """What is missing between the tool frame at `q` and its target wTe, shape (4, 4); prismatic joints are in.
 
-    target: wTe that is wanted, shape (4, 4).
-    joint_cos, joint_sin, frame, axes: work space; `frame` and `axes` are written as by `chain_axes`, the origin of
-    `frame` with prismatic joints in.
+    frame, axes: written as by `chain_axes`, the origin of `frame` with prismatic joints in.
     error: written, shape (6,): position in um, rotation vector in rad, both in the world frame.
     """
     for link in range(revolute.size):
@@ -66,10 +64,7 @@ def pose_error(
 
 @compiled
 def pose_jacobian(vector: Floats, revolute: Bools, q: Floats, frame: Floats, axes: Floats, jacobian: Floats) -> None:
-    """Derivatives of the tool pose by the joints; writes `jacobian` (6, n_joints), rows as in `pose_error`.
-
-    `frame` and `axes` are those that `pose_error` left.
-    """
+    """Derivatives of the tool pose by the joints; writes `jacobian` (6, n_joints) from what `pose_error` left."""
     # From the tool to the base: `behind` is what the prismatic joints behind a joint add to its lever arm.
     n_links = revolute.size
     origin_x, origin_y, origin_z = frame[3, 0], frame[3, 1], frame[3, 2]
@@ -157,10 +152,7 @@ def newton(
     error: Floats,
     jacobian: Floats,
 ) -> bool:
-    """Damped Newton steps from `q`, which is overwritten; whether the pose is met.
-
-    `error`, `frame` and `axes` are left as `pose_error` leaves them at the final `q`.
-    """
+    """Damped Newton steps from `q`, which is overwritten; whether the pose is met."""
     n = revolute.size
     pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
     if within(error, POSITION_GOAL, ANGLE_GOAL):
@@ -231,11 +223,9 @@ def first_bad_pose(targets: Floats, tolerance: float) -> int:
 
 @compiled
 def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
-    """Tool frames wTe, paper equation (12), of joint vectors `q`.
+    """Tool frames wTe, paper equation (12), of model vectors; shape (n_vectors, n_poses, 4, 4).
 
-    vectors: shape (n_vectors, model size).
-    q: shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
-    Returns shape (n_vectors, n_poses, 4, 4).
+    q: joint vectors, shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
     """
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], q.shape[1]
     poses = np.zeros((n_vectors, n_poses, 4, 4))

@@ -113,7 +113,7 @@ def nearest_first(vector: Floats, revolute: Bools, low: Floats, high: Floats, ne
 
 
 @compiled
-def place_prismatic(vector: Floats, revolute: Bools, frame: Floats, axes: Floats, error: Floats, q: Floats) -> float:
+def place_prismatic(vector: Floats, revolute: Bools, axes: Floats, error: Floats, q: Floats) -> float:
     """Move three prismatic joints, standing at `q`, by the position error; returns the determinant of their axes."""
     used, a, cross, right = 0, np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
     for link in range(revolute.size):
@@ -139,29 +139,6 @@ def place_prismatic(vector: Floats, revolute: Bools, frame: Floats, axes: Floats
 
 
 @compiled
-def determinant(matrix: Floats, n: int) -> float:
-    """Determinant by elimination with row exchange; destroys `matrix`."""
-    result = 1.0
-    for i in range(n):
-        best = i
-        for k in range(i + 1, n):
-            if abs(matrix[k, i]) > abs(matrix[best, i]):
-                best = k
-        if matrix[best, i] == 0.0:
-            return 0.0
-        if best != i:
-            result = -result
-            for j in range(i, n):
-                matrix[i, j], matrix[best, j] = matrix[best, j], matrix[i, j]
-        result *= matrix[i, i]
-        for k in range(i + 1, n):
-            factor = matrix[k, i] / matrix[i, i]
-            for j in range(i + 1, n):
-                matrix[k, j] -= factor * matrix[i, j]
-    return result
-
-
-@compiled
 def axes_volume(revolute: Bools, axes: Floats) -> float:
     """Determinant of the directions of the first three revolute axes; `axes` as by `chain_axes`."""
     used, matrix = 0, np.empty((3, 3))
@@ -169,4 +146,7 @@ def axes_volume(revolute: Bools, axes: Floats) -> float:
         if revolute[link] and used < 3:
             matrix[used] = axes[link, 2]
             used += 1
-    return determinant(matrix, 3)
+    a, b, c = matrix[0], matrix[1], matrix[2]
+    volume: float = a[0] * (b[1] * c[2] - b[2] * c[1])
+    volume += a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    return volume

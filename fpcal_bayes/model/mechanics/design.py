@@ -1,16 +1,15 @@
 """Design matrices: what each weight of the mechanics adds to rows of a file, and to the points of a task's path."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.model.mechanics.basis import HARMONICS, LEGENDRE, harmonics, polynomials
-from fpcal_bayes.model.mechanics.drive import Drive, path_sides
+from fpcal_bayes.model.mechanics.drive import Drive, sides_after
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, pose_responses, responses
-from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, Terms, group_of
+from fpcal_bayes.model.mechanics.terms import DRIFT_ORDER, HARMONICS, LEGENDRE, Terms, group_of, harmonics, polynomials
 
 #: Slow reading errors: cosines over the order of the rows, at most so many and one per four rows.
 _MOST_SLOW = 24
@@ -131,15 +130,7 @@ def weight_rows(terms: Terms) -> list[tuple[int, int, int, float]]:
 
 
 def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
-    """The design matrix of rows; sessions share the weights that a task shares, and each has its own others.
-
-    Parameters
-    ----------
-    vector
-        Model vector at which the responses are taken, shape (model size,).
-    sigma
-        Standard deviation of the rows' noise in um, shape (n,).
-    """
+    """The design matrix of rows; sessions share the weights that a task shares, and each has its own others."""
     chosen = [drive.session == i for i in range(int(drive.session.max(initial=0)) + 1)]
     parts = [_of_session(terms, vector, drive.take(mine), sigma[mine]) for mine in chosen]
     if len(parts) == 1:
@@ -216,23 +207,16 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
         names += [f"{word} q{joint + 1}" for joint, _ in found]
         scales += [index[kind]] * len(found)
     moved = drive.moved
-    made = Design(
-        matrix=np.hstack(parts),
-        names=tuple(names),
-        scale=np.array(scales, dtype=np.int64),
+    # The weights that a task shares stand in front.
+    order = np.argsort(np.array([name.startswith(_OWN) for name in names], dtype=bool), kind="stable")
+    return Design(
+        matrix=np.ascontiguousarray(np.hstack(parts)[:, order]),
+        names=tuple(names[i] for i in order),
+        scale=np.array(scales, dtype=np.int64)[order],
         returned=np.where(moved, 0.0, ends + starts),
         reached_start=np.where(moved, starts, 0.0),
         reached_end=np.where(moved, ends, 0.0),
     )
-    return _shared_first(made)
-
-
-def _shared_first(made: Design) -> Design:
-    """The same with the weights that a task shares in front."""
-    own = np.array([name.startswith(_OWN) for name in made.names], dtype=bool)
-    order = np.argsort(own, kind="stable")
-    names = tuple(made.names[i] for i in order)
-    return replace(made, matrix=np.ascontiguousarray(made.matrix[:, order]), names=names, scale=made.scale[order])
 
 
 def _unknown_encoder(terms: Terms) -> Floats:
@@ -266,7 +250,8 @@ def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: 
     parts, names = [], []
     for order in range(1, DRIFT_ORDER + 1):
         sd = rate * last / 2.0 / 2.0 ** (order - 1)
-        late, early = (_time_polynomial(minutes, last, order) for minutes in (drive.end_min, drive.start_min))
+        late, early = (2.0 * minutes / last - 1.0 for minutes in (drive.end_min, drive.start_min))
+        late, early = (x if order == 1 else 1.5 * x**2 - 0.5 for x in (late, early))
         parts.append(sd * (end.fibre * late[:, None] - begun * start.fibre * early[:, None]))
         names += [f"drift along {axis}" for axis in "xyz"]
     if drive.span_min.any():
@@ -283,12 +268,6 @@ def drift_sd(terms: Terms, last_min: float) -> Floats:
     orders = np.arange(DRIFT_ORDER)
     rate = terms.sizes.drift_nm_per_min * 1e-3
     return np.asarray(rate * last_min / 2.0 / 2.0**orders, dtype=np.float64)
-
-
-def _time_polynomial(minutes: Floats, last: float, order: int) -> Floats:
-    x = 2.0 * minutes / last - 1.0
-    value: Floats = x if order == 1 else 1.5 * x**2 - 0.5
-    return value
 
 
 def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
@@ -329,7 +308,7 @@ def _path_design(terms: Terms, start_q: Floats, q: Floats, at: Responses) -> Pat
     columns, scales = at_poses(terms, poses, at), _names(terms)[1]
     reversing = np.flatnonzero(terms.reversal > 0)
     parts = [columns[1:] - columns[:1]]
-    _, side = path_sides(start_q, q)
+    side = sides_after(np.diff(poses, axis=0))
     drive = at.drive * terms.reversal
     if len(reversing):
         parts.append((drive[1:] * side)[:, reversing])

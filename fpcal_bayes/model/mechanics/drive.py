@@ -72,7 +72,6 @@ def drive_of(
 
     sweep: number of each row's sweep, rising by one, shape (n,).
     time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
-    t_start_h, t_end_h: when start and end were read, shape (n,), or None.
     approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
     """
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
@@ -95,18 +94,12 @@ def drive_of(
     return Drive(q_start, q_end, absolute, sweep, *sides, start, end, span, session, *alike)
 
 
-def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Directions of approach along a path driven from `start`: there, not known, (n_joints,), and at its points."""
-    poses = np.vstack([start, q])
-    return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))
-
-
-def _follow(steps: Floats, first: Floats) -> Floats:
-    """Sides after each step: the last one that was not zero."""
+def sides_after(steps: Floats) -> Floats:
+    """Directions of approach after each step (n, n_joints), zero before a joint's first: the last one not zero."""
     n = len(steps)
     latest = np.where(steps != 0, np.arange(1, n + 1)[:, None], 0)
     latest = np.maximum.accumulate(latest, axis=0)
-    known = np.vstack([first, steps])
+    known = np.vstack([np.zeros(steps.shape[1]), np.sign(steps)])
     return np.take_along_axis(known, latest, axis=0)
 
 
@@ -125,7 +118,7 @@ def _approaches(
     start_place = place[starts] - 1
     poses[start_place] = q_start[starts]
     steps = np.vstack([np.zeros(n_joints), np.diff(poses, axis=0)])
-    sides = _follow(np.sign(steps), np.zeros(n_joints))
+    sides = sides_after(steps)
     reached = np.cumsum(steps != 0, axis=0)
     first = np.full(n, -1)
     first[starts] = start_place

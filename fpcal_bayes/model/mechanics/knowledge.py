@@ -1,7 +1,7 @@
 """What is known of a machine: its geometry and its error motions together, as draws in the directions that count."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,40 +19,19 @@ _DECIMALS, _DIGITS = 3, 6
 
 @dataclass(frozen=True)
 class MechanicsKnowledge:
-    """Geometry and weights of the error motions, x = mean + factor z; z is drawn, and has unit variance.
+    """Geometry and weights of the error motions, x = mean + factor z; z is drawn, and has unit variance."""
 
-    Attributes
-    ----------
-    sizes
-        What the cell states.
-    free
-        Geometric parameters that were identified; weights that say the same stand aside for them.
-    names
-        Of the parameters, then of the weights, n of them.
-    mean
-        Of the parameters' deviations from the estimate in um and rad, and of the weights in units of their stated
-        sizes, shape (n,).
-    factor
-        Shape (n, n_directions).
-    draws
-        Equally likely values of z, shape (n_draws, n_directions).
-    scales
-        Names of the factors on the stated sizes.
-    log_scales
-        Their logarithms in the same draws, shape (n_draws, n_scales).
-    session_min
-        How long the session took, in minutes.
-    """
-
-    sizes: Mechanics
-    free: tuple[str, ...]
-    names: tuple[str, ...]
+    sizes: Mechanics  # what the cell states
+    free: tuple[str, ...]  # geometric parameters that were identified; weights that say the same stand aside for them
+    names: tuple[str, ...]  # of the parameters, then of the weights, n of them
+    # of the parameters' deviations from the estimate in um and rad, and of the weights in units of their stated sizes,
+    # shape (n,)
     mean: Floats
-    factor: Floats
-    draws: Floats
-    scales: tuple[str, ...]
-    log_scales: Floats
-    session_min: float
+    factor: Floats  # shape (n, n_directions)
+    draws: Floats  # equally likely values of z, shape (n_draws, n_directions)
+    scales: tuple[str, ...]  # names of the factors on the stated sizes
+    log_scales: Floats  # their logarithms in the same draws, shape (n_draws, n_scales)
+    session_min: float  # how long the session took, in minutes
     _terms: dict[str, Terms] = field(default_factory=dict, repr=False, compare=False)
 
     def terms(self, cell: Cell) -> Terms:
@@ -128,9 +107,7 @@ def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: Paramete
         raise ValueError("expected names of the parameters, then those of weights")
     scale = np.ones(len(names))
     scale[: len(first)] = parameters.scales[parameters.positions(first)]
-    return MechanicsKnowledge(
-        sizes, free, names, mean * scale, factor * scale[:, None], draws, scales, log_scales, session_min
-    )
+    return replace(made, mean=mean * scale, factor=factor * scale[:, None])
 
 
 def _short(values: Floats) -> list[float]:

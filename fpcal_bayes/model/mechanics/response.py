@@ -10,6 +10,7 @@ changes n by w x n and N by (w x n).(c - f), and
 A target that is a point p moves by delta + w x (p - c), of which its length sees the part along the light.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,13 +80,33 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
         return Responses(*whole)
     frames = _frames(cell, vector, q)
     beta_et, theta_et, _, _, z_et, *fibre = vector[-len(EXTRINSICS) :]
+    # Axes of the error motions in the world, shape (n_poses, n_joints, 3, 3), axis last.
+    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
+    arms = (frames.base @ told.lever[None, :, :, None])[..., 0]
+    light = np.asarray(chain.optical_axis(cell, vector).real, dtype=np.float64)
+
+    def made(across: Floats, tilted: Callable[[Floats], Floats], of_fibre: Floats, length: Floats) -> Responses:
+        moved = (axes @ across[..., None])[..., 0]
+        tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
+        # A joint that turns turns about its own axis, wherever the data sheet's point is.
+        tilts[..., 0] = np.where(cell.revolute, about_axis, tilts[..., 0])
+        drive = np.where(cell.revolute, tilts[..., 0], moved[..., 0])
+        return Responses(np.concatenate([moved, tilts], axis=2), drive, of_fibre, length)
+
     if cell.target == "corner-cube":
         point = frames.origin + frames.tool @ np.array([beta_et, theta_et, z_et])
-        return _of_point(cell, vector, told, frames, point - fibre)
+        away = point - fibre
+        length = np.linalg.norm(away, axis=1) if cell.opd != "axis" else (away * light).sum(axis=1)
+        beam_to = np.broadcast_to(light, away.shape) if cell.opd == "axis" else away / length[:, None]
+
+        def turned_point(points: Floats) -> Floats:
+            turned: Floats = (axes @ np.cross(point[:, None] - points, beam_to[:, None])[..., None])[..., 0]
+            return turned
+
+        return made(beam_to[:, None, :], turned_point, -beam_to, length)
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
     normal = frames.tool @ in_tool
     origin = frames.origin + z_et * frames.tool[:, :, 2]
-    light = np.asarray(chain.optical_axis(cell, vector).real, dtype=np.float64)
     distance = ((origin - fibre) * normal).sum(axis=1)
     if cell.opd == "axis":
         facing = normal @ light
@@ -95,57 +116,18 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
         length, inverse = np.abs(distance), np.sign(distance)
         turned_beam = np.zeros_like(normal)
 
-    # Axes of the error motions in the world, shape (n_poses, n_joints, 3, 3), axis last.
-    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
-    arms = (frames.base @ told.lever[None, :, :, None])[..., 0]
     across = normal[:, None] * inverse[:, None, None]
-    moved = (axes @ across[..., None])[..., 0]
 
     def tilted(points: Floats) -> Floats:
         torque = _cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
         turned: Floats = (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
         return turned
 
-    tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
-    revolute = cell.revolute
-    # A joint that turns turns about its own axis, wherever the data sheet's point is.
-    tilts[..., 0] = np.where(revolute, about_axis, tilts[..., 0])
-    return Responses(
-        motion=np.concatenate([moved, tilts], axis=2),
-        drive=np.where(revolute, tilts[..., 0], moved[..., 0]),
-        fibre=-normal * inverse[:, None],
-        length=length,
-    )
-
-
-def _of_point(cell: Cell, vector: Floats, told: Directions, frames: "_Frames", away: Floats) -> Responses:
-    """The same of a target that is a point, `away` (n_poses, 3) from where the light starts."""
-    length = np.linalg.norm(away, axis=1)
-    if cell.opd == "axis":
-        beam = np.broadcast_to(chain.optical_axis(cell, vector).real, away.shape)
-        length = (away * beam).sum(axis=1)
-    else:
-        beam = away / length[:, None]
-    axes = np.swapaxes(frames.base @ told.in_base, -1, -2)
-    arms = (frames.base @ told.lever[None, :, :, None])[..., 0]
-    point = (away + np.array(vector[-3:]))[:, None]
-    moved = (axes @ beam[:, None, :, None])[..., 0]
-
-    def tilted(points: Floats) -> Floats:
-        turned: Floats = (axes @ np.cross(point - points, beam[:, None])[..., None])[..., 0]
-        return turned
-
-    tilts, about_axis = tilted(frames.carried - arms), tilted(frames.pivot)[..., 0]
-    tilts[..., 0] = np.where(cell.revolute, about_axis, tilts[..., 0])
-    drive = np.where(cell.revolute, tilts[..., 0], moved[..., 0])
-    return Responses(np.concatenate([moved, tilts], axis=2), drive, -beam, length)
+    return made(across, tilted, -normal * inverse[:, None], length)
 
 
 def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
-    """Derivatives of place and direction of the mirror point in the fibre frame: x, z, then turns about x, y, z.
-
-    The mirror point is the one that reflects at joint zero.
-    """
+    """Derivatives of place (x, z) and direction (x, y, z) of the mirror point of joint zero, in the fibre frame."""
     zero = np.zeros(len(cell.joints))
     in_mirror = np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)
     in_tool = (chain.mirror_in_tool(cell, vector).real @ in_mirror)[:3]

@@ -1,17 +1,59 @@
-"""The weights of a cell's error motions: which there are, how large they may be, which scale they share."""
+"""The weights of a cell's error motions: which there are, how large they may be, which scale they share.
+
+An unknown function of a joint's value is a sum of basis functions whose weights are independent normal, their standard
+deviation falling as 1/k: Legendre polynomials k = 1 to 5 over the travel of a limited joint, harmonics k = 1 to 4 of an
+endless one. A size on a sheet is what such a function shows at the median: the factors below are the medians over draws
+(a test draws them anew).
+"""
 
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
-from fpcal_bayes.model.mechanics.basis import Shape, weight_sd
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
+
+Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
+
+#: Median peak to valley of a function whose first weight (k = 1) has the standard deviation 1. "bent": its line is
+#: not counted (a straightness is measured from the best line); "beyond-first": there is no fundamental.
+PEAK_TO_VALLEY: dict[Shape, float] = {
+    "legendre": 1.902,
+    "legendre-bent": 1.039,
+    "fourier": 3.682,
+    "fourier-beyond-first": 2.204,
+}
+#: Highest polynomial and highest harmonic.
+LEGENDRE, HARMONICS = 5, 4
+
+
+def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
+    """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5); of joints (n, m), (n, m, 5)."""
+    x = (2.0 * q - low - high) / (high - low)
+    return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
+
+
+def harmonics(q: Floats) -> Floats:
+    """Cosine and sine of one to four turns per turn, cos q, sin q, cos 2q, ..., shape (..., 8): a full turn closes."""
+    angles = q[..., None] * np.arange(1, HARMONICS + 1)
+    values: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * HARMONICS)
+    return values
+
+
+def weight_sd(size: float, shape: Shape) -> Floats:
+    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,) or (4,)."""
+    count = LEGENDRE if shape.startswith("legendre") else HARMONICS
+    sd: Floats = size / PEAK_TO_VALLEY[shape] / np.arange(1, count + 1)
+    if shape == "fourier-beyond-first":
+        sd[0] = 0.0
+    return sd
+
 
 #: Scales that are not those of error motions, in their order behind them.
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")
@@ -35,35 +77,19 @@ class Motion:
 
 @dataclass(frozen=True)
 class Terms:
-    """Every weight of a cell's mechanics that acts on the cavity length.
-
-    Attributes
-    ----------
-    cell, sizes
-        Of what.
-    told
-        Directions of the error motions.
-    motions
-        Functions of joint values. A weight of sd zero is not there.
-    free
-        Names of the geometric parameters that are identified.
-    """
+    """Every weight of a cell's mechanics that acts on the cavity length."""
 
     cell: Cell
     sizes: Mechanics
-    told: Directions
-    motions: tuple[Motion, ...]
-    free: tuple[str, ...] = ()
+    told: Directions  # directions of the error motions
+    motions: tuple[Motion, ...]  # functions of joint values. A weight of sd zero is not there
+    free: tuple[str, ...] = ()  # names of the geometric parameters that are identified
 
     @classmethod
     def of(cls, cell: Cell, sizes: Mechanics, free: Collection[str] = ()) -> "Terms":
-        """The terms of a cell.
+        """The terms of a cell with these geometric parameters `free`.
 
-        Parameters
-        ----------
-        free
-            Names of the geometric parameters that are identified: a freed gain_j takes the linear term of the joint's
-            own travel out, a freed runout_cos_j or runout_sin_j its first axial harmonic.
+        A freed gain_j takes the linear term of the joint's own travel out, a freed runout its first axial harmonic.
         """
         told = directions(cell, np.array([joint.lever_mm for joint in sizes.joints]))
         made: list[Motion] = []
@@ -111,10 +137,7 @@ class Terms:
 
     @cached_property
     def return_sd(self) -> Floats:
-        """Standard deviation of each joint's return error, in um or rad, shape (n_joints,).
-
-        What the cell itself states as repeatability is the same thing; where both are stated this one holds.
-        """
+        """Standard deviation of each joint's return error, by default its repeatability, in um or rad, (n_joints,)."""
         own = self._own([joint.return_sd for joint in self.sizes.joints])
         return np.where(own > 0, own, self.cell.repeatability)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -75,6 +76,11 @@ class Whitening:
 
     scale: Floats  # one over the standard deviation of each row, shape (n_rows,)
     batches: tuple[Batch, ...] = ()  # what replaces `scale` where rows share a reading
+
+    @property
+    def as_matrix(self) -> Any:
+        """The map as a sparse matrix (n_rows, n_rows)."""
+        return sparse.diags_array(self.scale) if self.mix is None else self.mix
 
     @property
     def only_scales(self) -> bool:
@@ -156,9 +162,8 @@ class Whitening:
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
     """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
-    A row's variance is that of its reading plus the joints' repeatability at both ends, carried through the joint
-    Jacobian at `values`. Rows of a group share the reading and the joint errors at their start, which gives equal
-    readings a correlation of 1/2.
+    A row's variance is that of its reading plus the joints' repeatability at both ends. Rows of a group share the
+    reading and the joint errors at their start, which gives equal readings a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
     starts = ends = np.zeros((len(sweeps), 0))

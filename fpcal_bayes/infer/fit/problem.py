@@ -174,7 +174,7 @@ class Problem:
         return float(np.sqrt(np.mean(self.whitening.apply(ends - at) ** 2)))
 
     def with_target(self, target: Floats) -> "Problem":
-        """The same problem with other measured values (n_rows,)."""
+        """The same with other measured values (n_rows,)."""
         return replace(self, target=target)
 
     def take(self, chosen: NDArray[np.bool_]) -> "Problem":

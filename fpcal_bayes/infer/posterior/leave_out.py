@@ -55,7 +55,7 @@ class LeaveOneOut:
 
     @property
     def open(self) -> Bools:
-        """Rows of them that could not be left out in earnest: what stands there is their upper bound."""
+        """Rows of them that could not be left out in earnest: their upper bound stands there."""
         return self.bad & ~self.refitted
 
     @property
@@ -80,11 +80,7 @@ def standard_error(rows: Floats) -> float:
 
 
 def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: int, seed: int = 0) -> LeaveOneOut:
-    """Log density of each row of a sampled, converged posterior, given all others.
-
-    `likelihood` is the one under which it was sampled. If more rows than `most_refits` need it, none is left out in
-    earnest: what stands would be a bound either way.
-    """
+    """From a converged posterior; if more rows than `most_refits` need it, none is left out in earnest."""
     n_rows, n = len(posterior.target.problem.target), posterior.points.shape[-1]
     every = -(-posterior.log_density.size // min(_MOST_DRAWS, _MOST_CELLS // n_rows))
     points = posterior.points[:, ::every].transpose(0, 2, 1, 3).reshape(-1, n)
@@ -96,7 +92,7 @@ def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: 
 def left_out_each(
     identification: Identification, known: WeightedDraws, likelihood: Likelihood, *, most_refits: int, seed: int = 0
 ) -> LeaveOneOut:
-    """The same from weighted draws of the posterior of an identification."""
+    """The same from weighted draws."""
     points, log_weights = known.points, special.log_softmax(known.log_weights)
     rows = rows_given_others(known.target, points)
     weighted = [_smoothed(row, log_weights, known.independent) for row in rows.T]
@@ -120,10 +116,7 @@ def left_out_each(
 
 
 def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[float, float]:
-    """Leave-one-out density of a row and its k, from its log densities at weighted draws (n_draws,).
-
-    The weights add up to one, and a share of the draws is independent.
-    """
+    """Leave-one-out density of a row and its k, from its log densities at draws (n_draws,) of normalised weights."""
     if np.ptp(row - log_weights) < _SAME:
         # No draw matters more than another.
         return float(special.logsumexp(row) - np.log(len(row))), 0.0
@@ -154,10 +147,7 @@ def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
 
 
 def without_row(identification: Identification, row: int) -> Identification | None:
-    """The identification without one row, from the minima with it; None if no minimum is found.
-
-    Only what a posterior needs is made anew: problem, minima.
-    """
+    """Problem and minima of an identification without one row; None if no minimum is found from those with it."""
     problem = identification.problem
     kept = np.arange(len(problem.target)) != row
     reduced = problem.take(kept).relinearised(identification.solution.unknowns)
@@ -190,10 +180,9 @@ def _left_out(
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
-    """Log of the mean of exp(`without`) under `weights`, steadied by draws that the row itself has pulled near.
+    """Log of the mean of exp(`without`) (m,) under normalised weights that are worth `effective` independent draws.
 
-    `with_row` (n,) and `without` (m,) are log densities of the row at draws that know it, and at weighted draws that do
-    not; the weights add up to one and are worth `effective` independent draws.
+    It is steadied by log densities `with_row` (n,) at draws that the row itself has pulled near.
     """
     share = len(with_row) / (len(with_row) + effective)
     log_weights = np.log(np.maximum(weights, 1e-300))

@@ -80,15 +80,14 @@ class MachineCharts:
 
     def prior(self, log_scales: Floats) -> Floats:
         """Log prior of scales (n_points, n_scales), shape (n_points,)."""
-        density: Floats = -0.5 * ((log_scales / self.density.prior_sd) ** 2).sum(axis=1)
-        return density
+        return np.asarray(-0.5 * ((log_scales / self.density.prior_sd) ** 2).sum(axis=1))
 
     def charts(
         self, log_scales: Floats, made: dict[bytes, tuple[float, Floats]] | None = None
     ) -> tuple[Floats, list[ScaleCharts]]:
         """What the linearised rows say of scales (n_points, n_scales), and charts around each reference.
 
-        `made` holds densities and factors that are known already, by the scales' bytes.
+        `made` holds densities and factors by the scales' bytes.
         """
         keys, made = [log.tobytes() for log in log_scales], {} if made is None else made
         missing = [i for i, key in enumerate(keys) if key not in self._kept and key not in made]

@@ -22,6 +22,7 @@ from fpcal_bayes.infer.posterior.draws import (
     charted_draws,
     smoothed_weights,
 )
+from fpcal_bayes.infer.posterior.proposal import in_parts
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 #: What draws of a posterior without one row are worth, and draws of the whole one that are set against them.
@@ -125,25 +126,8 @@ def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[flo
 
 
 def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
-    """Log density of each row given the parameters and all other rows, per um, shape (n_points, n_rows).
-
-    Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and the
-    variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
-    """
-    parts = [_few_given_others(target, points[i : i + _AT_ONCE]) for i in range(0, len(points), _AT_ONCE)]
-    return np.concatenate(parts)
-
-
-def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
-    problem = target.problem
-    mix = problem.whitening.mix
-    if mix is None:
-        return target.log_likelihoods(points)
-    residuals = target.data_residuals(points)[:, : len(problem.target)]
-    precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
-    # Inverse covariance times the residual in um, row by row.
-    weighed = residuals @ mix
-    return 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
+    """Log density of each row given the parameters and all other rows, per um, shape (n_points, n_rows)."""
+    return np.concatenate([target.row_given_others(points[part]) for part in in_parts(len(points), _AT_ONCE)])
 
 
 def without_row(identification: Identification, row: int) -> Identification | None:

@@ -52,12 +52,7 @@ class MachineTarget(PosteriorTarget):
 
     def log_likelihoods(self, points: Floats) -> Floats:
         """Log density of each row given the others, per um, at points (n_points, n_unknowns), (n_points, n_rows)."""
-        mix = self.problem.whitening.mix
-        assert mix is not None
-        residuals = self._whitened(points)
-        precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
-        result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * (residuals @ mix) ** 2 / precision
-        return result
+        return self.row_given_others(points)
 
 
 class MachineCharts:

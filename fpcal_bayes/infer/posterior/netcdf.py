@@ -101,7 +101,7 @@ class PosteriorSummary:
     # file, sha256: name without folder, and hash of the bytes
     file: str
     sha256: str
-    parameters: ParameterSet  # sampled parameters, n of them
+    parameters: ParameterSet
     draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
     prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
     n_ensembles: int  # independent ensembles; chains of one ensemble interact

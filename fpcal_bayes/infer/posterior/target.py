@@ -136,6 +136,20 @@ class PosteriorTarget:
         """
         return self._row_log_likelihoods(self.standardised(points), points)
 
+    def row_given_others(self, points: Floats) -> Floats:
+        """Log density of each row given all others at points (n_points, n_unknowns), shape (n_points, n_rows); per um.
+
+        Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and
+        the variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
+        """
+        mix = self.problem.whitening.mix
+        if mix is None:
+            return self.log_likelihoods(points)
+        precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
+        # Inverse covariance times the residual in um, row by row.
+        weighed = self.standardised(points) @ mix
+        return np.asarray(0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision)
+
     def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
         """Probability that a repeat of the rows is less likely than they are (posterior predictive check).
 

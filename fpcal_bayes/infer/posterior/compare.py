@@ -71,11 +71,7 @@ class ModelSpec:
 
 
 def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
-    """Parse models like ``opd=axis,opd=perpendicular+likelihood=slip``.
-
-    Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
-    the Gaussian likelihood.
-    """
+    """Parse models like ``opd=axis,opd=perpendicular+likelihood=slip``; what is not set is the cell's, and Gaussian."""
     allowed = {
         "opd": ("axis", "perpendicular"),
         "likelihood": get_args(Likelihood),

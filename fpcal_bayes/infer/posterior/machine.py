@@ -32,10 +32,7 @@ _NUMBERS_KEPT = 2e7
 
 
 class MachineTarget(PosteriorTarget):
-    """Geometry in scores, then logarithms of the scales.
-
-    Rows by themselves (`log_likelihoods`) are those given all others, at the typical scales.
-    """
+    """Geometry in scores, then logarithms of the scales; rows are given all others, at the typical scales."""
 
     def __init__(self, fit: MechanicsFit) -> None:
         super().__init__(fit.problem)

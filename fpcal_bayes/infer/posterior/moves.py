@@ -51,10 +51,7 @@ SCALES = (0.03, 0.1, 0.3)
 
 
 class LocalMove(Move):  # type: ignore[misc]
-    """Metropolis-Hastings with v' = v + s R(v)^-1 z, R'R = J'J + I at v (a random walk on the posterior's own metric).
-
-    It goes where no chart reaches, and so makes the mixture of moves irreducible.
-    """
+    """Metropolis-Hastings with v' = v + s R(v)^-1 z, R'R = J'J + I at v, which goes where no chart reaches."""
 
     def __init__(self, target: PosteriorTarget, atlas: ProposalMixture) -> None:
         self.target, self.atlas = target, atlas

@@ -64,7 +64,8 @@ def believed(found: Track) -> list[tuple[float, float, np.ndarray, np.ndarray]]:
     """From which day to which, the smoothed change of each parameter, and its sd, in um and rad."""
     smoothed, n, changes = smooth(found.drift, found.outcomes), DRIFT.n_parameters, []
     for number, (first, second) in enumerate(pairwise(smoothed.states)):
-        mean, covariance = smoothed.change(number)
+        joint, mean = smoothed.gains[number] @ second.covariance, second.mean - first.mean
+        covariance = first.covariance + second.covariance - joint - joint.T
         # Of a constant parameter rounding may leave a negative variance.
         sd = np.sqrt(np.clip(np.diag(covariance)[:n], 0.0, None))
         changes.append((first.time_h / 24.0, second.time_h / 24.0, mean[:n] * DRIFT.scale, sd * DRIFT.scale))

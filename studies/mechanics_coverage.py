@@ -29,7 +29,6 @@ from fpcal_bayes.infer import (
     doubts_of,
     fit_mechanics,
     knowledge_of_fit,
-    mechanics_task_errors,
     predict_from_covariance,
 )
 from fpcal_bayes.io import load_cell
@@ -173,7 +172,8 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
         when = float(rng.choice([0.0, 1.0])) * float(drive.end_min.max())
         rows = model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
         error = machine.path(task.start, task.q, when) - model.predict(fit.values, rows)
-        drawn = mechanics_task_errors(fit, task, seed=seed)
+        estimate = handed_on(fit, cell)
+        drawn = predict_from_covariance(estimate, replace(task, cell=estimate.cell), seed=seed)
         low, high = drawn.peak_to_peak_band()
         edges = drawn.band()
         width = np.ptp(error)
@@ -181,9 +181,9 @@ def one_truth(cell: Cell, name: str, plan: Sweeps, seed: int) -> dict[str, objec
             "true": 1e3 * width,
             "low": 1e3 * low,
             "high": 1e3 * high,
-            "median": 1e3 * float(np.median(np.ptp(drawn.total, axis=1))),
+            "median": 1e3 * float(np.median(drawn.peak_to_peak)),
             "points": float(((error >= edges[0]) & (error <= edges[1])).mean()),
-            "freedoms": freedoms(fit, machine, task, when, seed),
+            "freedoms": freedoms(estimate, machine, task, when, seed),
         }
     return result
 
@@ -199,13 +199,18 @@ def true_poses(machine: Machine, start: np.ndarray, q: np.ndarray, minutes: floa
     return back @ tools @ chain.mirror_in_tool(machine.cell, machine.vector)
 
 
-def freedoms(fit: MechanicsFit, machine: Machine, task: Task, when: float, seed: int) -> dict[str, tuple[float, ...]]:
-    """True peak to peak of each degree of freedom but the beam's, and its band, by 4 x 4 products, in um and rad."""
-    cell, free = machine.cell, machine.cell.free
-    estimate = Estimate(
+def handed_on(fit: MechanicsFit, cell: Cell) -> Estimate:
+    """What an estimate file would say of a fit."""
+    free = cell.free
+    return Estimate(
         replace(cell, mechanics=fit.terms.sizes), free, fit.values, covariance_of(fit), ("identified",) * len(free),
         mechanics=knowledge_of_fit(fit, free, free.names),
     )  # fmt: skip
+
+
+def freedoms(estimate: Estimate, machine: Machine, task: Task, when: float, seed: int) -> dict[str, tuple[float, ...]]:
+    """True peak to peak of each degree of freedom but the beam's, and its band, by 4 x 4 products, in um and rad."""
+    cell = machine.cell
     vector, joints = estimate.vector(), np.vstack([task.start, task.q])
     expected = [np.linalg.inv(chain.fibre_in_world(vector)) @ chain.mirror_pose(cell, vector, q) for q in joints]
     moves, turned = [], []

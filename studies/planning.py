@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from mechanics_coverage import reachable
+from mechanics_coverage import handed_on, reachable
 
 from fpcal_bayes import InputError
 from fpcal_bayes.core import write_json
@@ -37,7 +37,7 @@ from fpcal_bayes.infer import (
     fit_mechanics,
     identify,
     in_short_order,
-    mechanics_task_errors,
+    predict_from_covariance,
     prior_ground,
     task_errors,
 )
@@ -352,7 +352,8 @@ def machine(options: argparse.Namespace) -> None:
                     continue
                 ends = model.rows(np.repeat(task.start[None], len(task), axis=0), task.q)
                 error = drawn.path(task.start, task.q, float(drive.end_min.max())) - model.predict(fit.values, ends)
-                known = mechanics_task_errors(fit, task).total.mean(axis=0)
+                estimate = handed_on(fit, cell)
+                known = predict_from_covariance(estimate, replace(task, cell=estimate.cell)).errors.mean(axis=0)
                 left[name][task_name].append(float(np.abs(error - known).max()))
         for name, errors in left.items():
             parts = [f"{t} {rms(e):6.2f} nm (median {1e3 * np.median(e):6.2f})" for t, e in errors.items() if e]

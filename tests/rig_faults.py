@@ -92,7 +92,7 @@ def _session(found, random, account: Account) -> None:
         if attempts > 60:
             account.wrong.append(f"{name}: not done after {attempts} runs")
             return
-    account.doubtful += len(summary.doubtful)
+    account.doubtful += summary.doubtful
     if output.exists():
         _check_rows(found, output, account)
 

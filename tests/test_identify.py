@@ -388,7 +388,7 @@ class TestOtherRows:
         sweeps = of_day(0)
         path = replace(sweeps.take(np.array([0, 1])), kind=np.array(["path"] * 2), dl=np.array([50.0, 60.0]))
         result = identify(CELL, join([sweeps, path]))
-        assert result.warnings[0] == "2 rows of kind path are not used in the identification"
+        assert result.warnings[0] == "2 rows of kind path not used in the identification"
         np.testing.assert_array_equal(result.estimate.values, identify(CELL, sweeps).estimate.values)
         with pytest.raises(InputError, match="at least one sweep"):
             identify(CELL, path)

@@ -66,6 +66,29 @@ def test_days_without_clock_times(tmp_path, suffix):
     assert said["data"]["session"] == measured[-1]
 
 
+def test_a_keeper_does_less_where_nothing_has_changed_and_finds_what_a_new_one_finds(tmp_path):
+    lab = Lab(tmp_path)
+    keeper, files = lab.keeper(), (lab.outputs.estimate, lab.outputs.flat)
+    first = keeper.round()
+    assert first.decision.action == "hold"
+    written, names = [path.stat().st_mtime_ns for path in files], sorted(loadmat(files[1]))
+    lab.now += 900.0
+    again = keeper.round()
+    assert again.now_h > first.now_h
+    assert (id(again.followed), id(again.decision)) == (id(first.followed), id(first.decision))
+    assert [path.stat().st_mtime_ns for path in files] == written
+    files[1].write_bytes(b"of another program")
+    lab.now += 3600.0 * first.decision.hold_hours
+    asked = keeper.round()
+    assert sorted(loadmat(files[1])) == names
+    assert (asked.decision.action, id(asked.followed)) == ("extrinsic", id(first.followed))
+    lab.measure()
+    found, new = keeper.round(), lab.keeper().round()
+    assert found.followed is not first.followed
+    np.testing.assert_array_equal(found.followed.track.last.state.mean, new.followed.track.last.state.mean)
+    assert (found.decision.hold_hours, found.valid_until_h) == (new.decision.hold_hours, new.valid_until_h)
+
+
 def test_a_ticket_that_is_being_measured_stays(tmp_path):
     lab = Lab(tmp_path)
     lab.keeper().round()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from machine_errors import mechanics_task_errors
 
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.cli.main import main
@@ -16,7 +17,6 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.posterior.compare import parse_models
 from fpcal_bayes.infer.posterior.sample import sample
-from fpcal_bayes.infer.tasks.machine import mechanics_task_errors
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_csv, write_csv

@@ -51,7 +51,7 @@ def test_the_workflow_of_the_documentation(tmp_path, monkeypatch):
     names: dict[str, object] = {}
     exec(code, names)
     assert repr(names["found"]).startswith("Identification(converged, 69 rows, rank 16 of 21")
-    assert repr(names["track"]).startswith("Track(1 sessions of 'femto-st'")
+    assert repr(names["track"]).startswith("Track(1 session of 'femto-st'")
     assert repr(names["error"]).startswith("TaskPrediction(circle, ")
     for shown in ("sweeps", "found", "track"):
         html = names[shown]._repr_html_()

@@ -168,7 +168,7 @@ def test_full_calibration_when_due_or_when_nothing_else_does():
     policy = replace(POLICY, goal=tasks.goal, costs=Costs(most_sweeps=1))
     none_does = policy.decide(tasks, wide)
     assert none_does.action == "full"
-    assert none_does.reason.startswith("no session of up to 1 sweeps brings")
+    assert none_does.reason.startswith("no session of up to 1 sweep brings")
     assert none_does.after.exceeds(0.08) <= 0.1
 
 
@@ -288,7 +288,7 @@ def test_a_look_of_too_few_sweeps_is_not_planned():
     few = replace(POLICY, costs=Costs(diagnosis_h=10.0, most_sweeps=1, diagnosis_sweeps=1))
     found = few.decide(FORECAST, FORECAST.ahead(CALIBRATED, 0.2), None, CALIBRATED.time_h - 9.9)
     assert found.action == "hold"
-    assert "1 sweeps would show a change of the robot with probability 0." in found.reason
+    assert "1 sweep would show a change of the robot with probability 0." in found.reason
     # It is not tried again at once.
     assert few.hold_hours(FORECAST, FORECAST.ahead(CALIBRATED, 0.2), CALIBRATED.time_h - 9.9) > 0.5
 

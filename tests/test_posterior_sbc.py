@@ -13,7 +13,6 @@ from fpcal_bayes.study.sbc import (
     TASK,
     PosteriorRanks,
     judge,
-    least_p,
     quantities,
     sbc_plan,
 )
@@ -22,7 +21,7 @@ from fpcal_bayes.study.sbc import (
 class TestJudge:
     @staticmethod
     def p_value(ranks: np.ndarray) -> float:
-        return least_p(judge("name", ranks, np.random.default_rng(0)))
+        return judge("name", ranks, np.random.default_rng(0))["p_corrected"]
 
     def test_uniform_ranks_pass(self):
         random = np.random.default_rng(1)
@@ -39,7 +38,7 @@ class TestJudge:
 
     def test_intervals_hold_their_share_of_ranks(self):
         verdict = judge("name", np.arange(RANKED + 1), np.random.default_rng(0))
-        assert verdict.covered == list(COVERAGES)
+        assert [verdict[f"in_{100 * share:g}_percent"] for share in COVERAGES] == [100 * share for share in COVERAGES]
 
 
 def test_no_sweep_makes_the_task_move(femto):
@@ -80,7 +79,7 @@ def test_calibrated(femto):
         """The smallest p of all quantities, corrected for their number."""
         names, random = quantities(femto), np.random.default_rng(0)
         judged = zip(names, ranks.T.astype(int), strict=True)
-        return min((len(names) * least_p(judge(name, column, random)), name) for name, column in judged)
+        return min((len(names) * judge(name, column, random)["p_corrected"], name) for name, column in judged)
 
     assert worst(found)[0] > FAMILY_WISE, worst(found)
     # Draws half as wide around the same centres would not pass, nor would draws aside.

@@ -3,7 +3,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.console import Console
 
@@ -15,7 +14,7 @@ from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.pages import ENVIRONMENT
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
-from fpcal_bayes.report.week import reflection_lines, truth_table
+from fpcal_bayes.report.week import truth_table
 
 CELL = load_cell(mechanics="none")
 
@@ -125,7 +124,6 @@ def test_columns():
 def test_one_content_in_a_terminal_and_on_a_page():
     table = plain_table("a [title]", ["name", "size [nm]", "error [nm]", "status"], words=[0])
     table.add_row("<one>", figure_of(1234.5), "2", TableCell("good", style="good"))
-    table.add_rule()
     table.add_row("sum [nm]", "", "", "")
     lines = [line.split() for line in str(table).splitlines() if line.strip()]
     assert lines[:2] == [["a", "[title]"], ["name", "size", "nm", "error", "nm", "status"]]
@@ -156,20 +154,3 @@ def test_fit_lines_of_unsigned_sweeps_and_of_a_failure(result):
     assert fit_lines(unsigned)[4] == "signs: 53 decided with the fit, 0 of them doubtful"
     failed = replace(result, solution=replace(result.solution, converged=False))
     assert fit_lines(failed)[0].startswith("fit: NOT CONVERGED, ")
-
-
-def test_reflection_lines(result):
-    truth = paper_truth(CELL)
-    world, mirror = reflection_lines(result.estimate, truth.parameters, truth.at(0.0))
-    pattern = r"(\w) (\S+) \+- (\S+) \(truth (\S+)\)"
-    found = re.findall(pattern, world)
-    assert [axis for axis, *_ in found] == ["x", "y", "z"]
-    # Of the reference case, by an independent program.
-    assert [float(t) for *_, t in found] == [104.8, -6.6, 103.7]
-    for _, value, sd, true in found:
-        assert abs(float(value) - float(true)) < 4 * float(sd) + 0.05
-    # The mirror frame's third coordinate is zero on the mirror.
-    found = re.findall(pattern, mirror)
-    assert [axis for axis, *_ in found] == ["x", "y"]
-    assert [float(t) for *_, t in found] == [101.7, -106.8]
-    assert all(np.isfinite(float(sd)) and float(sd) > 0 for _, _, sd, _ in found)

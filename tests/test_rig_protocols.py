@@ -85,16 +85,16 @@ def test_both_namespaces_of_the_ids(femto, tmp_path, halt, namespace):
     with live(femto, tmp_path, truth=constant(femto), namespace=namespace) as found:
         address = found.emulated.server.endpoints["IDS3010"].address
         log = CommandLog(None, found.rig.clock)
-        device = AttocubeIDS(Link("IDS3010", address, 0.5, halt, log), IDSSettings(axis=0, air=True))
+        link = Link("IDS3010", address, 0.5, halt, log)
+        device = AttocubeIDS(link, IDSSettings(axis=0, air=True))
         device.prepare()
         assert device.length() == pytest.approx(found.lab.length(), abs=0.02)
         assert device.temperature_c() == 20.0
-        device.close()
         other = {"ids": "sen", "sen": "ids"}[namespace]
-        wrong = AttocubeIDS(Link("IDS3010", address, 0.5, halt, log), IDSSettings(namespace=other))
+        wrong = AttocubeIDS(link, IDSSettings(namespace=other))
         with pytest.raises(DeviceError, match="unknown to this instrument"):
             wrong.prepare()
-        wrong.close()
+        link.close()
 
 
 def test_ids_requests_need_no_end_mark(cell_live):

@@ -105,7 +105,7 @@ def test_a_clock_that_is_set_back_spoils_no_row(cell_live, femto, tmp_path):
     ticket = write_ticket(tmp_path / "t.csv", femto, [0, 45, 46])
     cell_live.rig = replace(cell_live.rig, clock=SetBack())
     _, summary = cell_live.measure(ticket, tmp_path / "s.h5")
-    assert (summary.rows, summary.doubtful, good(cell_live, tmp_path / "s.h5")) == (3, (), 3)
+    assert (summary.rows, summary.doubtful, good(cell_live, tmp_path / "s.h5")) == (3, 0, 3)
     sweeps = read_sweeps(tmp_path / "s.h5", femto)
     assert (sweeps.t_end_h > sweeps.t_start_h).all()
 

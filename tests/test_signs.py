@@ -116,7 +116,7 @@ class TestDoubt:
         assert [label for label, _ in result.doubtful_signs] == ["tiny"]
         assert DOUBTFUL < result.doubtful_signs[0][1] < 0.9
         (warning,) = (w for w in result.warnings if "sign" in w)
-        assert warning.startswith("the sign of 1 sweeps is doubtful (probability of the other): tiny (")
+        assert warning.startswith("the sign of 1 sweep is doubtful (probability of the other): tiny (")
 
     def test_its_probability_is_that_of_the_two_fits(self, sweeps):
         unsigned = mark_signs(sweeps, "paper")

@@ -1,6 +1,7 @@
 """The studies: what a replicate gives, against exact cases, and what their summaries find."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.study import sbc as posterior_ranks
 from fpcal_bayes.study.base import sweeps_sha256
 from fpcal_bayes.study.coverage import METHODS, QUANTITIES, SHARES, Coverage, summarise
-from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, Replicate, quantities
+from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, quantities
 
 
 def test_a_replicate_depends_on_its_number_alone(femto):
@@ -63,12 +64,13 @@ class TestCoverage:
 
 def test_a_truth_that_is_not_identified_has_no_ranks(femto, monkeypatch):
     study = PosteriorRanks(cell=femto, plan=paper_protocol(femto))
-    for ranks, failures in ((None, ("not identified",)), (list(range(len(quantities(femto)))), ())):
-        monkeypatch.setattr(posterior_ranks, "ranks_of", lambda *_, **__: Replicate(ranks, failures, 2))  # noqa: B023
-        found = study.replicate(0)
-        assert {name: value.shape for name, value in found.items()} == study.shapes()
-        assert found["identified"] == found["sampled"] == float(ranks is not None)
-        assert np.isnan(found["ranks"]).all() == (ranks is None)
+    monkeypatch.setattr(posterior_ranks, "identify", lambda *_: SimpleNamespace(converged=False, other_minima=()))
+    found = study.replicate(0)
+    assert {name: value.shape for name, value in found.items()} == study.shapes()
+    assert found["identified"] == found["sampled"] == 0.0
+    assert np.isnan(found["ranks"]).all()
+    summary = study.summary({name: np.array([value, value]) for name, value in found.items()})
+    assert summary.warnings == ["2 truths were not identified and are left out"]
 
 
 def test_ranks_of_a_right_sampler(femto):

@@ -15,7 +15,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.tracking import measurement as rows_taken_in
 from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.filter import inflate, predict, update
+from fpcal_bayes.tracking.filter import Innovation, inflate, predict, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.smoother import smooth
@@ -271,3 +271,10 @@ def test_rows_that_share_a_reading_are_whitened_together():
     misfit = both.dl - measurement.predict(DRIFT.initial(truth.at(8.0), np.eye(21))[0])
     squared = measurement.misfit(DRIFT.initial(truth.at(8.0), np.eye(21))[0])
     assert squared @ squared == pytest.approx(misfit @ np.linalg.solve(covariance, misfit))
+
+
+def test_no_rows_say_nothing(capfd):
+    innovation = Innovation.of(np.zeros(0), np.zeros((0, 3)), np.eye(3), 0.0)
+    assert (innovation.squared, innovation.log_likelihood) == (0.0, 0.0)
+    assert innovation.whiten(innovation.jacobian).shape == (0, 3)
+    assert capfd.readouterr() == ("", "")

@@ -113,7 +113,7 @@ def test_one_sweep_is_enough_and_paths_are_left_out(week):
     path = replace(path, kind=np.array(["path"]))
     found = track(CELL, join([one, path]))
     assert [o.dof for o in found.outcomes[1:]] == [1, 1, 1, 1, 0]
-    assert found.last.warnings == ("1 rows of kind path are not used",)
+    assert found.last.warnings == ("1 row of kind path not used",)
     before, after = found.outcomes[-2].state, found.last.state
     assert (np.diag(after.covariance) >= np.diag(before.covariance)).all()
 

@@ -28,6 +28,7 @@ def folder(tmp_path_factory) -> Path:
     fp.write_sweeps(made / "good.csv", good, CELL)
     run(made, "identify sweeps.csv --json estimate.json")
     run(made, "sample sweeps.csv --draws 50 -o posterior.nc --json posterior.json")
+    run(made, "verify sweeps.csv --validation good.csv --json verified.json")
     run(made, "control --estimate estimate.json --task circle --points 9 -o joints.csv")
     run(made, "simulate --path joints.csv --traces -o driven.csv")
     run(made, "simulate --traces -o index.h5 --protocol good.csv")
@@ -53,6 +54,8 @@ TRIED = {
     ("track", "campaign"): "track campaign.h5",
     ("decide", "campaign"): "decide campaign.h5",
     ("report", "campaign"): "report campaign.h5 -o r.html",
+    ("report", "verification"): "report sweeps.csv --verification verified.json -o r.html",
+    ("certificate", "verification"): "certificate estimate.json --verification verified.json -o handed",
     ("report", "posterior"): "report campaign.h5 --posterior posterior.nc -o r.html",
     ("doctor", "file"): "doctor sweeps.csv",
     ("observe", "file"): "observe sweeps.csv",
@@ -75,7 +78,7 @@ OTHERS = {("sample", "file"), ("sample", "prior"), ("compare", "file")}
 def test_every_option_that_takes_a_result_is_tried():
     parser = make_parser()
     commands = next(action.choices for action in parser._actions if action.dest == "command")
-    names = {"estimate", "start", "prior", "posterior", "campaign", "after", "file"}
+    names = {"estimate", "start", "prior", "posterior", "campaign", "after", "file", "verification"}
     found = {
         (name, action.dest)
         for name, command in commands.items()

@@ -145,6 +145,25 @@ def test_the_commands_write_the_verdict(tmp_path, sweeps, monkeypatch, capsys):
     assert main(["verify", "a.json", "--validation", "b.csv", "--task", "circle", "--json", "v.json", *none]) == 0
     made = json.loads((tmp_path / "v.json").read_text())
     assert made["verification"]["tasks"]["circle"]["verdict"] == made["verification"]["verdict"] == "PASS"
+    assert main(["certificate", "a.json", "--verification", "v.json", "-o", "good", *none]) == 0
+    assert json.loads((tmp_path / "good" / "certificate.json").read_text())["certificate"]["calibrated"] is True
+    fresh = fp.read_sweeps("b.csv", CELL)
+    fp.write_sweeps("moved.csv", replace(fresh, dl=fresh.dl + 0.05), CELL)
+    assert main(["verify", "a.json", "--validation", "moved.csv", "--task", "circle", "--json", "w.json", *none]) == 0
+    assert main(["certificate", "a.json", "--verification", "w.json", "-o", "bad", *none]) == 0
+    said = json.loads((tmp_path / "bad" / "certificate.json").read_text())["certificate"]
+    assert (said["calibrated"], said["verification"]["verdict"]) == (False, "FAIL")
+    assert main(["report", "a.csv", "--verification", "w.json", "-o", "r.html", *none]) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert "Verification failed" in page
+    assert "Verification: FAIL" in page
+    capsys.readouterr()
+    assert main(["report", "a.csv", "--verification", "a.csv", "-o", "s.html", *none]) == 2
+    assert "not a JSON file" in capsys.readouterr().err
+    written = json.loads((tmp_path / "w.json").read_text())
+    (tmp_path / "x.json").write_text(json.dumps(written | {"time_h": 5.0}))
+    assert main(["certificate", "a.json", "--verification", "x.json", "-o", "other", *none]) == 2
+    assert "is not what the program wrote" in capsys.readouterr().err
     assert main(["verify", "a.csv", "--validation", "a.csv", *none]) == 2
     assert "hold the same readings" in capsys.readouterr().err
     assert main(["verify", "a.json", "--validation", "no.csv", *none]) == 2

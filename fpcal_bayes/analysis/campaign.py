@@ -18,6 +18,7 @@ from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior_
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
 from fpcal_bayes.infer.tasks.source import path_points
+from fpcal_bayes.infer.verification.verify import Verification, read_verification
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.sweeps import is_campaign_file, read_sweeps
 from fpcal_bayes.measure.campaign import Campaign
@@ -153,6 +154,7 @@ class CampaignFacts:
     budget: Budget | None  # of the first task that must be held, after the calibration
     budget_reason: str  # why there is none
     posterior: PosteriorSummary | None  # of the calibration
+    verification: Verification | None  # of the calibration
     command: str  # that made the report
 
     @property
@@ -166,7 +168,8 @@ class CampaignFacts:
     @property
     def trust(self) -> Trust:
         """What is held against the numbers of the page."""
-        return self.calibration.estimate.trust if self.track is None else self.track.trust
+        found = self.calibration.estimate.trust if self.track is None else self.track.trust
+        return found if self.verification is None else found.because(*self.verification.reasons)
 
     @property
     def fit_is_wrong(self) -> bool:
@@ -182,6 +185,7 @@ def gather(
     goal: Goal | None = None,
     now: str | None = None,
     posterior: str | Path | None = None,
+    verification: str | Path | None = None,
     command: str = "",
 ) -> CampaignFacts:
     """Read a campaign and work out all that its report says; arguments as in `write_campaign_report`."""
@@ -204,6 +208,8 @@ def gather(
     forecast, decision, decision_reason = _decide(followed, sweeps, goal, costs, now_h)
     found = observability.identification
     assert found is not None
+    first = replace(found.estimate, data={"session": parts[0].sessions[0]})
+    verified = None if verification is None else read_verification(verification, first)
     estimate = found.estimate if followed is None else _estimate_now(followed, now_h)
     judged = [*goal.tasks, *(name for name in possible_tasks(cell) if name not in goal.tasks)]
     budget, budget_reason = _budget(found, goal)
@@ -227,6 +233,7 @@ def gather(
         budget=budget,
         budget_reason=budget_reason,
         posterior=draws,
+        verification=verified,
         command=command,
     )
 

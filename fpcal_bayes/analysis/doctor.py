@@ -7,7 +7,7 @@ import numpy as np
 
 from fpcal_bayes.analysis.doctor_fit import Finding, Severity, session_fits
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Bools
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps, repeated_rows
@@ -61,10 +61,9 @@ def _times(sweeps: Sweeps) -> Iterator[Finding]:
     names = sweeps.sessions
     times = {name: sweeps.time_h[sweeps.session == name] for name in names}
     if len(names) > 1 and len({float(t.max()) for t in times.values()}) == 1:
-        yield Finding(
-            "problem", "times", "", f"all {len(names)} sessions stand at the same time, {sweeps.time_h[0]:g} h",
-            "write the hours since the first session into time_h: drift cannot be followed without them",
-        )  # fmt: skip
+        what = f"all {len(names)} sessions stand at the same time, {sweeps.time_h[0]:g} h"
+        remedy = "write the hours since the first session into time_h: drift cannot be followed without them"
+        yield Finding("problem", "times", "", what, remedy)
     elif sweeps.measured:
         try:
             check_sessions(sweeps, now_h=None)
@@ -75,62 +74,49 @@ def _times(sweeps: Sweeps) -> Iterator[Finding]:
             )  # fmt: skip
     order = list(dict.fromkeys(sweeps.session.tolist()))
     if order != list(names):
-        yield Finding(
-            "note", "order", "", f"sessions stand in another order in the file ({named(order)}) than in time",
-            "nothing, if the times are right: they count, not the order",
-        )  # fmt: skip
+        what = f"sessions stand in another order in the file ({named(order)}) than in time"
+        yield Finding("note", "order", "", what, "nothing, if the times are right: they count, not the order")
     clocks = sweeps.utc != ""
     if clocks.any() and not clocks.all():
-        yield Finding(
-            "doubt", "clock", "", f"{int((~clocks).sum())} of {len(sweeps)} rows have no clock time (utc)",
-            "give every session's last row a utc, or none",
-        )  # fmt: skip
+        what = f"{int((~clocks).sum())} of {len(sweeps)} rows have no clock time (utc)"
+        yield Finding("doubt", "clock", "", what, "give every session's last row a utc, or none")
     known = ~np.isnan(sweeps.temperature_c)
     if known.any() and not known.all():
-        yield Finding(
-            "note", "temperature", "", f"{int((~known).sum())} of {len(sweeps)} rows have no temperature",
-            "log it for every session if the cell's drift depends on it; sessions without it count as unchanged",
-        )  # fmt: skip
+        what = f"{int((~known).sum())} of {len(sweeps)} rows have no temperature"
+        remedy = "log it for every session if the cell's drift depends on it; sessions without it count as unchanged"
+        yield Finding("note", "temperature", "", what, remedy)
     for before, after in pairwise(names):
         gap = float(times[after].min() - times[before].max())
         if gap > 7 * HOURS_PER_DAY:
-            yield Finding(
-                "note", "gap", after, f"{gap / HOURS_PER_DAY:.1f} days without a measurement before it",
-                "expect a wide prediction; a full calibration is safer than a few sweeps",
-            )  # fmt: skip
+            what = f"{gap / HOURS_PER_DAY:.1f} days without a measurement before it"
+            remedy = "expect a wide prediction; a full calibration is safer than a few sweeps"
+            yield Finding("note", "gap", after, what, remedy)
 
 
 def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """Single rows: twice the same, at limits, without sign, joints that never move."""
     unsigned = ~sweeps.signed & ~sweeps.absolute
     if unsigned.any():
-        yield Finding(
-            "note", "unsigned", "",
-            f"{int(unsigned.sum())} of {len(sweeps)} rows have no sign: {row_names(sweeps, unsigned)}",
-            "none is needed if the fit decides them all; a wavelength scan before and after a sweep gives the sign",
-        )  # fmt: skip
+        what = f"{int(unsigned.sum())} of {len(sweeps)} rows have no sign: {row_names(sweeps, unsigned)}"
+        remedy = "none is needed if the fit decides them all; a wavelength scan before and after a sweep gives the sign"
+        yield Finding("note", "unsigned", "", what, remedy)
     paths = sweeps.kind == "path"
     if paths.any():
-        yield Finding(
-            "note", "paths", "", f"{int(paths.sum())} rows of kind path are not used in any identification",
-            "nothing: they serve fpcal check",
-        )  # fmt: skip
+        what = f"{counted(int(paths.sum()), 'row')} of kind path: not used in any identification"
+        yield Finding("note", "paths", "", what, "nothing: they serve fpcal check")
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
         again = repeated_rows(part)
         if part.measured and again.any():
-            yield Finding(
-                "problem", "duplicates", name, f"rows measured twice to the last digit: {row_names(part, again)}",
-                "delete the copies: a reading that counts twice makes the result look better than it is",
-            )  # fmt: skip
+            what = f"rows measured twice to the last digit: {row_names(part, again)}"
+            remedy = "delete the copies: a reading that counts twice makes the result look better than it is"
+            yield Finding("problem", "duplicates", name, what, remedy)
     moved = (sweeps.q_start != sweeps.q_end).any(axis=0)
     joints = [column.split("_")[0] for column in cell.joint_columns]
     still = [joint for joint, moves in zip(joints, moved, strict=True) if not moves]
     if still:
-        yield Finding(
-            "doubt", "still", "", f"no sweep moves {named(still)}",
-            "add sweeps of these joints: their parameters stay at the prior",
-        )  # fmt: skip
+        what = f"no sweep moves {named(still)}"
+        yield Finding("doubt", "still", "", what, "add sweeps of these joints: their parameters stay at the prior")
     reach = np.vstack([sweeps.q_start, sweeps.q_end])
     bounded = np.isfinite(cell.high - cell.low)
     low, high = np.where(bounded, cell.low, -1e300), np.where(bounded, cell.high, 1e300)
@@ -138,10 +124,8 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     close = (reach > high - margin) | (reach < low + margin)
     at = [joint for joint, near in zip(joints, close.any(axis=0), strict=True) if near]
     if at:
-        yield Finding(
-            "note", "limits", "", f"poses stand at the limit of {named(at)}",
-            "see that the stage reached them: one that saturates reports a pose that it does not have",
-        )  # fmt: skip
+        remedy = "see that the stage reached them: one that saturates reports a pose that it does not have"
+        yield Finding("note", "limits", "", f"poses stand at the limit of {named(at)}", remedy)
 
 
 def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
@@ -170,16 +154,13 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     half_wave = 0.5 * cell.wavelength
     wide = sweeps.sigma > half_wave / 4
     if wide.any():
-        yield Finding(
-            "doubt", "sigma", "", f"{int(wide.sum())} rows have a sigma_um above an eighth of a wavelength",
-            "read the fraction of the fringe, not whole fringes only: fpcal ingest does",
-        )  # fmt: skip
+        what = f"{counted(int(wide.sum()), 'row')} with a sigma_um above an eighth of a wavelength"
+        remedy = "read the fraction of the fringe, not whole fringes only: fpcal ingest does"
+        yield Finding("doubt", "sigma", "", what, remedy)
     fine = sweeps.sigma < 1e-5
     if fine.any():
-        yield Finding(
-            "doubt", "sigma", "", f"{int(fine.sum())} rows have a sigma_um below 0.01 nm",
-            "check the unit: sigma_um is in um",
-        )  # fmt: skip
+        what = f"{counted(int(fine.sum()), 'row')} with a sigma_um below 0.01 nm"
+        yield Finding("doubt", "sigma", "", what, "check the unit: sigma_um is in um")
 
 
 def _still_readings(name: str, part: Sweeps) -> Iterator[Finding]:
@@ -194,19 +175,14 @@ def _still_readings(name: str, part: Sweeps) -> Iterator[Finding]:
     sd = np.where(part.absolute[1:], np.sqrt(2.0), 1.0) * part.sigma[1:]
     squares, free = float(((np.diff(part.dl) / sd)[again] ** 2).sum()), int(again.sum())
     if part.measured and free >= _LEAST_REPEATS and chi2_tail(squares, free) < 1e-3:
-        yield Finding(
-            "problem", "sigma", name,
-            f"readings repeated without motion differ {np.sqrt(squares / free):.1f} times as much as sigma_um says",
-            "raise sigma_um by this factor",
-        )  # fmt: skip
+        what = f"readings repeated without motion differ {np.sqrt(squares / free):.1f} times as much as sigma_um says"
+        yield Finding("problem", "sigma", name, what, "raise sigma_um by this factor")
 
 
 def _plan(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
     """What a plan will not show."""
-    yield Finding(
-        "note", "plan", "", "the file is a plan: nothing is measured yet",
-        "measure it; fpcal observe says in full what it will tell",
-    )  # fmt: skip
+    what = "the file is a plan: nothing is measured yet"
+    yield Finding("note", "plan", "", what, "measure it; fpcal observe says in full what it will tell")
     for name in sweeps.sessions:
         for gauge in observe(cell, sweeps.of_session(name)).gauges:
             if gauge.layer != "model":

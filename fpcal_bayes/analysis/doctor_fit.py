@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.core.linalg import counted, plain
 from fpcal_bayes.infer.design.commission import LABEL
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
@@ -50,9 +50,8 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         if len(used) < len(cell.free) and number:
             continue
         if not len(used):
-            yield Finding(
-                "problem", "rows", name, "holds paths only", "measure sweeps first: the first session calibrates"
-            )  # fmt: skip
+            what = "holds paths only"
+            yield Finding("problem", "rows", name, what, "measure sweeps first: the first session calibrates")
             continue
         found = identify(cell, used)
         if number == 0 and found.estimate.trust.usable:
@@ -68,52 +67,41 @@ def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
     hidden = [gauge for gauge in seen.gauges if gauge.layer == "model"]
     if hidden:
         names = ", ".join(dict.fromkeys(gauge.parameters[0] for gauge in hidden))
-        yield Finding(
-            "note", "gauges", str(used.session[0]),
-            f"{len(hidden)} combinations ({names}) leave no trace in any cavity length",
-            "nothing: no task depends on them",
-        )  # fmt: skip
+        what = f"no trace in any cavity length: {counted(len(hidden), 'combination')} ({names})"
+        yield Finding("note", "gauges", str(used.session[0]), what, "nothing: no task depends on them")
     for gauge in seen.gauges:
         if gauge.layer != "model":
             yield Finding("doubt", "rank", str(used.session[0]), gauge.explanation, gauge.remedy)
     if seen.spectrum.gap < 1e3:
-        yield Finding(
-            "doubt", "rank", str(used.session[0]), "it is not clear-cut which combinations the sweeps see",
-            "vary the sweeps more: other orientations, longer translations (fpcal plan proposes some)",
-        )  # fmt: skip
+        what = "it is not clear-cut which combinations the sweeps see"
+        remedy = "vary the sweeps more: other orientations, longer translations (fpcal plan proposes some)"
+        yield Finding("doubt", "rank", str(used.session[0]), what, remedy)
 
 
 def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
     """Whether the session's own fit can be believed."""
     reasons = {reason.kind: reason.text for reason in found.estimate.trust.reasons}
     if "signs" in reasons:
-        yield Finding(
-            "doubt", "signs", name, reasons["signs"],
-            "scan the wavelength before and after these sweeps, or leave them out",
-        )  # fmt: skip
+        remedy = "scan the wavelength before and after these sweeps, or leave them out"
+        yield Finding("doubt", "signs", name, reasons["signs"], remedy)
     if "second-solution" in reasons and found.estimate.trust.usable:
-        yield Finding(
-            "doubt", "second solution", name, reasons["second-solution"],
-            "measure what tells the two apart and identify again",
-        )  # fmt: skip
+        what = reasons["second-solution"]
+        yield Finding("doubt", "second solution", name, what, "measure what tells the two apart and identify again")
     if {"not-converged", "poor-fit"} & set(reasons):
         yield from _poor_fit(cell, name, used, found)
         return
     for reason in found.estimate.trust.reasons:
         if reason.kind == "mechanics":
-            yield Finding(
-                "doubt", "mechanics", name, reason.text,
-                "find out what moves, or state the size that the rows show in [joint.mechanics]",
-            )  # fmt: skip
+            remedy = "find out what moves, or state the size that the rows show in [joint.mechanics]"
+            yield Finding("doubt", "mechanics", name, reason.text, remedy)
         elif reason.kind == "residuals":
             yield Finding("doubt", "residuals", name, reason.text, _residual_remedy(reason.text))
     if str(used.label[-1]).startswith(LABEL):
         yield from _commissioned(cell, name, found)
     if "too-good-fit" in reasons:
-        yield Finding(
-            "doubt", "sigma", name, f"the rows lie closer to the fit than sigma_um says: {reasons['too-good-fit']}",
-            "check the unit of sigma_um; what readings show that are repeated without any motion is its size",
-        )  # fmt: skip
+        what = f"the rows lie closer to the fit than sigma_um says: {reasons['too-good-fit']}"
+        remedy = "check the unit of sigma_um; what readings show that are repeated without any motion is its size"
+        yield Finding("doubt", "sigma", name, what, remedy)
 
 
 def _commissioned(cell: Cell, name: str, found: Identification) -> Iterator[Finding]:
@@ -121,10 +109,8 @@ def _commissioned(cell: Cell, name: str, found: Identification) -> Iterator[Find
     rivals = mend(found.problem, found.solution, found.fit.standardised)
     alike = [one.name for one in rivals if one.sum_of_squares < found.solution.sum_of_squares + RIVAL_EXCESS]
     if alike:
-        yield Finding(
-            "doubt", "not told apart", name, f"the rows fit as well if {', or '.join(alike[:3])}",
-            "repeat the sweeps with larger moves, or with a smaller sigma_um",
-        )  # fmt: skip
+        remedy = "repeat the sweeps with larger moves, or with a smaller sigma_um"
+        yield Finding("doubt", "not told apart", name, f"the rows fit as well if {', or '.join(alike[:3])}", remedy)
     vector = found.estimate.vector()
     seen = sight(cell, vector, home(cell))
     yield Finding(
@@ -182,47 +168,39 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
     mended = mend(found.problem, found.solution, fit.standardised)
     if mended:
         fits = " or ".join(f"{one.name} (sum of squares {plain(one.sum_of_squares)})" for one in mended[:3])
-        yield Finding(
-            "problem", "mistake", name, f"{size}; the {len(used)} rows fit if {fits}",
-            "correct it where the file is made, and identify again",
-        )  # fmt: skip
+        what = f"{size}; the {len(used)} rows fit if {fits}"
+        yield Finding("problem", "mistake", name, what, "correct it where the file is made, and identify again")
         return
     slips = find_slips(found.problem, found.solution)
     slipped = np.flatnonzero(slips.counts)
     left = slips.solution.sum_of_squares
     if len(slipped) and left < 2 * len(used):
         rows = ", ".join(f"{found.problem.sweeps.label[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
-        yield Finding(
-            "problem", "slips", name,
-            f"{size}; with {len(slipped)} fringe counts corrected by whole half wavelengths it is {left:.1f}: {rows}",
-            "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them",
-        )  # fmt: skip
+        counts = counted(len(slipped), "fringe count")
+        what = f"{size}; with {counts} corrected by whole half wavelengths it is {left:.1f}: {rows}"
+        remedy = "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them"
+        yield Finding("problem", "slips", name, what, remedy)
         return
     off = np.abs(fit.standardised) > _OUTLIER
     if 0 < off.sum() <= max(1, _MOST_OUTLIERS * len(used)) and len(used) - off.sum() >= len(cell.free):
         again = identify(cell, used.take(~off))
         if again.converged and again.estimate.trust.usable:
             rows = ", ".join(str(label) for label in used.label[off][:6])
-            yield Finding(
-                "problem", "outliers", name, f"{size}; without {rows} it is {again.fit.chi2_data:.1f}",
-                "measure these sweeps again, or sample with --likelihood student",
-            )  # fmt: skip
+            what = f"{size}; without {rows} it is {again.fit.chi2_data:.1f}"
+            remedy = "measure these sweeps again, or sample with --likelihood student"
+            yield Finding("problem", "outliers", name, what, remedy)
             return
     rival = identify(_other(cell), used)
     if rival.converged and (not found.converged or rival.fit.chi2_data < 0.5 * fit.chi2_data):
-        yield Finding(
-            "problem", "path model", name,
-            f"{size}; with --opd {rival.estimate.cell.opd} chi-square is {plain(rival.fit.chi2_data)}",
-            f"compare the two: fpcal compare FILE --models opd={cell.opd},opd={_other(cell).opd}",
-        )  # fmt: skip
+        what = f"{size}; with --opd {rival.estimate.cell.opd} chi-square is {plain(rival.fit.chi2_data)}"
+        remedy = f"compare the two: fpcal compare FILE --models opd={cell.opd},opd={_other(cell).opd}"
+        yield Finding("problem", "path model", name, what, remedy)
         if rival.estimate.trust.usable:
             return
     if not found.converged:
         worst = ", ".join(f"{label} {value:+.3g} sd" for label, value in found.largest_residuals(3))
-        yield Finding(
-            "problem", "convergence", name, f"{size}; farthest from it: {worst}",
-            "look for a wrong pose, unit or sign in these rows; try fewer free parameters",
-        )  # fmt: skip
+        remedy = "look for a wrong pose, unit or sign in these rows; try fewer free parameters"
+        yield Finding("problem", "convergence", name, f"{size}; farthest from it: {worst}", remedy)
     elif found.machine is None and fit.chi2_data < 100 * fit.expected:
         yield Finding(
             "problem", "fit", name,
@@ -249,10 +227,8 @@ def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Finding]:
     try:
         found = track(cell, sweeps)
     except InputError as error:
-        yield Finding(
-            "problem", "track", "", f"the sessions cannot be followed: {error}",
-            "see the other findings; each session can still be identified alone with --session NAME",
-        )  # fmt: skip
+        remedy = "see the other findings; each session can still be identified alone with --session NAME"
+        yield Finding("problem", "track", "", f"the sessions cannot be followed: {error}", remedy)
         return
     remedies = {
         "extrinsics-moved": "see what touched mirror or fibre; the track has followed it",
@@ -261,8 +237,7 @@ def _track(cell: Cell, sweeps: Sweeps) -> Iterator[Finding]:
     }
     for outcome in found.outcomes[1:]:
         if outcome.verdict != "as-modelled":
-            yield Finding(
-                "doubt", outcome.verdict, outcome.session, "; ".join(outcome.evidence), remedies[outcome.verdict]
-            )
+            what = "; ".join(outcome.evidence)
+            yield Finding("doubt", outcome.verdict, outcome.session, what, remedies[outcome.verdict])
         for warning in outcome.warnings:
             yield Finding("note", "rows", outcome.session, warning, "measure these rows again if they matter")

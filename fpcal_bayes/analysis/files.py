@@ -1,6 +1,6 @@
 """The file that a result is written to: what its command writes."""
 
-from functools import singledispatch
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,36 +15,14 @@ from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
 from fpcal_bayes.model.estimate import SCHEMA, Estimate
 from fpcal_bayes.tracking.tracker import Track
 
-
-@singledispatch
-def file_content(result: Any) -> tuple[str, dict[str, Any]]:
-    """The command that writes such a result, and the content of its JSON."""
-    raise InputError(f"{type(result).__name__}: has no file of its own")
-
-
-@file_content.register
-def _(result: Estimate) -> tuple[str, dict[str, Any]]:
-    return "identify", result.content()
-
-
-@file_content.register
-def _(result: Identification) -> tuple[str, dict[str, Any]]:
-    return "identify", {**result.content(), **draws_content(result)}
-
-
-@file_content.register
-def _(result: Observability) -> tuple[str, dict[str, Any]]:
-    return "observe", result.content()
-
-
-@file_content.register
-def _(result: Posterior) -> tuple[str, dict[str, Any]]:
-    return "sample", posterior_content(result)
-
-
-@file_content.register
-def _(result: Track) -> tuple[str, dict[str, Any]]:
-    return "track", published(result, None) | result.content()
+#: The command that writes each kind of result, and the content of its JSON.
+CONTENTS: dict[type, tuple[str, Callable[[Any], dict[str, Any]]]] = {
+    Estimate: ("identify", Estimate.content),
+    Identification: ("identify", lambda result: {**result.content(), **draws_content(result)}),
+    Observability: ("observe", Observability.content),
+    Posterior: ("sample", posterior_content),
+    Track: ("track", lambda result: published(result, None) | result.content()),
+}
 
 
 def arviz_tree(result: Any) -> Any:
@@ -59,9 +37,9 @@ def write(result: Any, path: Path) -> None:
     if path.suffix == ".nc" and isinstance(result, Posterior):
         write_netcdf(arviz_tree(result), path)
         return
-    command, content = file_content(result)
+    command, content = CONTENTS[type(result)]
     if path.suffix != ".json":
         ends = ".json or .nc" if isinstance(result, Posterior) else ".json"
         raise InputError(f"{path}: expected a file name that ends in {ends}")
     trust = result.estimate.trust if isinstance(result, Identification) else result.trust
-    write_json(path, {"schema": SCHEMA, "command": command, **content, "trust": trust.content()})
+    write_json(path, {"schema": SCHEMA, "command": command, **content(result), "trust": trust.content()})

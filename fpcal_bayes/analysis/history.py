@@ -1,6 +1,5 @@
 """The history of a campaign: parameters and the error of the tasks on a grid of times, and what each session told."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +12,7 @@ from fpcal_bayes.decision.forecast import Forecaster
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.parameters import Parameter, ParameterSet
-from fpcal_bayes.tracking.drift import DriftModel
+from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.session import SessionOutcome
@@ -27,8 +25,6 @@ _MOST_OUTLOOKS = 160
 #: A change is explained by the stated drift unless one as large is rarer than this; directions of which less than this
 #: share of the variance was told since do not count; draws of what is expected of tasks.
 _EXPLAINED, _TOLD, _DRAWS = 1e-3, 1e-2, 1000
-#: Times at which a band is drawn between two sessions, both included.
-_BETWEEN = 4
 
 
 @dataclass(frozen=True)
@@ -63,26 +59,6 @@ class SessionResiduals:
     session: str
     labels: tuple[str, ...]
     values: Floats  # (n,), measured less expected over the stated standard deviation
-
-
-@dataclass(frozen=True)
-class SessionNumbers:
-    """What was measured in a session, and what the tests say of it."""
-
-    rows: Sweeps
-    sigma: float  # median, um
-    outcome: SessionOutcome | None  # None where the sessions are not followed
-
-
-@dataclass(frozen=True)
-class LogEntry:
-    """How long the estimate after a session held the tasks, in hours."""
-
-    outcome: SessionOutcome
-    held: float
-    at_least: bool  # it was not looked further
-    late: float  # by how much the next session, or the present after the last one, came after the hold had ended
-    last: bool
 
 
 @dataclass(frozen=True)
@@ -186,22 +162,6 @@ def history(facts: CampaignFacts) -> History | None:
     )
 
 
-def parameter_band(
-    drift: DriftModel, parameter: Parameter, outcomes: Sequence[SessionOutcome], end_h: float
-) -> tuple[Floats, Floats, Floats]:
-    """Days, and two standard deviations to either side of what was known then, in the units a person reads."""
-    at = drift.parameters.position(parameter.name)
-    until = [outcome.time_h for outcome in outcomes[1:]] + [max(end_h, outcomes[-1].time_h)]
-    points = []
-    for outcome, end in zip(outcomes, until, strict=True):
-        for time_h in np.linspace(outcome.time_h, end, _BETWEEN):
-            state = predict(drift, outcome.state, float(time_h))
-            mean, variance = drift.values(state.mean)[at], drift.covariance(state.covariance)[at, at]
-            points.append((time_h / 24.0, mean, 2.0 * np.sqrt(variance)))
-    days, mean, width = np.array(points).T
-    return days, (mean - width) / parameter.scale, (mean + width) / parameter.scale
-
-
 def outlooks(facts: CampaignFacts) -> TaskForecasts | None:
     """Error of the tasks through time, or None where there is no forecast."""
     followed, forecast = facts.track, facts.forecast
@@ -280,22 +240,17 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
     return low, high
 
 
-def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
-    """What was measured, session by session."""
-    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
-    parts = {name: facts.sweeps.of_session(name) for name in facts.sweeps.sessions}
-    return [SessionNumbers(rows, float(np.median(rows.sigma)), outcomes.get(name)) for name, rows in parts.items()]
+def session_log(facts: CampaignFacts) -> list[tuple[SessionOutcome, float, bool, float]] | None:
+    """Each session, for how many hours its estimate held, or held at least, and how late the next one came.
 
-
-def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
-    """How long the estimate of each session held; None where that cannot be said."""
+    After the last one the present stands for it. None where that cannot be said.
+    """
     if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
         return None
     entries, outcomes = [], facts.track.outcomes
-    for i, outcome in enumerate(outcomes):
-        last = i + 1 == len(outcomes)
-        gap = (facts.now_h if last else outcomes[i + 1].time_h) - outcome.time_h
+    for outcome, until_h in zip(outcomes, [*(o.time_h for o in outcomes[1:]), facts.now_h], strict=True):
+        gap = until_h - outcome.time_h
         horizon = max(gap, facts.costs.horizon_h)
         held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
-        entries.append(LogEntry(outcome, held, held >= horizon, gap - held, last))
+        entries.append((outcome, held, held >= horizon, gap - held))
     return entries

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.analysis.campaign import Followed, follow
+from fpcal_bayes.analysis.watch import stamp
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import exclusive, file_sha256, write_json
 from fpcal_bayes.core.times import clock, iso
@@ -80,15 +81,10 @@ class Round:
 
 
 class Keeper:
-    """Follows a campaign, decides and publishes, as often as it is asked to.
+    """Follows a campaign, decides and publishes, as often as it is asked to; `now` tells Unix time.
 
-    campaign: CSV or HDF5; it may not be there yet.
-    goal, costs: what is to be held, and what measuring costs, given the campaign's sweeps.
-    outputs: what is published.
-    now: Unix time.
-
-    While the campaign stays as it is, what was found of it is not worked out again, and a decision to hold stands until
-    its end.
+    While the campaign stays as it is, what was found of it is not worked out or published again, and a decision to hold
+    stands until its end.
     """
 
     def __init__(
@@ -104,14 +100,13 @@ class Keeper:
         self._outputs, self._now = outputs, now
         self._followed: tuple[float, Followed | None] = 0.0, None
         self._held: Decision | None = None
+        # Until when the estimate holds, and what is to be said of that; and what was published.
+        self._until: tuple[float | None, list[str]] | None = None
+        self._published: object = None
 
     def round(self) -> Round:
-        """Follow, decide, publish.
-
-        Raises InputError if the campaign cannot be read or followed.
-        """
-        goal, outputs = self._goal, self._outputs
-        moment = self._now()
+        """Follow, decide, publish; `InputError` if the campaign cannot be read or followed."""
+        goal, moment = self._goal, self._now()
         followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
@@ -119,7 +114,10 @@ class Keeper:
             now_h = max(found.last.time_h, hours_of(iso(moment), sweeps))
         else:
             now_h = max(found.last.time_h, (moment - began) / 3600.0)
-        until_h = self._valid_until(found, notes)
+        if self._until is None:
+            self._until = self._valid_until(found)
+        until_h, doubts = self._until
+        notes += doubts
         decision = self._held
         try:
             if decision is None or not decision.now_h <= now_h < decision.now_h + decision.hold_hours:
@@ -129,29 +127,22 @@ class Keeper:
             notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
-        remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}
-        content = published(found, until_h) | {"warnings": notes} | remembered
-        write_json(outputs.estimate, {"schema": SCHEMA, "command": "track", **content})
-        if outputs.flat is not None:
-            estimate = found.estimate(until_h)
-            if not estimate.data.get("utc"):
-                estimate = replace(estimate, data=estimate.data | {"utc": iso(began + 3600.0 * estimate.time_h)})
-            write_flat(outputs.flat, flat_content(estimate))
+        if self._published != (notes, self._stamps()):
+            self._publish(found, until_h, notes, began)
+            self._published = notes, self._stamps()
         ticket = self._issue(decision, sweeps, moment)
         return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
 
     def withdraw(self) -> None:
         """Empty the ticket: what it rests on is in doubt."""
-        pending = self._pending()
-        if pending is None or pending.plan is not None:
-            write_ticket(self._outputs.ticket, empty_ticket(str(self._outputs.ticket)), self._cell)
+        self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
         """The campaign as it is followed up to its last session."""
         path, (before, known) = Path(self._campaign), self._followed
         same = known is not None and before <= moment and path.is_file()
         if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
-            self._held = None
+            self._held = self._until = self._published = None
             known = follow_saved(path, self._cell, now=moment)
         self._followed = moment, known
         return known
@@ -166,9 +157,13 @@ class Keeper:
         ticket = empty_ticket(str(path))
         if decision is not None:
             ticket = ticket_of(decision, sweeps, str(path), now_utc=moment)
-        if pending is None or pending.plan is not None or ticket.plan is not None:
-            write_ticket(path, ticket, self._cell)
+        self._write(ticket, pending)
         return ticket
+
+    def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
+        """Write a ticket, unless it is empty as the one that is there."""
+        if pending is None or pending.plan is not None or ticket.plan is not None:
+            write_ticket(self._outputs.ticket, ticket, self._cell)
 
     def _pending(self) -> Ticket | None:
         """The ticket that is there, or None if none can be read."""
@@ -187,11 +182,23 @@ class Keeper:
                 return min(guess, clock(before["campaign_began_utc"]).timestamp())
         return guess
 
-    def _valid_until(self, found: Track, notes: list[str]) -> float | None:
-        if not found.trust.usable:
-            return None
+    def _publish(self, found: Track, until_h: float | None, notes: list[str], began: float) -> None:
+        remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}
+        content = published(found, until_h) | {"warnings": notes} | remembered
+        write_json(self._outputs.estimate, {"schema": SCHEMA, "command": "track", **content})
+        if self._outputs.flat is not None:
+            estimate = found.estimate(until_h)
+            if not estimate.data.get("utc"):
+                estimate = replace(estimate, data=estimate.data | {"utc": iso(began + 3600.0 * estimate.time_h)})
+            write_flat(self._outputs.flat, flat_content(estimate))
+
+    def _stamps(self) -> list[object]:
+        """Tell whether the published files are as they were written."""
+        return [stamp(path) for path in (self._outputs.estimate, self._outputs.flat) if path is not None]
+
+    def _valid_until(self, found: Track) -> tuple[float | None, list[str]]:
+        """Hours until which the estimate holds, or None, and what is to be said of it."""
         try:
-            return valid_until(found, self._goal)
+            return valid_until(found, self._goal) if found.trust.usable else None, []
         except InputError as error:
-            notes.append(f"how long the estimate holds cannot be said: {error}")
-            return None
+            return None, [f"how long the estimate holds cannot be said: {error}"]

@@ -8,7 +8,7 @@ from fpcal_bayes.core.linalg import quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import Budget
 from fpcal_bayes.infer.tasks.error import peak_to_peak
-from fpcal_bayes.infer.tasks.pose import FREEDOMS
+from fpcal_bayes.infer.tasks.pose import FREEDOMS, PoseErrors
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
 from fpcal_bayes.model.cell.own_tasks import OwnTask
 from fpcal_bayes.motion.tasks import Task
@@ -42,45 +42,28 @@ class TaskNumbers:
     @classmethod
     def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
         """Numbers of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
-        if not prediction.trust.usable:
-            return cls._nothing(prediction, tolerance)
-        low, high = 1e3 * prediction.band()
-        least, most = 1e3 * prediction.peak_to_peak_band()
+        usable, nothing = prediction.trust.usable, np.full((1, len(prediction.sd)), np.nan)
+        errors, sd = (prediction.errors, prediction.sd) if usable else (nothing, nothing[0])
+        pose = prediction.pose if usable else PoseErrors(nothing, np.repeat(nothing[..., None], len(FREEDOMS), axis=-1))
+        low, high = 1e3 * quantile_band(errors, BAND, axis=0)
+        widths = 1e3 * peak_to_peak(errors)
+        least, most = quantile_band(widths, BAND).tolist()
         return cls(
             task=prediction.task,
             linear=prediction.linear,
             n_draws=len(prediction.errors),
-            sd=1e3 * prediction.sd,
+            sd=1e3 * sd,
             low=low,
             high=high,
-            median=float(1e3 * np.median(prediction.peak_to_peak)),
-            least=float(least),
-            most=float(most),
-            normal=_largest(np.degrees(prediction.pose.normal)),
-            turn=_largest(np.degrees(prediction.pose.turn)),
+            median=float(np.median(widths)),
+            least=least,
+            most=most,
+            normal=_largest(np.degrees(pose.normal)),
+            turn=_largest(np.degrees(pose.turn)),
             tolerance=None if tolerance is None else 1e3 * tolerance,
-            exceeds=None if tolerance is None else prediction.exceeds(tolerance),
-            repeatable=_ranges(prediction.repeatable),
-            returned=_ranges(prediction.returned),
-        )
-
-    @classmethod
-    def _nothing(cls, prediction: TaskPrediction, tolerance: float | None) -> "TaskNumbers":
-        unknown, nan = np.full(len(prediction.sd), np.nan), float("nan")
-        return cls(
-            task=prediction.task,
-            linear=prediction.linear,
-            n_draws=len(prediction.errors),
-            sd=unknown,
-            low=unknown,
-            high=unknown,
-            median=nan,
-            least=nan,
-            most=nan,
-            normal=(nan, nan),
-            turn=(nan, nan),
-            tolerance=None if tolerance is None else 1e3 * tolerance,
-            exceeds=None,
+            exceeds=None if tolerance is None or not usable else prediction.exceeds(tolerance),
+            repeatable=_ranges(prediction.repeatable) if usable else None,
+            returned=_ranges(prediction.returned) if usable else None,
         )
 
     @property
@@ -108,24 +91,23 @@ class FreedomNumbers:
 
 def freedom_numbers(prediction: TaskPrediction, tolerances: dict[str, float]) -> list[FreedomNumbers]:
     """Every degree of freedom of a task; `tolerances` are largest peak to peaks by name, in um and rad."""
-    made, nan = [], float("nan")
+    made, usable = [], prediction.trust.usable
     for name in ("beam", *FREEDOMS):
         errors = prediction.errors if name == "beam" else prediction.pose.of(name)
+        errors = errors if usable else np.full((1, errors.shape[-1]), np.nan)
         unit, scale = ("deg", float(np.degrees(1.0))) if name.startswith("r") else ("nm", 1e3)
         limit = tolerances.get(name)
         stated = None if limit is None else scale * limit
-        if not prediction.trust.usable:
-            unknown = np.full(errors.shape[-1], nan)
-            made.append(FreedomNumbers(name, unit, nan, nan, nan, unknown, unknown, 0, nan, stated, None))
-            continue
-        widths, sd = scale * peak_to_peak(errors), scale * np.sqrt((errors**2).mean(axis=0))
-        sd = scale * prediction.sd if name == "beam" else sd
+        widths = scale * peak_to_peak(errors)
+        sd = scale * (prediction.sd if name == "beam" and usable else np.sqrt((errors**2).mean(axis=0)))
         least, most = quantile_band(widths, BAND).tolist()
         low, high = scale * quantile_band(errors, BAND, axis=0)
-        worst, exceeds = int(np.argmax(sd)), None if stated is None else float((widths > stated).mean())
-        middle = float(np.median(widths))
+        worst = int(np.argmax(sd))
+        exceeds = None if stated is None or not usable else float((widths > stated).mean())
         made.append(
-            FreedomNumbers(name, unit, middle, least, most, low, high, worst, float(sd[worst]), stated, exceeds)
+            FreedomNumbers(
+                name, unit, float(np.median(widths)), least, most, low, high, worst, float(sd[worst]), stated, exceeds
+            )
         )
     return made
 

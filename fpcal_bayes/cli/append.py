@@ -4,6 +4,7 @@ import argparse
 
 from fpcal_bayes.analysis.append import append
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.core.linalg import counted
 
 
 def run(options: argparse.Namespace) -> int:
@@ -12,7 +13,7 @@ def run(options: argparse.Namespace) -> int:
     done = append(options.campaign, options.measured, cell, ticket=options.ticket)
     warnings = []
     if done.n_missing:
-        warnings.append(f"{done.n_missing} rows that the ticket asks for were not measured")
+        warnings.append(f"not measured: {counted(done.n_missing, 'row')} that the ticket asks for")
     content = {
         "sessions": list(done.sessions),
         "n_rows": done.n_rows,
@@ -24,6 +25,6 @@ def run(options: argparse.Namespace) -> int:
     if not done.sessions:
         console(options).say(f"{options.ticket}: asks for nothing that is not there, nothing to append")
         return 0
-    what = f"session {', '.join(done.sessions)} with {done.n_rows} rows"
+    what = f"session {', '.join(done.sessions)} with {counted(done.n_rows, 'row')}"
     console(options).say(f"{options.campaign}: {what} added, {done.n_sessions} in all")
     return 0

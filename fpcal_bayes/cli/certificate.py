@@ -2,7 +2,7 @@
 
 import argparse
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from fpcal_bayes.core.times import clock, iso
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.tasks.budget import Conditions
 from fpcal_bayes.infer.tasks.source import read_knowledge
+from fpcal_bayes.infer.verification.verify import read_verification
 from fpcal_bayes.io.csv import write_table
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import LINK_SLOTS, SCALES, UNITS
@@ -40,6 +41,11 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.file}: expected an estimate JSON, as fpcal identify --json writes")
     warm_up_inverse(cell)
     made = judged_at(knowledge.estimate, read_now(options.now, knowledge.estimate))
+    verified = {}
+    if options.verification is not None:
+        held = read_verification(options.verification, made)
+        made = replace(made, trust=made.trust.because(*held.reasons))
+        verified = {"verification": held.content()}
     tasks, warnings = {}, [reason.text for reason in made.trust.reasons]
     for own in possible_tasks(cell):
         _, task = knowledge.plan(own)
@@ -52,12 +58,17 @@ def run(options: argparse.Namespace) -> int:
                 for name, found in known["freedoms"].items()
             }
     make_folder(options.output)
+    if made.trust.usable and made.valid_until_h is None:
+        warnings.append(
+            "until when it holds is not known: hand over the estimate of fpcal track --estimate, which says"
+        )
     files = {"chain.csv": chain_table(made)}
     if made.trust.usable:
         files |= {f"q{joint + 1}.csv": table for joint, table in axis_tables(made).items()}
     for name, table in files.items():
         write_table(options.output / name, table)
     said = certificate(made, Path(options.file)) | {
+        **verified,
         "tasks": tasks,
         "files": {name: {"sha256": file_sha256(options.output / name)} for name in files},
     }
@@ -66,7 +77,8 @@ def run(options: argparse.Namespace) -> int:
     content |= {"certificate": said, "warnings": warnings}
     for target in (options.output / "certificate.json", options.json):
         write_result(target, "certificate", content, made.trust)
-    word = "calibrated" if made.trust.usable else f"NOT calibrated: {made.trust.against}"
+    against = made.trust.against or "; ".join(_failed(made))
+    word = f"NOT calibrated: {against}" if against else "calibrated"
     console(options).say(f"{cell.name}: {word} -> {options.output} (certificate.json, {', '.join(files)})")
     warn(warnings)
     return 0
@@ -74,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
 
 def certificate(estimate: Estimate, file: Path) -> dict[str, Any]:
     """Whether the cell is calibrated, since when, until when and under which conditions."""
-    cell, usable = estimate.cell, estimate.trust.usable
+    cell, usable = estimate.cell, estimate.trust.usable and not _failed(estimate)
     at = estimate.data.get("utc")
     made = clock(at).timestamp() if at else None
     until = estimate.valid_until_h if usable else None
@@ -101,6 +113,11 @@ def certificate(estimate: Estimate, file: Path) -> dict[str, Any]:
         },
         "not_evaluated": list(NOT_EVALUATED),
     }
+
+
+def _failed(estimate: Estimate) -> list[str]:
+    """What a verification holds against it: bands may be made from it, but it is not handed over as calibrated."""
+    return [reason.text for reason in estimate.trust.reasons if reason.kind == "verification"]
 
 
 def chain_table(estimate: Estimate) -> dict[str, Any]:

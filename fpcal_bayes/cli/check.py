@@ -37,7 +37,6 @@ def run(options: argparse.Namespace) -> int:
         draws=None if draws is None else draws.values,
         drift=_drift(options, cell, estimate),
         index=index,
-        stability=options.stability_percent / 100.0,
         level=options.level,
         seed=options.seed,
     )

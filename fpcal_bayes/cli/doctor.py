@@ -6,6 +6,7 @@ from rich.markup import escape
 
 from fpcal_bayes.analysis.doctor import doctor
 from fpcal_bayes.cli.common import cell_of, console, write_result
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.trust import Reason, Trust
@@ -26,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         style, kind = styles[finding.severity], escape(finding.kind + where)
         out.print(f"[{style}]{finding.severity}[/] ({kind}): {escape(finding.what)}", soft_wrap=True)
         out.say(f"    what to do: {finding.remedy}")
-    counts = [f"{sum(f.severity == severity for f in findings)} {severity}s" for severity in styles]
-    rows = f"{len(sweeps)} rows, {len(sweeps.sessions)} sessions"
+    counts = [f"{counted(sum(f.severity == severity for f in findings), severity)}" for severity in styles]
+    rows = f"{counted(len(sweeps), 'row')}, {counted(len(sweeps.sessions), 'session')}"
     out.say(f"{options.file}: {rows}: {', '.join(counts)}")
     return 0

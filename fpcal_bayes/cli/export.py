@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.io.joint_paths import check_suffix, read_joint_path
 from fpcal_bayes.io.moves import write_order_moves, write_path_moves
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(f"{options.file}: no rows, nothing is to be measured")
         orders = orders_of(ticket)
         write_order_moves(options.output, orders, cell)
-        said = f"{len(orders)} sweeps with {sum(len(order.targets) for order in orders)} readings"
+        said = f"{counted(len(orders), 'sweep')} with {counted(sum(len(order.targets) for order in orders), 'reading')}"
         if any(order.whole for order in orders):
             warn(["whole traces are asked for: record the irradiance from the start of such a sweep to its end"])
     console(options).say(f"{options.file}: {said} -> {options.output}")

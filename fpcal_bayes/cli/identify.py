@@ -9,6 +9,7 @@ import fpcal_bayes.io as io
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.fit.prior import bends
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         write_result(options.json, "identify", {**result.content(), **draws, **verified})
         warn(draws.get("warnings", [])[-1:])
     out = console(options)
-    title = f"{options.file}, session {','.join(sweeps.sessions)}: {len(result.problem.sweeps)} rows"
+    title = f"{options.file}, session {','.join(sweeps.sessions)}: {counted(len(result.problem.sweeps), 'row')}"
     out.print(parameter_table(result.estimate, title))
     for line in [*fit_lines(result), *(verification_lines(made) if verified else [])]:
         out.say(line)

@@ -3,6 +3,7 @@
 import argparse
 
 from fpcal_bayes.cli.common import cell_of, check_suffix, console
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.io.moves import read_moves
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 
@@ -14,5 +15,5 @@ def run(options: argparse.Namespace) -> int:
     sweeps = read_moves(options.log, cell, session=options.session, time_h=options.time_h)
     write_sweeps(options.output, sweeps, cell)
     what = "measured" if sweeps.measured else "a plan, without lengths"
-    console(options).say(f"{options.log}: {len(sweeps)} rows, {what} -> {options.output}")
+    console(options).say(f"{options.log}: {counted(len(sweeps), 'row')}, {what} -> {options.output}")
     return 0

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.core.files import file_sha256, make_folder, replacing
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.alignment import Alignment, align
 from fpcal_bayes.fringes.amplitude import fringe_amplitudes
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
@@ -185,7 +186,9 @@ def _number(value: float) -> float | None:
 def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:
     readings = [reading for reading in found.readings if reading is not None and reading.good]
     out = console(options)
-    sentences = [f"{len(found.sweeps)} rows from {len(found.readings)} recordings -> {options.output}"]
+    sentences = [
+        f"{counted(len(found.sweeps), 'row')} from {counted(len(found.readings), 'recording')} -> {options.output}"
+    ]
     if readings:
         sigmas = 1e3 * np.array([reading.sigma for reading in readings])
         unsigned = sum(not reading.signed for reading in readings)

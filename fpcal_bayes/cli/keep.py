@@ -1,6 +1,7 @@
 """``fpcal keep``: keep a cell calibrated, unattended."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from fpcal_bayes.analysis.append import append
@@ -68,9 +69,11 @@ def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, found: Round) ->
     campaign = Path(options.campaign)
     session = campaign.with_name(f"{campaign.stem}_{name}.h5")
     words = argparse.Namespace(**vars(options) | {"output": session})
-    if measure.drive(words, cell, rig, ticket, found.followed.sweeps) != 0:
+    agenda = measure.drive(words, cell, rig, ticket, found.followed.sweeps)
+    sweeps = agenda.sweeps()
+    if agenda.left or sweeps is None:
         raise InputError(f"{session}: the ticket is not measured to its end")
-    append(campaign, session, cell, ticket=options.ticket, now=rig.clock.now())
+    append(campaign, replace(sweeps, file=str(session)), cell, ticket=options.ticket, now=rig.clock.now())
 
 
 class _Teller:

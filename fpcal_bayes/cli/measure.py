@@ -9,6 +9,7 @@ from rich.table import Table
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
@@ -39,20 +40,39 @@ def run(options: argparse.Namespace) -> int:
     if options.dry_run:
         return _show(options, cell, _guard(options, cell, rig), ticket)
     campaign = None if options.campaign is None else read_sweeps(options.campaign, cell)
-    return drive(options, cell, rig, ticket, campaign)
+    return 1 if drive(options, cell, rig, ticket, campaign).left else 0
 
 
 def _guard(options: argparse.Namespace, cell: Cell, rig: Rig) -> Guard:
     return Guard(cell, rig, None if options.estimate is None else read_estimate(options.estimate, cell))
 
 
-def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, campaign: Sweeps | None) -> int:
-    """Drive a ticket of a campaign, as the options `output`, `estimate` and those of the screen say; exit status."""
+def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, campaign: Sweeps | None) -> Agenda:
+    """Drive a ticket of a campaign, as the options `output`, `estimate` and those of the screen say."""
     guard = _guard(options, cell, rig)
     origin = origin_of(ticket, campaign, rig.clock.now())
     command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
     agenda = Agenda(ticket, cell, rig, options.output, origin, command)
-    return _measure(options, cell, rig, guard, agenda)
+    if is_recording(rig):
+        make_folder(agenda.folder)
+    if agenda.resumed:
+        done = f"{len(agenda.outcomes)} of {len(agenda.orders)} sweeps"
+        warn([f"{options.output}: goes on after {done}; its axes are stopped first"])
+    halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
+    try:
+        with only_one(rig), halt.on_signals():
+            summary = measure(agenda, Bench(cell, rig, guard, halt, log, agenda.folder), guard, _Teller(options))
+    except Failed as failed:
+        _report(options, failed.summary)
+        warn(failed.unsure)
+        if isinstance(failed.__cause__, Halted):
+            raise KeyboardInterrupt from failed
+        raise failed.__cause__ or InputError(str(failed)) from None
+    finally:
+        log.close()
+        halt.close()
+    _report(options, summary)
+    return agenda
 
 
 def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
@@ -63,43 +83,17 @@ def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket)
     for order, moves in zip(orders, legs, strict=True):
         table.add_row(order.label, str(len(moves)), f"{total_seconds([moves]):.1f}", *_extremes(moves))
     every = [leg for moves in legs for leg in moves]
-    out = console(options)
+    out, (gap, rate) = console(options), _extremes(every)
     out.print(table)
-    gap, rate = _extremes(every)
     out.say(
-        f"{len(orders)} sweeps, {len(every)} moves, {total_seconds(legs) / 60.0:.1f} min from the first sweep's start; "
-        f"least gap {gap} um, at most {rate} fringes a second; no move was made"
+        f"{counted(len(orders), 'sweep')}, {counted(len(every), 'move')}, {total_seconds(legs) / 60.0:.1f} min from "
+        f"the first sweep's start; least gap {gap} um, at most {rate} fringes a second; no move was made"
     )
     return 0
 
 
 def _extremes(legs: list[Leg]) -> tuple[str, str]:
     return f"{min(leg.gap for leg in legs):.1f}", f"{max(leg.fringe_rate for leg in legs):.3g}"
-
-
-def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, agenda: Agenda) -> int:
-    if is_recording(rig):
-        make_folder(agenda.folder)
-    if agenda.resumed:
-        done = f"{len(agenda.outcomes)} of {len(agenda.orders)} sweeps"
-        warn([f"{options.output}: goes on after {done}; its axes are stopped first"])
-    halt, log = Halt(), CommandLog(options.output.with_suffix(".log"), rig.clock)
-    try:
-        with only_one(rig), halt.on_signals():
-            bench = Bench(cell, rig, guard, halt, log, agenda.folder)
-            try:
-                summary = measure(agenda, bench, guard, _Teller(options))
-            except Failed as failed:
-                _report(options, failed.summary)
-                warn(failed.unsure)
-                if isinstance(failed.__cause__, Halted):
-                    raise KeyboardInterrupt from failed
-                raise failed.__cause__ or InputError(str(failed)) from None
-    finally:
-        log.close()
-        halt.close()
-    _report(options, summary)
-    return 0 if summary.done == summary.total else 1
 
 
 class _Teller:
@@ -121,7 +115,7 @@ class _Teller:
 
 def _report(options: argparse.Namespace, summary: Summary) -> None:
     where = f" -> {options.output}" if summary.rows else ""
-    doubtful = f", {len(summary.doubtful)} doubtful" if summary.doubtful else ""
+    doubtful = f", {summary.doubtful} doubtful" if summary.doubtful else ""
     console(options).say(
         f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
     )

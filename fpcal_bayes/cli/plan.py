@@ -17,6 +17,7 @@ from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.design.order import duration
@@ -141,7 +142,7 @@ def _plan(
         content["frontier"] = frontier_content(frontier)
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
     out = console(options)
-    out.print(sweeps_table(cell, ordered, f"{options.output}: {len(ordered)} sweeps"))
+    out.print(sweeps_table(cell, ordered, f"{options.output}: {counted(len(ordered), 'sweep')}"))
     if trust.usable:
         shown = {name: sd for name, sd in expected.items() if name != "plan, where it was made"}
         out.print(accuracy_table(shown, "expected standard deviation at the worst point"))
@@ -226,7 +227,7 @@ def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings)
     content = {"n_sweeps": len(sweeps), "seconds": {"plan": seconds}, "warnings": warnings}
     write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, Trust())
     out = console(options)
-    out.print(sweeps_table(cell, sweeps, f"{options.output}: {len(sweeps)} sweeps"))
+    out.print(sweeps_table(cell, sweeps, f"{options.output}: {counted(len(sweeps), 'sweep')}"))
     out.say(f"time: {seconds / 60.0:.1f} min; fpcal doctor then says what is connected otherwise than in the cell")
     warn(warnings)
     return 0

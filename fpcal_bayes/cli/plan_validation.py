@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.verification.choice import READINGS, validation_plan
@@ -61,7 +62,9 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
     write_result(options.json, "plan", about, found.estimate.trust)
     out = console(options)
     out.print(
-        sweeps_table(cell, made.sweeps, f"{options.output}: {len(made.sweeps)} sweeps of {made.readings} readings")
+        sweeps_table(
+            cell, made.sweeps, f"{options.output}: {counted(len(made.sweeps), 'sweep')} of {made.readings} readings"
+        )
     )
     told = ", ".join(f"{task} {100 * p:.0f} %" for task, p in least.items())
     out.say(f"power at the kind of error found least likely: {told}")

@@ -28,6 +28,7 @@ def run(options: argparse.Namespace) -> int:
             goal=goal,
             now=options.now,
             posterior=options.posterior,
+            verification=options.verification,
             command=_command(options),
         )
     said = verdict(facts)
@@ -53,8 +54,9 @@ def _warm_up(cell: Cell) -> None:
 def _command(options: argparse.Namespace) -> str:
     """The command, with the names of the files but not their folders."""
     words = ["fpcal", "report", Path(options.campaign).name, "-o", options.output.name]
-    if options.posterior is not None:
-        words += ["--posterior", Path(options.posterior).name]
+    for name in ("posterior", "verification"):
+        if getattr(options, name) is not None:
+            words += [f"--{name}", Path(getattr(options, name)).name]
     words += ["--tolerance-nm", f"{options.tolerance_nm:g}", "--level", f"{options.level:g}"]
     for task in options.task or ():
         words += ["--task", Path(task).name]

@@ -6,6 +6,7 @@ from dataclasses import replace
 from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
 from fpcal_bayes.cli.common import cell_of, check_suffix, console
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.joint_paths import read_joint_path
@@ -90,7 +91,7 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
     console(options).say(
-        f"{len(sweeps)} rows simulated on cell {cell.name!r}{_machine(cell)}, "
+        f"{counted(len(sweeps), 'row')} simulated on cell {cell.name!r}{_machine(cell)}, "
         f"sd {sigma_nm:g} nm{signs} -> {options.output}"
     )
     return 0
@@ -106,8 +107,8 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     write_truth(beside, truth)
     samples = sum(map(len, index.traces))
     console(options).say(
-        f"{len(plan)} sweeps recorded on cell {cell.name!r}{_machine(cell)}, {samples} samples -> {options.output}, "
-        f"truth in {beside}"
+        f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}, {samples} samples -> "
+        f"{options.output}, truth in {beside}"
     )
     return 0
 

@@ -12,6 +12,7 @@ from rich.progress import Progress
 from fpcal_bayes.cli.common import cell_of, check_outputs, console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     for sentence in summary.sentences:
         out.say(sentence)
     seconds, known = time.monotonic() - began, options.replicates - came
-    out.say(f"{came} replicates in {seconds:.1f} s, {known} were there before -> {options.output}")
+    out.say(f"{counted(came, 'replicate')} in {seconds:.1f} s, {known} were there before -> {options.output}")
     warn(summary.warnings)
     return 0
 

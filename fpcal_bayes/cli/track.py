@@ -7,6 +7,7 @@ from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.cell import write_resized_cell
@@ -75,7 +76,11 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
     write_result(options.json, "track", content | found.content() | drift_fit)
 
     out = console(options)
-    out.print(session_table(found, f"{options.campaign}: {len(found.outcomes)} sessions, {found.resumed} known before"))
+    out.print(
+        session_table(
+            found, f"{options.campaign}: {counted(len(found.outcomes), 'session')}, {found.resumed} known before"
+        )
+    )
     title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"
     out.print(parameter_table(found.estimate(), title))
     if until:

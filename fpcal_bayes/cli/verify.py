@@ -43,7 +43,8 @@ def run(options: argparse.Namespace) -> int:
     estimate = found.estimate
     trust = estimate.trust.because(*made.reasons)
     warnings = [reason.text for reason in trust.reasons]
-    about = {"cell": {"name": estimate.cell.name, "sha256": estimate.cell.sha256}}
+    about = {"cell": {"name": estimate.cell.name, "sha256": estimate.cell.sha256}, "time_h": estimate.time_h}
+    about["data"] = {"session": ",".join(fitted.sessions)}
     write_result(options.json, "verify", {**about, "verification": made.content(), "warnings": warnings}, trust)
     out = console(options)
     out.print(power_table(made, f"{options.file}, verified by {fresh.file}, {','.join(fresh.sessions)}"))

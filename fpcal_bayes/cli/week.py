@@ -25,15 +25,7 @@ from fpcal_bayes.report.fit import fit_lines
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.track import verdict_lines
-from fpcal_bayes.report.week import (
-    circle_table,
-    course_table,
-    draw_circles,
-    draw_courses,
-    draw_week,
-    reflection_lines,
-    truth_table,
-)
+from fpcal_bayes.report.week import circle_table, course_table, draw_courses, truth_table
 from fpcal_bayes.study.paper_scenarios import Followed, follow_week
 from fpcal_bayes.study.paper_week import (
     SESSIONS,
@@ -65,7 +57,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     warm_up_inverse(cell)
     began = time.perf_counter()
     sigma = options.sigma_nm * 1e-3
-    truth, sweeps = measure_week(cell, sigma=sigma, seed=options.seed, between=options.between)
+    truth, sweeps = measure_week(cell, sigma=sigma, seed=options.seed)
 
     out = console(options)
     results: dict[str, Identification] = {}
@@ -87,8 +79,8 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
         estimates = {name: result.estimate for name, result in results.items()}
         renewed = renewed_circles(cell, truth, estimates, options.seed + len(checks), options.seed)
     week = Week(cell, truth, sweeps, results)
-    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed} --between {options.between}"
-    _write_data(options, cell, week, followed, command)
+    command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
+    _write_data(options, week, followed, command)
     _write_paths_and_figures(options.output, week, followed, checks, renewed)
     folder = options.output
     if posterior is not None:
@@ -114,17 +106,12 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     return 0 if sampled and all(result.converged for result in results.values()) else 1
 
 
-def _write_data(options: argparse.Namespace, cell: Cell, week: Week, followed: Followed, command: str) -> None:
+def _write_data(options: argparse.Namespace, week: Week, followed: Followed, command: str) -> None:
     """Both campaigns, and an estimate JSON a session."""
-    folder: Path = options.output
-    contents = {
-        name: {"schema": SCHEMA, "command": "identify", **found.content()}
-        for name, found in week.identifications.items()
-    }
-    truth = week.truth.record()
+    folder, cell = options.output, week.cell
 
     def save(file: str, sweeps: Sweeps, lived: Track) -> None:
-        made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth)
+        made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=week.truth.record())
         write_campaign(folder / file, made, cell)
         # The track is of the rows as the file holds them, in degrees.
         stored = read_campaign(folder / file, cell).sweeps
@@ -136,8 +123,8 @@ def _write_data(options: argparse.Namespace, cell: Cell, week: Week, followed: F
     last = {"schema": SCHEMA, "command": "track", **estimate}
     save("policy.h5", followed.policy_sweeps, lived)
     write_json(folder / "estimate.json", last)
-    for name, content in contents.items():
-        write_json(folder / f"{name}.json", content)
+    for name, found in week.identifications.items():
+        write_json(folder / f"{name}.json", {"schema": SCHEMA, "command": "identify", **found.content()})
 
 
 def _write_paths_and_figures(
@@ -146,8 +133,6 @@ def _write_paths_and_figures(
     make_folder(folder / "circles")
     for circle in [*checks, *renewed]:
         write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, week.cell)
-    save_figure(draw_week(week, followed), folder / "extrinsics.svg")
-    save_figure(draw_circles(checks, renewed), folder / "circles.svg")
     save_figure(draw_courses(followed.courses), folder / "courses.svg")
 
 
@@ -161,7 +146,7 @@ def _print_week(week: Week, out: Output, *, timed: bool) -> None:
         held = "" if session.free == "all" else "; intrinsics held at day 2"
         title = f"Day {session.day:g}: {session.tables} of the paper anew{held}"
         out.print(truth_table(result.estimate, truth[shown], [names[i] for i in shown], title))
-        for line in reflection_lines(result.estimate, week.truth.parameters, truth) + fit_lines(result, timed=timed):
+        for line in fit_lines(result, timed=timed):
             out.say(line)
         out.print()
 

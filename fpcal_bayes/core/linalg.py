@@ -68,3 +68,8 @@ def chi2_tail(value: float, dof: float) -> float:
 def plain(square: float, places: int = 1) -> str:
     """A sum of squares for a sentence, with so many decimals, or few digits and an exponent where it is large."""
     return f"{square:.{places}f}" if abs(square) < 1e5 else f"{square:.3g}"
+
+
+def counted(n: int, what: str) -> str:
+    """A number of things for a sentence: 1 sweep, 2 sweeps."""
+    return f"{n} {what}{'' if n == 1 else 's'}"

@@ -130,9 +130,8 @@ def task_peaks(
 ) -> Floats:
     """Peak to peak of the error of tasks while a controller holds one estimate after the other, in um, (n_tasks, t).
 
-    `held` says from when on which free parameters (n_free,), in um and rad, were held, in order of time; `times_h` (t,)
-    says where to look, none before the first estimate. With `whole` the paths are taken in full, beyond joint limits
-    too, in place of what can be driven.
+    `held` says from when on which free parameters (n_free,), in um and rad, were held; `times_h` (t,) where to look.
+    With `whole` the paths are taken in full, beyond joint limits too.
     """
     columns = truth.parameters.positions(model.free.names)
     peaks = np.zeros((len(tasks), len(times_h)))

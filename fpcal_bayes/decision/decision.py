@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Forecaster, TaskForecast
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -85,7 +86,7 @@ class Decision:
     attainable_nm: float | None = None
 
     def __repr__(self) -> str:
-        sweeps = "" if self.sweeps is None else f", {len(self.sweeps)} sweeps"
+        sweeps = "" if self.sweeps is None else f", {counted(len(self.sweeps), 'sweep')}"
         return f"Decision({self.action}{sweeps}, look again in {self.hold_hours:.3g} h: {self.reason})"
 
 
@@ -152,7 +153,10 @@ def decide(
             after = forecast.outlook(forecast.ahead(state, hold))
             beyond = "stays below" if hold >= costs.horizon_h else "reaches"
             return made("hold", hold, None, after, f"{passes} {beyond} {goal.level:.0%} at the end of this time")
-        sessions = _sessions(forecast, model, state, costs, choose)
+        # Sessions of the fewest sweeps, of one more, and so on.
+        chosen = choose(forecast, state, costs.most_sweeps)
+        counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
+        sessions = [session_of(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
         able = [s for s in sessions if s.outlook.exceeds(goal.tolerance_um) <= goal.level]
         if able:
             # A session that holds for less than a minute is no better than one that holds for a minute.
@@ -169,7 +173,7 @@ def decide(
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
             f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
-            f"after {'a full calibration' if best is full else f'{len(best.sweeps)} sweeps'}"
+            f"after {'a full calibration' if best is full else counted(len(best.sweeps), 'sweep')}"
         )
         if not measure:
             due = calibration_due is not None
@@ -179,7 +183,10 @@ def decide(
             raise InputError(text)
         # A machine that was within reach before does what it can; no calibration that cannot help.
         return made("extrinsic", 0.0, best, best.outlook, text)
-    reason = calibration_due or f"no session of up to {costs.most_sweeps} sweeps brings {passes} below {goal.level:.0%}"
+    reason = (
+        calibration_due
+        or f"no session of up to {counted(costs.most_sweeps, 'sweep')} brings {passes} below {goal.level:.0%}"
+    )
     return made("full", 0.0, full, full.outlook, reason)
 
 
@@ -189,13 +196,6 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
-
-
-def _sessions(forecast: Forecaster, model: CavityModel, state: State, costs: Costs, choose: Chooser) -> list[_Session]:
-    """Sessions of the fewest sweeps, of one more, and so on."""
-    chosen = choose(forecast, state, costs.most_sweeps)
-    counts = range(min(costs.least_sweeps, len(chosen)), len(chosen) + 1)
-    return [session_of(forecast, model, state, costs, chosen.take(np.arange(n))) for n in counts]
 
 
 def _if_it_lasts(

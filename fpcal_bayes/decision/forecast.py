@@ -17,8 +17,8 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import quantile_band, symmetric_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import peak_to_peak, task_jacobian
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.pose import FREEDOMS, pose_jacobian
+from fpcal_bayes.infer.tasks.source import PATH_POINTS
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.motion.tasks import Task, find_task
 from fpcal_bayes.tracking.drift import DriftModel, State

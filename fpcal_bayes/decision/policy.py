@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision, decide, session_of
 from fpcal_bayes.decision.diagnosis import LEAST_POWER, last_diagnosis, most_power, session_power, watched
@@ -257,7 +258,8 @@ class Policy:
         found = self._power(state, sweeps, hours)
         if found < LEAST_POWER:
             # Such a look would cost time and show nothing.
-            said = f"{len(sweeps)} sweeps would show a change of the robot with probability {found:.2f}: not made"
+            count = counted(len(sweeps), "sweep")
+            said = f"{count} would show a change of the robot with probability {found:.2f}: not made"
             return replace(decision, reason=f"{decision.reason}; {said}")
         most = most_power(self.drift, state, hours, self.limits)[at]
         parameter = self.drift.parameters[at]

@@ -24,14 +24,8 @@ from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, UNRECORDED, Trust, trust
 _SMALLEST = 1e-100
 
 
-def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Estimate:
-    """Read an estimate file, as ``identify --json`` writes it, or its `text`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
-    """
+def read_result(path: str | Path, cell: Cell, text: str | None = None) -> dict[str, Any]:
+    """The content of a result file of a cell, or of its `text`; `InputError` if it is none or of another cell."""
     text = read_text(Path(path)) if text is None else text
     try:
         content = json.loads(text)
@@ -49,6 +43,27 @@ def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Esti
             f"{path}: key cell: the estimate is of another cell ({stated['name']!r}{opd}, "
             f"{str(stated['sha256'])[:12]}), expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
         )
+    return content
+
+
+def require_unchanged(path: str | Path, content: dict[str, Any]) -> None:
+    """Raise `InputError` if the content of a result file is not what its hash says."""
+    rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
+    if content.get(CONTENT_HASH) != content_sha256(rest):
+        raise InputError(
+            f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
+        )
+
+
+def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Estimate:
+    """Read an estimate file, as ``identify --json`` writes it, or its `text`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
+    """
+    content = read_result(path, cell, text)
     if content.get("fit", {}).get("converged") is False if isinstance(content.get("fit"), dict) else False:
         raise InputError(
             f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
@@ -56,11 +71,7 @@ def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Esti
     found = _Reader(str(path), cell).estimate(content)
     if CONTENT_HASH not in content:
         return replace(found, trust=found.trust.because(UNRECORDED))
-    rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
-    if content[CONTENT_HASH] != content_sha256(rest):
-        raise InputError(
-            f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
-        )
+    require_unchanged(path, content)
     return found
 
 

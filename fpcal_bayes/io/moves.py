@@ -31,6 +31,7 @@ from fpcal_bayes.model.cell.cell import Cell, check_joints
 _TEXTS = ("controller", "channel", "unit", "utc", "session", "label", "group")
 _NUMBERS = ("move", "position", "reading", "time_h", "in_step", "speed", "dwell_s", "length_um", "sigma_um")
 _NEEDED = ("move", "controller", "channel", "unit", "position")
+_WRITTEN = (*_NEEDED, "utc", *_NUMBERS[2:7], *_TEXTS[4:])
 #: Seconds that an axis stands still before the length is read.
 _DWELL_S = 1.0
 
@@ -49,11 +50,7 @@ class _Pose:
 
 
 def write_order_moves(path: str | Path, orders: Sequence[Order], cell: Cell) -> None:
-    """Write the drives of a plan as moves, CSV or MATLAB.
-
-    Raises InputError if the cell names no controller for a joint or one channel twice, joints of two controllers are to
-    move in step, or the file cannot be written.
-    """
+    """Write the drives of a plan as moves, CSV or MATLAB; `InputError` if the cell's controllers cannot make them."""
     poses = []
     for order in orders:
         moving = frozenset(np.flatnonzero((order.targets != order.start).any(axis=0)).tolist())
@@ -72,7 +69,7 @@ def write_order_moves(path: str | Path, orders: Sequence[Order], cell: Cell) -> 
 
 
 def write_path_moves(path: str | Path, q: Floats, cell: Cell) -> None:
-    """Write a joint path (n, n_joints) in um and rad as moves; as `write_order_moves`."""
+    """Write a joint path (n, n_joints) in um and rad as moves."""
     _write(Path(path), [_Pose(each) for each in q], cell)
 
 
@@ -80,7 +77,7 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
     check_suffix(path)
     axes = _axes(cell)
     check_joints(cell, np.array([pose.q for pose in poses]), path, range(1, len(poses) + 1), cell.joint_columns)
-    columns: dict[str, list[Any]] = {name: [] for name in (*_NEEDED, "utc", *_NUMBERS[2:7], *_TEXTS[4:])}
+    rows: list[tuple[Any, ...]] = []
     for number, pose in enumerate(poses, 1):
         for (controller, channel), j in axes.items():
             joint = cell.joints[j]
@@ -88,26 +85,24 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
             shown = float(joint.to_controller(pose.q[j] / cell.joint_scales[j]))
             speed = np.nan if joint.speed is None else joint.speed / joint.controller.per_unit
             row = (number, controller, channel, joint.controller.unit, shown, "", pose.reading, pose.time_h)
-            step, dwell = int(j in pose.in_step), np.nan if np.isnan(pose.reading) else _DWELL_S
-            for name, value in zip(
-                columns, (*row, step, speed, dwell, pose.session, pose.label, pose.group), strict=True
-            ):
-                columns[name].append(value)
-    # Numbers at full length: what is read back is the joint value that was meant.
-    table = {
-        name: np.array([repr(x) if x == x else "" for x in values])
-        if isinstance(values[0], float)
-        else np.array(values)
-        for name, values in columns.items()
-        if any(value not in ("", 0) and value == value for value in values) or name in (*_NEEDED, "utc")
+            dwell = np.nan if np.isnan(pose.reading) else _DWELL_S
+            rows.append((*row, int(j in pose.in_step), speed, dwell, pose.session, pose.label, pose.group))
+    columns = {
+        name: values
+        for name, values in zip(_WRITTEN, zip(*rows, strict=True), strict=True)
+        if name in _WRITTEN[:6] or any(value not in ("", 0) and value == value for value in values)
     }
     if path.suffix.lower() == ".csv":
-        write_table(path, table)
+        # Numbers at full length: what is read back is the joint value that was meant.
+        texts = {
+            name: [repr(x) if x == x else "" for x in values] if isinstance(values[0], float) else values
+            for name, values in columns.items()
+        }
+        write_table(path, {name: np.array(values) for name, values in texts.items()})
         return
     content = {
         name: np.array(values, dtype=object if isinstance(values[0], str) else float)[:, None]
         for name, values in columns.items()
-        if name in table
     }
     with replacing(path) as temporary, temporary.open("wb") as handle:
         savemat(handle, content, oned_as="column")
@@ -131,25 +126,19 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 
 
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
-    """Sweeps of what controllers logged; measured where the log holds lengths, else a plan.
+    """Sweeps of what controllers logged, CSV or MATLAB; measured where the log holds lengths, else a plan.
 
-    path: CSV or MATLAB.
-    session, time_h: of the sweeps, where the log does not say; with clock times, `time_h` is that of the first row.
-    Raises InputError if a row names an axis or a unit that the cell does not have, a position leaves the limits, an
-    axis is never placed, or the moves make no sweeps.
+    `session` and `time_h` hold where the log does not say; with clock times, `time_h` is that of the first row.
     """
     path = Path(path)
     table, rows = _read(path)
     joints, n = _joints_of(path, table, rows, cell), len(rows)
-    units = table["unit"]
     values = np.empty(n)
-    for i, j in enumerate(joints):
+    for i, (j, unit) in enumerate(zip(joints, table["unit"], strict=True)):
         axis = cell.joints[j].controller
         assert axis is not None
-        if units[i] != axis.unit:
-            raise located(
-                path, f"expected {axis.unit}, as the cell has it, found {units[i]!r}", row=rows[i], column="unit"
-            )
+        if unit != axis.unit:
+            raise located(path, f"expected {axis.unit}, as the cell has it, found {unit!r}", row=rows[i], column="unit")
         values[i] = float(cell.joints[j].from_controller(table["position"][i])) * cell.joint_scales[j]
     moves = table["move"]
     if (np.diff(moves) < 0).any():
@@ -167,58 +156,49 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
             found.append(set())
     placed, short = np.array(poses), [len(joints) < len(cell.joints) for joints in found[:-1]]
     if np.isnan(placed[0]).any():
-        missing = int(np.argmax(np.isnan(placed[0]))) + 1
-        raise located(
-            path, f"q{missing} is not placed by the first move, expected all axes there", row=rows[int(ends[0])]
-        )
+        what = f"q{int(np.argmax(np.isnan(placed[0]))) + 1} is not placed by the first move, expected all axes there"
+        raise located(path, what, row=rows[int(ends[0])])
     if len(short) > 3 and sum(short) == 1:
         # A log may hold those axes alone that move, but then most of its moves are short.
         at = short.index(True)
         what = f"this move places {len(found[at])} axes and all others {len(cell.joints)}: the log may be cut short"
         raise located(path, what, row=rows[int(ends[at])])
     check_joints(cell, placed, path, [rows[i] for i in ends], cell.joint_columns)
-    return _sweeps(
-        path, cell, placed, {name: [values[i] for i in ends] for name, values in table.items()}, session, time_h
-    )
+    at_ends = {name: [column[i] for i in ends] for name, column in table.items()}
+    return _sweeps(path, cell, placed, at_ends, session, time_h)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
     """Columns, and the row of each line."""
     check_suffix(path)
-    if path.suffix.lower() == ".mat":
-        found = load_variables(path)
-        n = np.size(found.get("move", ()))
-        names, rows = list(found), list(range(1, n + 1))
-    else:
-        records = read_records(path, "a header and moves")
-        names, rows, n = records.header, records.rows.tolist(), len(records.rows)
-        columns = records.columns()
-    for name in _NEEDED:
-        if name not in names:
-            raise located(
-                path, f"the column {name} is missing", row=None if path.suffix == ".mat" else records.header_row
-            )
-    if n == 0:
-        raise InputError(f"{path}: no rows, expected at least two moves")
     table: dict[str, Any] = {}
-    for name in names:
-        if name not in (*_TEXTS, *_NUMBERS):
-            continue
-        if path.suffix.lower() == ".mat":
+    if path.suffix.lower() == ".mat":
+        found, header_row = load_variables(path), None
+        n = np.size(found.get("move", ()))
+        rows = list(range(1, n + 1))
+        for name in set(found) & {*_TEXTS, *_NUMBERS}:
             read = mat_texts if name in _TEXTS else mat_numbers
             table[name] = read(path, name, found[name], n).tolist()
-        elif name in _TEXTS:
-            table[name] = list(columns[name])
-        else:
-            texts = columns[name]
-            numbers = records.numbers(name, [text if text or name in _NEEDED else "0" for text in texts], finite=True)
-            table[name] = np.where([text != "" for text in texts], numbers, np.nan).tolist()
+    else:
+        records = read_records(path, "a header and moves")
+        rows, header_row = records.rows.tolist(), records.header_row
+        for name, texts in records.columns().items():
+            if name in _TEXTS:
+                table[name] = list(texts)
+            elif name in _NUMBERS:
+                stated = [text if text or name in _NEEDED else "0" for text in texts]
+                numbers = records.numbers(name, stated, finite=True)
+                table[name] = np.where([text != "" for text in texts], numbers, np.nan).tolist()
+    for name in _NEEDED:
+        if name not in table:
+            raise located(path, f"the column {name} is missing", row=header_row)
+    if not rows:
+        raise InputError(f"{path}: no rows, expected at least two moves")
     return table, rows
 
 
 def _joints_of(path: Path, table: Mapping[str, Any], rows: Sequence[int], cell: Cell) -> list[int]:
-    axes = _axes(cell)
-    joints = []
+    axes, joints = _axes(cell), []
     for controller, channel, row in zip(table["controller"], table["channel"], rows, strict=True):
         if (controller, channel) not in axes:
             known = ", ".join(" ".join(key) for key in axes)
@@ -229,14 +209,12 @@ def _joints_of(path: Path, table: Mapping[str, Any], rows: Sequence[int], cell: 
 
 def _sweeps(path: Path, cell: Cell, poses: Floats, of: Mapping[str, Any], session: str, time_h: float) -> Sweeps:
     """Sweeps of poses (n, n_joints); `of` holds the columns of the last row of each."""
-    n = len(poses)
-    numbers = range(n)
+    n, numbers = len(poses), range(len(poses))
     reading = np.array(of["reading"]) if "reading" in of else np.array([float(i % 2) for i in numbers])
     starts = np.flatnonzero(reading == 0)
     if not len(starts) or starts[0] != 0 or np.isnan(reading).any() or (np.diff(np.append(starts, n)) < 2).any():
-        raise InputError(
-            f"{path}: expected moves to the start of a sweep, then along it: an even number without readings"
-        )
+        what = "expected moves to the start of a sweep, then along it: an even number without readings"
+        raise InputError(f"{path}: {what}")
     start_of = starts[np.searchsorted(starts, np.arange(n), side="right") - 1]
     rows = np.flatnonzero(reading > 0)
     several = np.bincount(start_of, minlength=n)[start_of] > 2

@@ -27,10 +27,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_ticket(path: str | Path, cell: Cell) -> Ticket:
-    """Read a ticket or a plan from a CSV file; it may have no rows.
-
-    Raises InputError if the file holds measured values, or anything in it is not as documented.
-    """
+    """Read a ticket or a plan from a CSV file; it may have no rows, and holds no measured values."""
     path = Path(path)
     records = read_records(path, "a header and sweeps")
     for name in ("dl_um", "sigma_um"):
@@ -57,10 +54,7 @@ def read_ticket(path: str | Path, cell: Cell) -> Ticket:
 
 
 def write_ticket(path: str | Path, ticket: Ticket, cell: Cell) -> None:
-    """Write a ticket or a plan to a CSV file, whole or not at all; without sweeps it is a header alone.
-
-    Raises InputError if the file cannot be written or not be read back.
-    """
+    """Write a ticket or a plan to a CSV file, whole or not at all; without sweeps it is a header alone."""
     names = (*LEADING, *joint_columns(cell), *PLAN)
     if ticket.plan is None:
         write_table(Path(path), {name: np.array([]) for name in names})
@@ -86,6 +80,4 @@ def asked_of(ticket: Ticket) -> dict[str, Any]:
         asked["expires_h"] = np.full(n, ticket.expires_h)
     if np.isfinite(ticket.expires_utc):
         asked["expires_utc"] = np.full(n, iso(ticket.expires_utc))
-    if ticket.name:
-        asked["ticket"] = np.full(n, ticket.name)
-    return asked
+    return asked | ({"ticket": np.full(n, ticket.name)} if ticket.name else {})

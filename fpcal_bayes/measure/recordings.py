@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -48,7 +49,7 @@ class TraceIndex:
         return TraceIndex(sweeps, wavelength, temperature_c, pressure_hpa, humidity_pct, traces, before, after)
 
     def __repr__(self) -> str:
-        return f"TraceIndex({len(self)} rows, {sum(map(len, self.traces))} samples)"
+        return f"TraceIndex({counted(len(self), 'row')}, {sum(map(len, self.traces))} samples)"
 
 
 def moving_joint(sweeps: Sweeps, row: int) -> int:

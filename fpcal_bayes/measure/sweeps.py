@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cavity import CavityModel, Rows
@@ -182,7 +183,7 @@ class Sweeps:
         return len(self.dl)
 
     def __repr__(self) -> str:
-        return f"Sweeps({len(self)} rows, sessions {', '.join(self.sessions)})"
+        return f"Sweeps({counted(len(self), 'row')}, sessions {', '.join(self.sessions)})"
 
     def _repr_html_(self) -> str:
         rows = []

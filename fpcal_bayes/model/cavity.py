@@ -316,24 +316,6 @@ class CavityModel:
         points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
-    def reflection_sd(self, values: Floats, covariance: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Standard deviations of the coordinates of wPr and tPr, to first order.
-
-        values, covariance: free parameters and their covariance in um and rad, shapes (n,) and (n, n).
-        q: one joint vector, shape (n_joints,).
-        Returns each of shape (3,), in um.
-        """
-        vector = self.vector(values).astype(complex)
-        step = 1e-30
-        columns = []
-        for slot in self.free.slots:
-            shifted = vector.copy()
-            shifted[slot] += 1j * step
-            columns.append(np.concatenate(chain.reflection_point(self.cell, shifted, q)).imag / step)
-        jacobian = np.array(columns).T
-        sd = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
-        return sd[:3], sd[3:]
-
     def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
         poses = rows.poses
         return (

@@ -19,16 +19,8 @@ _NO_LIMIT = 1e12
 def flat_content(estimate: Estimate) -> dict[str, Any]:
     """The calibrated chain, frames, verdict and expiry of an estimate; every name ends in its unit.
 
-    Parameters
-    ----------
-    estimate
-        In use until its `valid_until_h`.
-
-    Returns
-    -------
-    dict
-        Texts, numbers, lists of one number per joint, and 4 x 4 transforms as lists of rows; None where an expiry is
-        not known. `fpcal_fk.m` and `fpcal_ik.m` read it.
+    Lists hold one number per joint, or the rows of 4 x 4 transforms; None stands where an expiry is not known.
+    `fpcal_fk.m` and `fpcal_ik.m` read it.
     """
     cell, vector = estimate.cell, estimate.vector()
     placement, n = Placement.of(cell, vector), len(cell.joints)

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fpcal_bayes.analysis.files import CONTENTS
 from fpcal_bayes.analysis.files import arviz_tree as arviz_tree
-from fpcal_bayes.analysis.files import file_content
 from fpcal_bayes.analysis.files import write as write
 from fpcal_bayes.analysis.history import session_bounds
+from fpcal_bayes.analysis.parameters import summarise
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.infer.fit.identify import Identification
@@ -108,9 +109,10 @@ def _(result: Observability) -> Shown:
 @shown.register
 def _(result: Posterior) -> Shown:
     def columns() -> dict[str, Any]:
-        found = {name: each for name, each in file_content(result)[1]["parameters"].items() if "mean" in each}
-        told = ("unit", "mean", "sd", "q05", "q25", "q50", "q75", "q95", "ess_bulk", "ess_tail", "rhat")
-        return {"parameter": list(found)} | {name: [each[name] for each in found.values()] for name in told}
+        found, free = summarise(result), result.identification.free
+        told = ("mean", "sd", "q05", "q25", "q50", "q75", "q95", "ess_bulk", "ess_tail", "rhat")
+        numbers = {key: [each[key] for each in found.values()] for key in told}
+        return {"parameter": list(found), "unit": [free[name].unit for name in found]} | numbers
 
     return Shown(
         posterior_table(result, repr(result)), columns, lambda: prior_posterior_figure(arviz_tree(result)), result.trust
@@ -185,6 +187,8 @@ def _axes(title: str, lines: int) -> tuple[Figure, Axes]:
     return figure, axis
 
 
-@file_content.register
-def _(result: TaskPrediction) -> tuple[str, dict[str, Any]]:
-    return "task-error", {"tasks": {result.task.name: prediction_content(result, None, result.task)}}
+def _task_content(result: TaskPrediction) -> dict[str, Any]:
+    return {"tasks": {result.task.name: prediction_content(result, None, result.task)}}
+
+
+CONTENTS[TaskPrediction] = "task-error", _task_content

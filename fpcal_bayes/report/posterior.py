@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.analysis.parameters import sampled_parameters, tree_draws
+from fpcal_bayes.analysis.parameters import summarise, tree_draws
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
 from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.report.pages import BLUE, VERMILION
@@ -47,10 +47,10 @@ def posterior_table(posterior: Posterior, title: str) -> Table:
     """Mean, standard deviation and interval of each parameter, with what the draws are worth."""
     columns = ["parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "ess bulk", "ess tail", "R-hat"]
     table = plain_table(title, columns)
-    for found in sampled_parameters(posterior):
-        shown = [number(value, found.sd) for value in (found.mean, found.sd, found.low, found.median, found.high)]
-        worth = [f"{found.ess_bulk:.0f}", f"{found.ess_tail:.0f}", f"{found.rhat:.4f}"]
-        table.add_row(found.name, found.unit, *shown, *worth)
+    for name, found in summarise(posterior).items():
+        shown = [number(found[key], found["sd"]) for key in ("mean", "sd", "q05", "q50", "q95")]
+        worth = [f"{found['ess_bulk']:.0f}", f"{found['ess_tail']:.0f}", f"{found['rhat']:.4f}"]
+        table.add_row(name, posterior.identification.free[name].unit, *shown, *worth)
     return table
 
 

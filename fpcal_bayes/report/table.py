@@ -46,28 +46,23 @@ class TableCell:
 
 @dataclass
 class Table:
-    """Rows under a title and the heads of the columns; `rules` are the numbers of rows after which a gap stands."""
+    """Rows under a title and the heads of the columns."""
 
     title: str
     columns: list[Column]
     rows: list[list[TableCell]] = field(default_factory=list)
-    rules: list[int] = field(default_factory=list)
 
     def add_row(self, *cells: str | TableCell) -> None:
         """Append a row of as many cells as there are columns."""
         self.rows.append([cell if isinstance(cell, TableCell) else TableCell(cell) for cell in cells])
-
-    def add_rule(self) -> None:
-        """Set off what follows, in a terminal."""
-        self.rules.append(len(self.rows))
 
     def __rich__(self) -> TerminalTable:
         shown = TerminalTable(title=escape(self.title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
         for column in self.columns:
             head = f"{column.name} {column.unit}".rstrip()
             shown.add_column(escape(head), justify="left" if column.words else "right", no_wrap=True)
-        for i, row in enumerate(self.rows, 1):
-            shown.add_row(*map(_coloured, row), end_section=i in self.rules)
+        for row in self.rows:
+            shown.add_row(*map(_coloured, row))
         return shown
 
     def __str__(self) -> str:

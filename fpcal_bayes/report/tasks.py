@@ -208,6 +208,7 @@ def known(value: float) -> float | None:
 def budget_content(budget: Budget) -> dict[str, Any]:
     """A budget as JSON; contributions and results in nm."""
     return {
+        "freedom": "beam",
         "at": {"along": budget.along, "unit": budget.unit},
         "inputs": [
             {
@@ -232,7 +233,7 @@ def budget_table(budget: Budget) -> Table:
     """One line per input, then what they combine to."""
     place = f"{budget.along:.4g} {budget.unit}"
     table = plain_table(
-        f"uncertainty budget of {budget.task} at {place}: change of cavity length since the aligned pose",
+        f"uncertainty budget of {budget.task} along the beam at {place}: change of cavity length since aligned",
         ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"],
     )
     for line in budget.lines:
@@ -246,7 +247,6 @@ def budget_table(budget: Budget) -> Table:
             f"{1e3 * line.contribution:.3g}",
         )
     low, high = budget.interval
-    table.add_rule()
     table.add_row("combined standard uncertainty", "", "", "", "", "", f"{1e3 * budget.combined:.3g}")
     table.add_row(f"{COVERAGE:.0%} coverage interval", "", "", "", "", "", f"{1e3 * low:.3g} .. {1e3 * high:.3g}")
     return table

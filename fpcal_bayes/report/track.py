@@ -5,9 +5,10 @@ from datetime import timedelta
 from typing import Any
 
 from fpcal_bayes.analysis.history import session_bounds
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.decision.decision import Decision
-from fpcal_bayes.decision.forecast import Goal, TaskForecast
+from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.table import Table, plain_table
@@ -69,11 +70,12 @@ def decision_sentence(decision: Decision, track: Track) -> str:
         return f"hold until {until} ({decision.hold_hours:.1f} h from now): {decision.reason}"
     count = 0 if decision.sweeps is None else len(decision.sweeps)
     cost = f"about {decision.minutes:.0f} min"
+    full = f"full calibration now ({counted(count, 'sweep')}, {cost}): {decision.reason}"
     after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
     if not track.trust.usable:
-        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}"
+        return full
     if decision.action == "full":
-        return f"full calibration now ({count} sweeps, {cost}): {decision.reason}; {after}"
+        return f"{full}; {after}"
     these = "this sweep" if count == 1 else f"these {count} sweeps"
     return f"{_PURPOSES[decision.purpose]} now with {these} ({cost}): {decision.reason}; {after}"
 
@@ -156,16 +158,14 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "other_tolerances": _other_tolerances(goal, track.cell),
         "sweeps": [] if decision.sweeps is None else sweeps_content(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
-        "task_error_band_nm": {name: _band(outlook) if usable else None for name, outlook in outlooks.items()},
+        "task_error_band_nm": {
+            name: [1e3 * edge for edge in outlook.band()] if usable else None for name, outlook in outlooks.items()
+        },
         "probability_out": {
             name: outlook.exceeds(goal.tolerance_um) if usable else None for name, outlook in outlooks.items()
         },
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
-
-
-def _band(outlook: TaskForecast) -> list[float]:
-    return [1e3 * edge for edge in outlook.band()]
 
 
 def sweeps_content(sweeps: Sweeps, cell: Cell) -> list[dict[str, Any]]:

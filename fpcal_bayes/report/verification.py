@@ -1,19 +1,19 @@
 """What a verification says, in a table and sentences."""
 
-from rich.table import Table
-
 from fpcal_bayes.infer.verification.power import LEVEL
 from fpcal_bayes.infer.verification.verify import LEAST_POWER, Verification
+from fpcal_bayes.report.table import Table, TableCell, plain_table
+
+_STYLES = {"PASS": "good", "FAIL": "bad", "NOT EVALUATED": "caution"}
 
 
 def power_table(made: Verification, title: str) -> Table:
     """Verdict and power by task."""
-    table = Table(title=title, title_justify="left")
-    for column in ("task", "verdict", "power", "found least likely"):
-        table.add_column(column, justify="right" if column == "power" else "left")
+    table = plain_table(title, ["task", "verdict", "power [%]", "found least likely"], words=(0, 1, 3))
     for task in made.power:
         kind, power = made.least_power(task)
-        table.add_row(task, made.outcome(task), f"{100 * power:.0f} %", kind)
+        verdict = made.outcome(task)
+        table.add_row(task, TableCell(verdict, style=_STYLES[verdict]), f"{100 * power:.0f}", kind)
     return table
 
 
@@ -23,7 +23,7 @@ def verification_lines(made: Verification) -> list[str]:
     lines = [
         f"verification: {made.verdict} (p = {made.p_value:.2g}, FAIL below {LEVEL:g}; {100 * made.coverage:.0f} % of "
         f"{made.n_rows} rows inside their 95 % bands)",
-        f"p by the joints that move: {kinds}",
+        f"p-values by the joints that move: {kinds}",
         "power: probability of finding an error that brings the task beyond its tolerance and three times its band",
     ]
     weak = [task for task in made.power if made.outcome(task) == "NOT EVALUATED"]
@@ -32,4 +32,15 @@ def verification_lines(made: Verification) -> list[str]:
             f"not evaluated: {', '.join(weak)}: these sweeps would miss such an error more often than "
             f"{100 * (1 - LEAST_POWER):.0f} %; fpcal plan --validation N chooses sweeps that would not"
         )
-    return [*lines, *made.scope]
+    return lines if made.failed else [*lines, *made.scope]
+
+
+def verification_sentences(made: Verification | None, file: str) -> list[str]:
+    """The same for a page on the campaign of a file, or how to get there."""
+    if made is not None:
+        return [f"{line[0].upper()}{line[1:]}." for line in verification_lines(made)]
+    return [
+        "Not verified by sweeps that it was not made from. Choose some with fpcal plan --validation 12, measure "
+        f"them, then fpcal verify {file} --validation SWEEPS.csv --json verified.json, and give the report "
+        "--verification verified.json."
+    ]

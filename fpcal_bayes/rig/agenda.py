@@ -1,8 +1,8 @@
 """What is to be measured and what has been: an object that an adaptive experiment asks and tells.
 
-It satisfies the structural protocols of such frameworks (`suggest`, `ingest`, `should_stop`, `checkpoint`,
-`register_failures`) without depending on one. Beside the session's file lies a journal while the session lasts: a line
-each drive, on the disk before the next one begins. Whatever ends the program, the next one goes on from there.
+It satisfies the structural protocols of such frameworks (`suggest`, `ingest`, `should_stop`, `checkpoint`) without
+depending on one. Beside the session's file lies a journal while the session lasts: a line each drive, on the disk
+before the next one begins. Whatever ends the program, the next one goes on from there.
 """
 
 import hashlib
@@ -21,6 +21,7 @@ from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.recordings import write_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 from fpcal_bayes.measure.orders import Order, orders_of
+from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
@@ -42,10 +43,7 @@ class Origin:
 
 
 def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
-    """When the campaign of a ticket began.
-
-    Raises InputError if the campaign holds rows that lie in the future, or the ticket's session already.
-    """
+    """When the campaign of a ticket began; `InputError` if it holds future rows, or the ticket's session already."""
     planned = 0.0 if ticket.plan is None else float(ticket.plan.time_h.max())
     if campaign is None:
         return Origin(now_s - 3600.0 * planned, False)
@@ -66,10 +64,8 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 
 
 class Agenda:
-    """The orders of a ticket and what came of them.
+    """The orders of a ticket and what came of them, with a journal beside the session's file `output`.
 
-    output: the session's file; the journal stands beside it.
-    command: how the session came about, kept in its file.
     Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
     """
 
@@ -88,7 +84,10 @@ class Agenda:
         if output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
             raise InputError(f"{output}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
         require_writable(output)
-        self._require_plan()
+        whole = next((order.row for order in self.orders if order.whole), None)
+        if whole is not None and isinstance(rig.instrument, IDSDevice):
+            what = "0 asks for a trace, expected a rig whose interferometer has record = COMMAND"
+            raise InputError(f"{ticket.file}: row {whole}, column readings: {what}")
         self.resumed = self._journal.exists()
         if self.resumed:
             self._read_journal()
@@ -125,15 +124,12 @@ class Agenda:
 
     def suggest(self, num_points: int) -> list[dict[str, Any]]:
         """The next points to measure: ``_id``, ``label`` and the joints of start and end as a sweep file has them."""
-        columns = [name.split("_") for name in self.cell.joint_columns]
         points = []
         for number in [number for number in self.left if number not in self._offered][:num_points]:
-            order, scales = self.orders[number], self.cell.joint_scales
-            point: dict[str, Any] = {"_id": number, "label": order.label}
+            order, point = self.orders[number], {"_id": number, "label": self.orders[number].label}
             for end, q in (("start", order.start), ("end", order.targets[-1])):
-                point |= {
-                    f"{joint}_{end}_{unit}": float(x) for (joint, unit), x in zip(columns, q / scales, strict=True)
-                }
+                for column, x in zip(self.cell.joint_columns, q / self.cell.joint_scales, strict=True):
+                    point[column.replace("_", f"_{end}_")] = float(x)
             self._offered.add(number)
             points.append(point)
         return points
@@ -146,10 +142,6 @@ class Agenda:
             self._disturbed = self._disturbed + 1 if point["doubt"] else 0
             self._append(point)
 
-    def register_failures(self, points: Iterable[Mapping[str, Any]]) -> None:
-        """Points that could not be measured; they are offered again."""
-        self._offered -= {int(point["_id"]) for point in points}
-
     def should_stop(self) -> tuple[bool, str]:
         """Whether nothing more is to be measured, and why."""
         if not self.left:
@@ -161,39 +153,24 @@ class Agenda:
         return (True, expired) if expired else (False, "")
 
     def checkpoint(self) -> int:
-        """Write what has been measured as a session; how many rows or traces it has.
-
-        The journal stays as long as there is something left to do.
-        """
-        written = self._write()
+        """Write what was measured, and end the journal once nothing is left; how many rows or traces there are."""
+        found: Sweeps | TraceIndex | None
+        if isinstance(self.rig.instrument, IDSDevice):
+            found = self.sweeps()
+            if found is not None:
+                write_session(self.output, found, doubtful_of(self.orders, self.outcomes), self.cell, self._command)
+        else:
+            found = recordings_of(self.orders, self.outcomes, self.cell, self.folder, self.origin.moment_s)
+            if found is not None:
+                write_recordings(self.output, found, self.cell)
         if not self.left:
             self._journal.unlink(missing_ok=True)
-        return written
-
-    def _write(self) -> int:
-        if not isinstance(self.rig.instrument, IDSDevice):
-            index = recordings_of(self.orders, self.outcomes, self.cell, self.folder, self.origin.moment_s)
-            if index is not None:
-                write_recordings(self.output, index, self.cell)
-            return 0 if index is None else len(index)
-        sweeps = self.sweeps()
-        if sweeps is not None:
-            write_session(self.output, sweeps, doubtful_of(self.orders, self.outcomes), self.cell, self._command)
-        return 0 if sweeps is None else len(sweeps)
+        return 0 if found is None else len(found)
 
     def sweeps(self) -> Sweeps | None:
         """The rows so far."""
-        instrument = self.rig.instrument
-        sigma = math.sqrt(2.0) * instrument.noise if isinstance(instrument, IDSDevice) else math.nan
+        sigma = math.sqrt(2.0) * self.rig.instrument.noise if isinstance(self.rig.instrument, IDSDevice) else math.nan
         return sweeps_of(self.orders, self.outcomes, sigma=sigma, origin_s=self.origin.moment_s)
-
-    def _require_plan(self) -> None:
-        for order in self.orders:
-            if order.whole and isinstance(self.rig.instrument, IDSDevice):
-                raise InputError(
-                    f"{self.ticket.file}: row {order.row}, column readings: 0 asks for a trace, "
-                    "expected a rig whose interferometer has record = COMMAND"
-                )
 
     def _expired(self) -> str:
         now, ticket = self.rig.clock.now(), self.ticket

@@ -21,13 +21,13 @@ from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt
 from fpcal_bayes.rig.drivers.attocube import AttocubeIDS
-from fpcal_bayes.rig.drivers.interface import CommandLog, DeviceError, Disturbed, Interferometer, Recorder, Stage
+from fpcal_bayes.rig.drivers.interface import CommandLog, DeviceError, Disturbed, Interferometer, Stage
 from fpcal_bayes.rig.drivers.link import Link
 from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
 from fpcal_bayes.rig.drivers.pi import PIStage
 from fpcal_bayes.rig.drivers.smaract import SmarActStage
 from fpcal_bayes.rig.route import Guard
-from fpcal_bayes.rig.settings import IDSDevice, ProgramDevice, Rig
+from fpcal_bayes.rig.settings import ControllerSettings, IDSDevice, ProgramDevice, Rig
 
 #: Longest and shortest pause between two looks at the devices, in s of the wall.
 _LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005
@@ -39,31 +39,16 @@ _PATIENCE_S = 1.0
 
 @dataclass(frozen=True)
 class Reading:
-    """The length at one pose.
+    """The length at one pose."""
 
-    Attributes
-    ----------
-    q
-        Joint values read back, in um and rad, shape (n_joints,).
-    length
-        In um, up to a constant; NaN where a program records.
-    moment
-        Unix time of the cell.
-    temperature_c
-        Or NaN.
-    """
-
-    q: Floats
-    length: float
-    moment: float
-    temperature_c: float
+    q: Floats  # joint values read back, in um and rad, shape (n_joints,)
+    length: float  # in um, up to a constant; NaN where a program records
+    moment: float  # Unix time of the cell
+    temperature_c: float  # or NaN
 
 
 class Bench:
-    """All devices of a rig.
-
-    folder: where a recording program writes its traces.
-    """
+    """All devices of a rig; a recording program writes its traces into `folder`."""
 
     def __init__(self, cell: Cell, rig: Rig, guard: Guard, halt: Halt, log: CommandLog, folder: Path) -> None:
         self._cell = cell
@@ -72,9 +57,9 @@ class Bench:
         self._halt = halt
         self._links: list[Link] = []
         self._log = log
-        self.stages: list[Stage] = [self._stage(controller.name) for controller in rig.controllers]
+        self.stages: list[Stage] = [self._stage(controller) for controller in rig.controllers]
         self.instrument: Interferometer | None = None
-        self.recorder: Recorder | None = None
+        self.recorder: PhotodiodeProgram | None = None
         device = rig.instrument
         if isinstance(device, IDSDevice):
             self.instrument = AttocubeIDS(self._link(device.name, device), device.settings)
@@ -112,10 +97,7 @@ class Bench:
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
         """Move to a pose and wait until it is reached and held; the joint values read back.
 
-        Raises ForbiddenMoveError if the move is forbidden; then nothing has moved.
-        Raises DeviceError if a device fails or an axis does not get there.
-        Raises Disturbed if `watch` is set and the fringes were lost on the way; the joints are at the target all the
-        same.
+        With `watch` it raises `Disturbed`, at the target, if the fringes were lost on the way.
         """
         self._log.check()
         here = self.position()
@@ -133,10 +115,8 @@ class Bench:
         """Move joints that may move at once; why the fringes were lost on the way, or nothing."""
         moving = self._commanded != target
         seconds = self._guard.seconds(here, target)
-        allowed = seconds + max(
-            (joint.settle_timeout_s for joint, moves in zip(self._rig.joints, moving, strict=True) if moves),
-            default=0.0,
-        )
+        patience = [self._rig.joints[i].settle_timeout_s for i in np.flatnonzero(moving)]
+        allowed = seconds + max(patience, default=0.0)
         stages = [stage for stage in self.stages if moving[list(stage.joints)].any()]
         self._commanded[:] = np.nan
         self._moved = self._moved or bool(stages)
@@ -174,10 +154,9 @@ class Bench:
             self._halt.wait(min(max(pause, _SHORTEST_PAUSE), _LONGEST_PAUSE))
 
     def _lost(self) -> str:
-        if self.instrument is None:
-            return ""
         try:
-            self.instrument.watch()
+            if self.instrument is not None:
+                self.instrument.watch()
         except Disturbed as error:
             return str(error)
         return ""
@@ -191,11 +170,7 @@ class Bench:
         )
 
     def read(self, target: Floats) -> Reading:
-        """Read positions and length at rest.
-
-        Raises Disturbed if the length is not steady or not seen, or the joints move meanwhile.
-        Raises DeviceError if a device fails or a joint does not stand at `target`.
-        """
+        """Read positions and length at rest, at `target`; `Disturbed` if these do not stand still."""
         before = self.position()
         away = np.abs(before - target) > self._guard.tolerance
         if away.any():
@@ -209,10 +184,7 @@ class Bench:
         return Reading(before, length, moment, celsius)
 
     def drive(self, number: int, order: Order) -> dict[str, Any]:
-        """Drive an order, again if it is disturbed; what came of it, as `Agenda.ingest` takes it.
-
-        A disturbed sweep that stays so has a ``doubt`` and no readings.
-        """
+        """Drive an order, again if it is disturbed, and then with a ``doubt``; what came of it for `Agenda.ingest`."""
         doubt, closing = "", math.nan
         for attempt in range(self._rig.repeats + 1):
             self._await_fringes()
@@ -255,8 +227,7 @@ class Bench:
         if self.recorder is None:
             raise InputError("no program records, expected one")
         what = f"row {order.row}: {order.label!r}"
-        stops = list(self._guard.stops(order))
-        start, end = stops[0], stops[-2]
+        start, *_, end, _ = self._guard.stops(order)
         joints = np.flatnonzero(order.start != order.targets[-1])
         if len(joints) != 1:
             raise InputError(f"{what}: {len(joints)} joints move, expected one: a trace holds one")
@@ -299,12 +270,7 @@ class Bench:
             stage.stop()
         if self.recorder is not None:
             self.recorder.abandon()
-        doubts = self._unsure()
         self._commanded[:] = np.nan
-        return doubts if self._moved else []
-
-    def _unsure(self) -> list[str]:
-        """Wait until all axes stand; the controllers whose axes may not, and why."""
         for link in self._links:
             link.obeys = False
         doubts = []
@@ -317,7 +283,7 @@ class Bench:
                 doubts.append(f"{stage.name}: not sure that its axes stand ({why})")
         for link in self._links:
             link.obeys = True
-        return doubts
+        return doubts if self._moved else []
 
     @staticmethod
     def _moves(stage: Stage) -> str:
@@ -342,12 +308,11 @@ class Bench:
         self._links.append(link)
         return link
 
-    def _stage(self, name: str) -> Stage:
-        settings = next(controller for controller in self._rig.controllers if controller.name == name)
-        joints = tuple(i for i, joint in enumerate(self._rig.joints) if joint.axis.name == name)
+    def _stage(self, settings: ControllerSettings) -> Stage:
+        joints = tuple(i for i, joint in enumerate(self._rig.joints) if joint.axis.name == settings.name)
         axes = tuple(self._rig.joints[i].axis for i in joints)
         speeds = np.array([self._rig.joints[i].speed for i in joints])
-        link = self._link(name, settings)
+        link = self._link(settings.name, settings)
         if settings.driver == "pi-gcs2":
             return PIStage(link, joints, axes, speeds, settings.servo_on)
         return SmarActStage(link, joints, axes, speeds, self._cell.revolute[list(joints)])
@@ -355,10 +320,7 @@ class Bench:
 
 @contextlib.contextmanager
 def only_one(rig: Rig) -> Iterator[None]:
-    """Hold the controllers of a rig: two programs that drive one cell would stop each other's axes.
-
-    Raises InputError if another `fpcal` on this computer drives one of them.
-    """
+    """Hold the controllers of a rig against others on this computer, which would stop its axes; or `InputError`."""
     with contextlib.ExitStack() as held:
         for controller in rig.controllers:
             path = Path(tempfile.gettempdir()) / f"fpcal-{controller.address}.lock".replace(":", "-")
@@ -377,17 +339,16 @@ def is_recording(rig: Rig) -> bool:
 
 
 def _outcome(number: int, readings: list[Reading], closing: float) -> dict[str, Any]:
-    return {
-        "_id": number,
-        "doubt": "",
-        "closing_um": closing if math.isfinite(closing) else None,
-        "readings": [
-            {
-                "q": reading.q.tolist(),
-                "length_um": reading.length if math.isfinite(reading.length) else None,
-                "moment_s": reading.moment,
-                "temperature_c": reading.temperature_c if math.isfinite(reading.temperature_c) else None,
-            }
-            for reading in readings
-        ],
-    }
+    def told(value: float) -> float | None:
+        return value if math.isfinite(value) else None
+
+    read = [
+        {
+            "q": reading.q.tolist(),
+            "length_um": told(reading.length),
+            "moment_s": reading.moment,
+            "temperature_c": told(reading.temperature_c),
+        }
+        for reading in readings
+    ]
+    return {"_id": number, "doubt": "", "closing_um": told(closing), "readings": read}

@@ -3,6 +3,7 @@
 import math
 import time
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,7 +11,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text, require_line_end
 from fpcal_bayes.io.validate import Tables, literal
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.cell.joints import ControllerAxis, Joint
+from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.drivers import attocube, pi, smaract
 from fpcal_bayes.rig.drivers.attocube import IDSSettings, Namespace
@@ -35,10 +36,7 @@ _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "att
 
 
 def read_rig(source: str | Path, cell: Cell) -> Rig:
-    """Read the rig of `cell` from a TOML file.
-
-    Raises InputError if the file is missing or anything in it is not as documented, or a joint has no controller.
-    """
+    """Read the rig of `cell` from a TOML file; InputError if anything in it is not as documented."""
     cell.require_one_beam("a rig")
     path = Path(source)
     text = read_text(path)
@@ -59,7 +57,7 @@ class _Reader(Tables):
         self.keys(table, "", {"schema", "name", "clock", "session", "controller", "joint", "interferometer", "emulate"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
-        session = self.optional(table, "session")
+        session = self.table({"session": {}} | table, "", "session")
         self.keys(session, "session", {"close_nm", "repeats", "least_gap_um"})
         named = self.table(table, "", "controller")
         controllers = tuple(self.controller(named, name) for name in named)
@@ -75,20 +73,18 @@ class _Reader(Tables):
         if idle:
             raise self.error(f"controller.{sorted(idle)[0]}", "no joint of the cell is on it, expected one or more")
         instrument = self.instrument(self.table(table, "", "interferometer"))
+        counting = [instrument.name] if isinstance(instrument, IDSDevice) else []
         return Rig(
             file=str(self.file),
             name=self.text(table, "", "name"),
-            clock=self.clock(self.optional(table, "clock")),
+            clock=self.clock(self.table({"clock": {}} | table, "", "clock")),
             controllers=controllers,
             joints=driven,
             instrument=instrument,
             close=self.number(session, "session", "close_nm", low=0.0, default=30.0) * 1e-3,
             repeats=self.whole(session, "session", "repeats", 0, 100, 1),
             least_gap=self.number(session, "session", "least_gap_um", low=0.0, default=0.0),
-            emulation=self.emulation(
-                self.optional(table, "emulate"),
-                {*named, *([instrument.name] if isinstance(instrument, IDSDevice) else [])},
-            ),
+            emulation=self.emulation(self.table({"emulate": {}} | table, "", "emulate"), {*named, *counting}),
         )
 
     def clock(self, table: dict[str, Any]) -> Clock:
@@ -100,36 +96,22 @@ class _Reader(Tables):
         table, place = self.table(named, "controller", name), f"controller.{name}"
         self.keys(table, place, {"driver", "address", "timeout_s", "servo_on"})
         driver = self.choice(table, place, "driver", get_args(StageDriver), None)
-        return ControllerSettings(
-            name=name,
-            driver=driver,
-            address=self.address(table, place, _PORTS[driver]),
-            timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
-            servo_on=self.flag(table, place, "servo_on"),
-        )
+        address, servo_on = self.address(table, place, _PORTS[driver]), self.flag(table, place, "servo_on")
+        return ControllerSettings(name, driver, address, self.timeout(table, place, 2.0), servo_on)
 
     def joint(self, table: dict[str, Any], place: str, joint: Joint, controllers: set[str]) -> JointSettings:
-        unit = joint.unit
-        scale = 1.0 if unit == "um" else math.radians(1.0)
+        unit, scale, stated = joint.unit, 1.0 if joint.unit == "um" else math.radians(1.0), joint.controller
         known = {f"speed_{unit}_s", f"tolerance_{unit}", "settle_s", "settle_timeout_s", "controller", "channel"}
         self.keys(table, place, known)
-        stated = joint.controller
         if stated is None:
             raise self.error(place, "the cell does not say how a controller counts this joint, expected it to")
-        axis = ControllerAxis(
-            self.line(table, place, "controller", stated.name),
-            self.line(table, place, "channel", stated.channel),
-            stated.sign,
-            stated.zero,
-            stated.unit,
-            stated.per_unit,
-        )
-        if axis.name not in controllers:
+        name = self.line(table, place, "controller", stated.name)
+        if name not in controllers:
             raise self.error(
-                f"{place}.controller", f"expected one of {', '.join(sorted(controllers))}, found {axis.name!r:.60}"
+                f"{place}.controller", f"expected one of {', '.join(sorted(controllers))}, found {name!r:.60}"
             )
         return JointSettings(
-            axis,
+            replace(stated, name=name, channel=self.line(table, place, "channel", stated.channel)),
             speed=self.number(table, place, f"speed_{unit}_s", low=1e-9, high=1e6) * scale,
             tolerance=self.number(table, place, f"tolerance_{unit}", low=1e-9, high=1e3) * scale,
             settle_s=self.number(table, place, "settle_s", low=0.0, high=600.0, default=0.1),
@@ -139,19 +121,17 @@ class _Reader(Tables):
     def each_once(self, joints: tuple[JointSettings, ...], places: list[str]) -> None:
         seen: dict[tuple[str, str], str] = {}
         for place, joint in zip(places, joints, strict=True):
-            key = (joint.axis.name, joint.axis.channel)
-            if key in seen:
-                raise self.error(
-                    f"joint.{place}.channel", f"{key[0]} channel {key[1]} moves {seen[key]} already, expected another"
-                )
-            seen[key] = place
+            name, channel = joint.axis.name, joint.axis.channel
+            before = seen.setdefault((name, channel), place)
+            if before != place:
+                what = f"{name} channel {channel} moves {before} already, expected another"
+                raise self.error(f"joint.{place}.channel", what)
 
     def instrument(self, table: dict[str, Any]) -> IDSDevice | ProgramDevice:
         place = "interferometer"
         if "record" in table:
             self.keys(table, place, {"record", "timeout_s"})
-            timeout = self.number(table, place, "timeout_s", low=0.001, high=600.0, default=10.0)
-            return ProgramDevice(self.text(table, place, "record"), timeout)
+            return ProgramDevice(self.text(table, place, "record"), self.timeout(table, place, 10.0))
         known = {"driver", "name", "address", "timeout_s", "axis", "namespace", "sign", "noise_nm", "samples"}
         self.keys(table, place, known | {"steady_nm", "least_contrast_permille", "air"})
         self.choice(table, place, "driver", ("attocube-ids",), None)
@@ -160,61 +140,52 @@ class _Reader(Tables):
             raise self.error(f"{place}.sign", "expected 1 or -1, found 0")
         noise = self.number(table, place, "noise_nm", low=1e-6, high=1e6) * 1e-3
         samples = self.whole(table, place, "samples", 1, 10_000, 8)
-        least_spread = 10.0 * noise * math.sqrt(samples) * 1e3
-        return IDSDevice(
-            name=self.line(table, place, "name", "IDS3010"),
-            address=self.address(table, place, attocube.DEFAULT_PORT),
-            timeout_s=self.number(table, place, "timeout_s", low=0.001, high=600.0, default=2.0),
-            settings=IDSSettings(
-                axis=self.whole(table, place, "axis", 0, 2, 0),
-                namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),
-                sign=sign,
-                samples=samples,
-                steady=self.number(table, place, "steady_nm", low=1e-3, high=1e6, default=least_spread) * 1e-3,
-                least_contrast_permille=self.number(
-                    table, place, "least_contrast_permille", low=0.0, high=1000.0, default=20.0
-                ),
-                air=self.flag(table, place, "air"),
-            ),
-            noise=noise,
+        spread_nm = 10.0 * noise * math.sqrt(samples) * 1e3
+        contrast = "least_contrast_permille"
+        settings = IDSSettings(
+            axis=self.whole(table, place, "axis", 0, 2, 0),
+            namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),
+            sign=sign,
+            samples=samples,
+            steady=self.number(table, place, "steady_nm", low=1e-3, high=1e6, default=spread_nm) * 1e-3,
+            least_contrast_permille=self.number(table, place, contrast, low=0.0, high=1000.0, default=20.0),
+            air=self.flag(table, place, "air"),
         )
+        address = self.address(table, place, attocube.DEFAULT_PORT)
+        name = self.line(table, place, "name", "IDS3010")
+        return IDSDevice(name, address, self.timeout(table, place, 2.0), settings, noise)
 
     def emulation(self, table: dict[str, Any], devices: set[str]) -> EmulationSettings:
         self.keys(table, "emulate", {"truth", "seed", "time_h", "settle_s", "fault"})
         entries = table.get("fault", [])
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
             raise self.error("emulate.fault", "expected [[emulate.fault]] tables")
-        faults = []
-        for number, entry in enumerate(entries, 1):
-            place = f"emulate.fault {number}"
-            self.keys(entry, place, {"device", "kind", "at_s", "duration_s"})
-            faults.append(
-                FaultSettings(
-                    self.choice(entry, place, "device", tuple(sorted(devices)), None),
-                    self.choice(entry, place, "kind", FAULTS, None),
-                    self.number(entry, place, "at_s", low=0.0),
-                    self.number(entry, place, "duration_s", low=0.0, default=10.0),
-                )
-            )
         return EmulationSettings(
             truth=self.line(table, "emulate", "truth", ""),
             seed=self.whole(table, "emulate", "seed", 0, 2**32 - 1, 0),
             time_h=self.number(table, "emulate", "time_h", default=0.0),
             settle_s=self.number(table, "emulate", "settle_s", low=0.0, high=600.0, default=0.05),
-            faults=tuple(faults),
+            faults=tuple(self.fault(entry, f"emulate.fault {i}", devices) for i, entry in enumerate(entries, 1)),
         )
+
+    def fault(self, entry: dict[str, Any], place: str, devices: set[str]) -> FaultSettings:
+        self.keys(entry, place, {"device", "kind", "at_s", "duration_s"})
+        return FaultSettings(
+            self.choice(entry, place, "device", tuple(sorted(devices)), None),
+            self.choice(entry, place, "kind", FAULTS, None),
+            self.number(entry, place, "at_s", low=0.0),
+            self.number(entry, place, "duration_s", low=0.0, default=10.0),
+        )
+
+    def timeout(self, table: dict[str, Any], place: str, default: float) -> float:
+        return self.number(table, place, "timeout_s", low=0.001, high=600.0, default=default)
 
     def address(self, table: dict[str, Any], place: str, port: int) -> Address:
         text = self.text(table, place, "address")
-        host, colon, digits = text.rpartition(":")
-        if not colon:
-            host, digits = text, str(port)
+        host, digits = text.rsplit(":", 1) if ":" in text else (text, str(port))
         if not host or not digits.isdecimal() or int(digits) > 65535:
             raise self.error(f"{place}.address", f"expected HOST or HOST:PORT, found {literal(text)}")
         return Address(host, int(digits))
-
-    def optional(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
-        return self.table(parent, "", key) if key in parent else {}
 
     def line(self, table: dict[str, Any], place: str, key: str, default: str) -> str:
         return self.text(table, place, key) if key in table else default

@@ -22,11 +22,9 @@ from fpcal_bayes.model.cell.cell import Cell
 def sweeps_of(
     orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]], *, sigma: float, origin_s: float
 ) -> Sweeps | None:
-    """The rows of all orders that gave reliable numbers; None if there is none.
+    """The rows of all orders that gave reliable numbers, as they were driven, with one `sigma` in um; or None.
 
-    outcomes: by the order's place, in the order in which they were driven, which is that of the rows.
-    sigma: standard deviation of a row, in um.
-    origin_s: Unix time of the campaign's beginning.
+    `outcomes` come by the order's place; `origin_s` is the Unix time of the campaign's beginning.
     """
     rows: list[dict[str, Any]] = []
     for number, outcome in outcomes.items():
@@ -51,7 +49,6 @@ def sweeps_of(
                     "utc": iso(reading["moment_s"]),
                     "temperature_c": np.nan if celsius is None else celsius,
                     "t_start_h": (first["moment_s"] - origin_s) / 3600.0,
-                    "t_end_h": (reading["moment_s"] - origin_s) / 3600.0,
                     "approach": "".join("-0+"[sign + 1] for sign in side.tolist()),
                 }
             )
@@ -59,22 +56,22 @@ def sweeps_of(
         return None
     table: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
     q_start, q_end = np.array(table.pop("q_start")), np.array(table.pop("q_end"))
-    for name in ("time_h", "dl", "temperature_c", "t_start_h", "t_end_h"):
+    for name in ("time_h", "dl", "temperature_c", "t_start_h"):
         table[name] = np.array(table[name], dtype=float)
-    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", **table)
+    return Sweeps.of_um_rad(q_start, q_end, sigma=sigma, file="session", t_end_h=table["time_h"], **table)
 
 
 def doubtful_of(orders: Sequence[Order], outcomes: Mapping[int, Mapping[str, Any]]) -> DoubtfulRecord | None:
     """The orders that gave no reliable number; None if there is none."""
-    doubtful = [(number, outcome) for number, outcome in sorted(outcomes.items()) if outcome["doubt"]]
+    doubtful = [number for number, outcome in sorted(outcomes.items()) if outcome["doubt"]]
     if not doubtful:
         return None
     n = len(doubtful)
     return DoubtfulRecord(
-        session=np.array([orders[number].session for number, _ in doubtful], dtype=np.str_),
-        label=np.array([orders[number].label for number, _ in doubtful], dtype=np.str_),
-        reason=np.array([outcome["doubt"] for _, outcome in doubtful], dtype=np.str_),
-        recording=np.array([number for number, _ in doubtful], dtype=np.int64),
+        session=np.array([orders[number].session for number in doubtful], dtype=np.str_),
+        label=np.array([orders[number].label for number in doubtful], dtype=np.str_),
+        reason=np.array([outcomes[number]["doubt"] for number in doubtful], dtype=np.str_),
+        recording=np.array(doubtful, dtype=np.int64),
         dl=np.full(n, np.nan),
         sigma=np.full(n, np.nan),
         signed=np.ones(n, dtype=bool),
@@ -92,10 +89,8 @@ def recordings_of(
     ends = [np.array([outcome["readings"][end]["q"] for _, outcome in kept]) for end in (0, -1)]
     moved = np.array([order.start != order.targets[-1] for order, _ in kept])
     moments = [outcome["readings"][-1]["moment_s"] for _, outcome in kept]
-    traces = []
-    for (_, outcome), moves in zip(kept, moved, strict=True):
-        scale = float(cell.joint_scales[int(np.argmax(moves))])
-        traces.append(read_trace(folder / outcome["trace"], scale))
+    scales = cell.joint_scales[moved.argmax(axis=1)]
+    traces = [read_trace(folder / outcome["trace"], float(s)) for (_, outcome), s in zip(kept, scales, strict=True)]
     sweeps = Sweeps.of_um_rad(
         ends[0],
         _stood(moved, *ends),

@@ -12,14 +12,42 @@ from fpcal_bayes.measure.orders import Order
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.envelope import breaches
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.rig.envelope import CellEnvelope
+from fpcal_bayes.model.joint_path import JointPath, box
+from fpcal_bayes.model.margin import estimate_draws, prior_draws, require_envelope
 from fpcal_bayes.rig.settings import Rig
 
-#: Points of a straight line on which gap and length are looked at.
-_POINTS = 33
+#: Points of a straight line on which gap and length are looked at, and those that are held to the cell's envelope.
+_POINTS, _LINE = 33, 9
 #: Points per moving joint of the box through which joints that are not in step may pass.
 _BOX = 3
+
+
+class CellEnvelope:
+    """What keeps the mirror off the fibre, with what an estimate, or else the cell's prior, knows of it."""
+
+    def __init__(self, cell: Cell, estimate: Estimate | None = None) -> None:
+        self.together = require_envelope(cell).together
+        self._model, self._draws = prior_draws(cell) if estimate is None else estimate_draws(estimate)
+
+    def refusals(self, moves: Sequence[Sequence[Floats]], speed: Floats) -> list[str | None]:
+        """Why each move, of poses at its start, stops and end, may leave the envelope in whatever order of joints."""
+        share = np.linspace(0.0, 1.0, _LINE)[:, None]
+        poses, rows, steps, seconds, count = [], [], [], [], 0
+        for row, stops in enumerate(moves):
+            for start, end in pairwise(stops):
+                turn = np.vstack([start + share * (end - start), box(self._model.cell, start, end)])
+                first = count + np.arange(_LINE - 1)
+                steps.append(np.column_stack([first, first + 1]))
+                seconds.append(np.full(_LINE - 1, (np.abs(end - start) / speed).max() / (_LINE - 1)))
+                poses.append(turn)
+                rows.append(np.full(len(turn), row))
+                count += len(turn)
+        q, row_of = np.vstack(poses), np.concatenate(rows)
+        path = JointPath(q, row_of, np.zeros(len(q), dtype=bool), np.vstack(steps), np.concatenate(seconds))
+        found = {breach.row: breach.what for breach in breaches(self._model, self._draws, path)}
+        return [found.get(row) for row in range(len(moves))]
 
 
 class ForbiddenMoveError(InputError):
@@ -40,20 +68,14 @@ class Leg:
 
 
 class Guard:
-    """Looks at every move before it is made.
-
-    estimate: geometry by which gap and length are told; by default the cell's nominal one.
-    envelope: where the cell may be, beyond the limits of its joints; by default the cell's own, if it states one.
-    """
+    """Looks at every move before it is made, by an estimate's geometry or the nominal one, and the cell's envelope."""
 
     def __init__(
         self, cell: Cell, rig: Rig, estimate: Estimate | None = None, envelope: CellEnvelope | None = None
     ) -> None:
         self._cell = cell
         self._rig = rig
-        self._envelope = envelope
-        if envelope is None and cell.envelope is not None:
-            self._envelope = CellEnvelope(cell, estimate)
+        self._envelope = CellEnvelope(cell, estimate) if envelope is None and cell.envelope is not None else envelope
         parameters = cell.free if estimate is None else estimate.parameters
         self._values = parameters.nominal if estimate is None else estimate.values
         self._model = CavityModel.of(cell, parameters)
@@ -80,10 +102,7 @@ class Guard:
             )
 
     def check_move(self, start: Floats, end: Floats, what: str) -> None:
-        """Raise `ForbiddenMoveError` unless all poses between two are allowed, whatever the order of the joints.
-
-        Axes do not move in step: each may be anywhere between its start and its end while another is where it was.
-        """
+        """Raise `ForbiddenMoveError` unless all poses between two are allowed: axes do not move in step."""
         self.check_moves([(start, end, what)])
 
     def check_moves(self, moves: Sequence[tuple[Floats, Floats, str]]) -> None:
@@ -120,24 +139,18 @@ class Guard:
     def turns(self, start: Floats, end: Floats) -> list[Floats]:
         """The poses at which a move stops on its way: joints that must not move at once go one after the other."""
         moving = np.flatnonzero(start != end).tolist()
-        groups = [] if self._envelope is None else [list(group) for group in self._envelope.together]
+        groups = [range(len(start))] if self._envelope is None else self._envelope.together
         parts = [[joint for joint in moving if joint in group] for group in groups]
         single = [[joint] for joint in moving if not any(joint in group for group in groups)]
-        poses, pose = [], start.copy()
-        for part in [*parts, *single] if self._envelope is not None else [moving]:
-            pose = pose.copy()
-            pose[part] = end[part]
-            if part:
-                poses.append(pose)
-        return poses or [end]
+        poses = [start]
+        for part in filter(None, [*parts, *single]):
+            poses.append(poses[-1].copy())
+            poses[-1][part] = end[part]
+        return poses[1:] or [end]
 
     def seconds(self, start: Floats, end: Floats) -> float:
         """Time of a move, with settling."""
-        times, before = 0.0, start
-        for pose in self.turns(start, end):
-            times += self._turn_seconds(before, pose)
-            before = pose
-        return times
+        return sum(self._turn_seconds(*turn) for turn in pairwise([start, *self.turns(start, end)]))
 
     def _turn_seconds(self, start: Floats, end: Floats) -> float:
         moving = start != end
@@ -169,7 +182,7 @@ class Guard:
         """The pose on the way to an order's start from which the start is reached as the order of the rows says.
 
         Rows say that a joint comes from where the last kept sweep ended; it has `returned` to that sweep's start since,
-        or else stands anywhere, and may come from the other side. That matters where the cell states its reversal.
+        or else stands anywhere. That matters where the cell states its reversal.
         """
         start = self.inside(order.start)
         if before is None:

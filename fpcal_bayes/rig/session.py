@@ -12,12 +12,10 @@ from fpcal_bayes.rig.route import Guard, dry_run, total_seconds
 class Progress:
     """How far a session is."""
 
-    # done, total: orders
-    done: int
+    done: int  # orders
     total: int
-    # label, doubt: doubt about the order driven last; no doubt is empty
-    label: str
-    doubt: str
+    label: str  # of the order driven last
+    doubt: str  # about it; empty if there is none
     left_s: float  # seconds of the cell that the rest will take
 
 
@@ -26,23 +24,14 @@ class Summary:
     """How a session ended."""
 
     rows: int  # rows, or traces, in the session's file
-    # done, total: orders driven, and all
-    done: int
+    done: int  # orders driven
     total: int
-    doubtful: tuple[tuple[str, str], ...]  # labels of the orders without a reliable number, and why
+    doubtful: int  # orders without a reliable number
     reason: str  # why it ended
 
 
 class Failed(Exception):
-    """A session ended before its time; `__cause__` says why, what was measured is kept.
-
-    Attributes
-    ----------
-    summary
-        What was kept.
-    unsure
-        Controllers whose axes may still move, a line each.
-    """
+    """A session ended before its time: `__cause__` says why, `unsure` which controllers may still move, a line each."""
 
     def __init__(self, summary: Summary, unsure: list[str]) -> None:
         super().__init__(summary.reason)
@@ -51,12 +40,10 @@ class Failed(Exception):
 
 
 def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress], None]) -> Summary:
-    """Drive all orders that are left.
+    """Drive all orders that are left; `Failed` if a device is lost, a move is forbidden, or all must stop.
 
     Every move of the ticket is looked at before the first is made. Whatever goes wrong, the axes are stopped before
     anything else is done.
-
-    Raises Failed if a device is lost, a move is forbidden, or all must stop.
     """
     if not agenda.left:
         return _summary(agenda, agenda.should_stop()[1])
@@ -91,9 +78,5 @@ def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress
 
 def _summary(agenda: Agenda, reason: str) -> Summary:
     rows = agenda.checkpoint()
-    doubtful = tuple(
-        (agenda.orders[number].label, str(outcome["doubt"]))
-        for number, outcome in sorted(agenda.outcomes.items())
-        if outcome["doubt"]
-    )
+    doubtful = sum(bool(outcome["doubt"]) for outcome in agenda.outcomes.values())
     return Summary(rows, len(agenda.outcomes), len(agenda.orders), doubtful, reason)

@@ -54,7 +54,7 @@ class ProgramDevice:
 
 @dataclass(frozen=True)
 class FaultSettings:
-    """A fault that an emulated device has by itself: which, when and for how long, in seconds of the cell."""
+    """A fault that an emulated device has by itself, in seconds of the cell."""
 
     device: str
     kind: str

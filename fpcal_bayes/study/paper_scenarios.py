@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.decision.closed_loop import ClosedLoop, run_policy, task_peaks
+from fpcal_bayes.decision.closed_loop import run_policy, task_peaks
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS
+from fpcal_bayes.infer.tasks.source import PATH_POINTS
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.truth import Truth
@@ -66,14 +66,9 @@ class Followed:
     """What following the week gave."""
 
     track: Track  # the filter on the sweeps of the paper's protocol
-    # loop, policy_track, policy_sweeps: what the policy did, its sessions as a track, and all its sweeps, those of day
-    # 0 included
-    loop: ClosedLoop
-    policy_track: Track
-    policy_sweeps: Sweeps
-    # goal, costs: of the policy
-    goal: Goal
-    costs: Costs
+    policy_track: Track  # the policy's sessions
+    policy_sweeps: Sweeps  # all its sweeps, those of day 0 included
+    goal: Goal  # of the policy
     courses: tuple[Scenario, ...]  # the paper's, the filter's, the policy's
 
 
@@ -102,9 +97,16 @@ def follow_week(
     costs = Costs(most_sweeps=2, sigma_nm=1e3 * sigma, diagnosis_h=24.0)
     policy = _within_reach(Policy.of(drift, model, _GOAL, costs, paper_protocol(cell)), followed)
     goal = policy.goal
-    rig = _Rig(cell, truth, sigma, seed)
     end_h = float(truth.times_h[-1])
-    loop = run_policy(policy, followed.outcomes[0], rig.measure, end_h)
+    noises = np.random.SeedSequence([seed, 1])
+
+    def measure(plan: Sweeps, time_h: float) -> Sweeps:
+        """What a plan gives on the simulated cell, each with noise of its own."""
+        n, noise = len(plan), int(noises.spawn(1)[0].generate_state(1)[0])
+        timed = replace(plan, session=np.full(n, f"h{time_h:06.2f}"), time_h=np.full(n, time_h))
+        return simulate_um(cell, truth, timed, sigma=sigma, seed=noise, machine_seed=seed)
+
+    loop = run_policy(policy, followed.outcomes[0], measure, end_h)
     progress("judging the week")
     look_h = LOOK_H if cell.mechanics is None else _MACHINE_LOOK_H
     times = np.arange(0.0, end_h + look_h / 2.0, look_h)
@@ -137,7 +139,7 @@ def follow_week(
     )
     everything = join([first, *loop.sweeps], file="policy.h5")
     policy_track = replace(followed, outcomes=loop.outcomes)
-    return Followed(followed, loop, policy_track, everything, goal, costs, courses)
+    return Followed(followed, policy_track, everything, goal, courses)
 
 
 def _within_reach(policy: Policy, followed: Track) -> Policy:
@@ -168,17 +170,3 @@ def _machine_peaks(
         driven_error(cell, truth, tasks[i], held[i][1], float(t), seed) for i, t in zip(number, times, strict=True)
     )
     return np.array([np.ptp(error) for error in errors])
-
-
-class _Rig:
-    """Measures the policy's plans on the simulated cell, each with noise of its own."""
-
-    def __init__(self, cell: Cell, truth: Truth, sigma: float, seed: int) -> None:
-        self._cell, self._truth, self._sigma, self._machine = cell, truth, sigma, seed
-        self._seeds = np.random.SeedSequence([seed, 1])
-
-    def measure(self, plan: Sweeps, time_h: float) -> Sweeps:
-        n = len(plan)
-        timed = replace(plan, session=np.full(n, f"h{time_h:06.2f}"), time_h=np.full(n, time_h))
-        seed = int(self._seeds.spawn(1)[0].generate_state(1)[0])
-        return simulate_um(self._cell, self._truth, timed, sigma=self._sigma, seed=seed, machine_seed=self._machine)

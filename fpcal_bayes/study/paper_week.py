@@ -1,6 +1,6 @@
 """The paper's week on the simulated cell: sweeps on days 0, 1, 2, 7 and 8, each identified as the paper did.
 
-Between the tables of the paper the truth either moves steadily, or walks at random with the drift sizes of the cell.
+Between the tables of the paper the truth moves steadily.
 """
 
 from dataclasses import dataclass, replace
@@ -47,12 +47,8 @@ class Circle:
 
 def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed: int) -> list[Circle]:
     """The circle of the estimate of session `name`, driven at `CHECK_HOURS` after it; `seed` is that of the noise."""
-    task = _circle(estimate)
-    times = [estimate.time_h + hours for hours in CHECK_HOURS]
-    return [
-        _driven(cell, truth, task, estimate, f"check-{hours:02.0f}h", time_h, name, seed + number, seed)
-        for number, (hours, time_h) in enumerate(zip(CHECK_HOURS, times, strict=True))
-    ]
+    drives = [(f"check-{hours:02.0f}h", estimate.time_h + hours, name, estimate) for hours in CHECK_HOURS]
+    return _driven(cell, truth, drives, seed, seed)
 
 
 def renewed_circles(
@@ -63,23 +59,27 @@ def renewed_circles(
     The estimates are by session, in order of time; `seed` is of the recordings' noise, `machine_seed` of the
     machine.
     """
-    circles: list[Circle] = []
-    before = ""
+    drives, before = [], ""
     for name, estimate in estimates.items():
-        used = [(before, "before")] if before else []
-        for held, when in [*used, (name, "after")]:
-            task = _circle(estimates[held])
-            number = seed + len(circles)
-            label = f"{when}-{name}"
-            circles.append(
-                _driven(cell, truth, task, estimates[held], label, estimate.time_h, held, number, machine_seed)
-            )
+        for held, when in ((before, "before"), (name, "after")):
+            if held:
+                drives.append((f"{when}-{name}", estimate.time_h, held, estimates[held]))
         before = name
+    return _driven(cell, truth, drives, seed, machine_seed)
+
+
+def _driven(
+    cell: Cell, truth: Truth, drives: list[tuple[str, float, str, Estimate]], seed: int, machine_seed: int
+) -> list[Circle]:
+    """Circles by name, time, and the session with its estimate that each is driven with."""
+    circles = []
+    for number, (name, time_h, session, estimate) in enumerate(drives, start=seed):
+        path = task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS)
+        task = path.driven()
+        change = driven_error(cell, truth, task, estimate, time_h, machine_seed)
+        trace = record_path(cell, truth, task.q, time_h, seed=number, machine_seed=machine_seed)
+        circles.append(Circle(name, time_h, session, task.along, change - change[0], trace))
     return circles
-
-
-def _circle(estimate: Estimate) -> Task:
-    return task_path(estimate.cell, estimate.vector(), "circle", radius=RADIUS, n_points=_POINTS).driven()
 
 
 def driven_error(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_h: float, seed: int) -> Floats:
@@ -94,24 +94,6 @@ def driven_error(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_
     missed: Floats = true - model.predict(expected, task_rows(model, task))
     return missed if task.added is None else missed + task.added
 
-
-def _driven(
-    cell: Cell,
-    truth: Truth,
-    task: Task,
-    estimate: Estimate,
-    name: str,
-    time_h: float,
-    held: str,
-    seed: int,
-    machine_seed: int,
-) -> Circle:
-    change = driven_error(cell, truth, task, estimate, time_h, machine_seed)
-    trace = record_path(cell, truth, task.q, time_h, seed=seed, machine_seed=machine_seed)
-    return Circle(name, time_h, held, task.along, change - change[0], trace)
-
-
-_STEP_H = 0.5
 
 Free = Literal["all", "extrinsic"]
 
@@ -146,30 +128,12 @@ class Week:
     identifications: dict[str, Identification]
 
 
-def week_truth(cell: Cell, between: str, seed: int) -> Truth:
-    """The truth through the week: the paper's tables on days 0, 1, 2 and 8, and what lies between them.
-
-    `between` is ``steady``, or ``walk`` for a random walk, by `seed`, with the cell's drift sizes, given the tables.
-    """
-    tables = paper_truth(cell)
-    if between == "steady":
-        return tables
-    sizes = {size.name: size.walk for size in cell.drift}
-    walk = np.array([sizes.get(name, 0.0) for name in tables.parameters.names]) * np.sqrt(_STEP_H / 24.0)
-    times = np.arange(0.0, tables.times_h[-1] + _STEP_H / 2.0, _STEP_H)
-    random = np.random.default_rng([seed, 2])
-    path = np.cumsum(np.vstack([0.0 * walk, walk * random.standard_normal((len(times) - 1, len(walk)))]), axis=0)
-    # A walk less its own line between the days of the tables is a Brownian bridge.
-    at_tables = Truth(tables.parameters, tables.times_h, path[np.searchsorted(times, tables.times_h - 1e-9)])
-    return Truth(tables.parameters, times, tables.at(times) + path - at_tables.at(times))
-
-
-def measure_week(cell: Cell, *, sigma: float, seed: int, between: str = "steady") -> tuple[Truth, Sweeps]:
-    """The truth through the week (see `week_truth`), and simulated sweeps of all sessions in order of time.
+def measure_week(cell: Cell, *, sigma: float, seed: int) -> tuple[Truth, Sweeps]:
+    """The truth through the week, and simulated sweeps of all sessions in order of time.
 
     `sigma` is the standard deviation of each change of cavity length in um, `seed` that of the noise.
     """
-    truth = week_truth(cell, between, seed)
+    truth = paper_truth(cell)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")
     return truth, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)
 

@@ -15,6 +15,7 @@ from scipy import stats
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.measure.protocol import paper_protocol, single_sweep
@@ -30,51 +31,29 @@ COVERAGES = (0.5, 0.8, 0.95)
 FAMILY_WISE = 0.01
 
 
-@dataclass(frozen=True)
-class RankVerdict:
-    """Tests of one quantity: p-values of the ranks' uniformity, and of each interval's coverage."""
+def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> dict[str, Any]:
+    """Test the ranks (n_replicates,), 0 to `RANKED`, of one quantity, by their distribution and by central intervals.
 
-    name: str
-    # chi_square, kolmogorov: p-values of the ranks in bins, and of their distribution
-    chi_square: float
-    kolmogorov: float
-    # covered, coverage: share of the ranks in each central interval of `COVERAGES`, and its p-value
-    covered: list[float]
-    coverage: list[float]
-
-
-def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> RankVerdict:
-    """Test the ranks (n_replicates,), 0 to `RANKED`, of one quantity."""
+    The smallest of the p-values is corrected for their number.
+    """
     counts = np.bincount(ranks * BINS // (RANKED + 1), minlength=BINS)
     spread = (ranks + random.random(len(ranks))) / (RANKED + 1)
-    covered, p_values = [], []
+    uniform = {
+        "p_chi_square": float(stats.chisquare(counts).pvalue),
+        "p_kolmogorov": float(stats.kstest(spread, "uniform").pvalue),
+    }
+    covered, p_values = {}, [*uniform.values()]
     for share in COVERAGES:
         tail = (RANKED + 1) * (1 - share) / 2
         inside = int(((ranks >= tail - 1e-9) & (ranks < RANKED + 1 - tail - 1e-9)).sum())
-        covered.append(inside / len(ranks))
+        covered[f"in_{100 * share:g}_percent"] = 100.0 * inside / len(ranks)
         p_values.append(float(stats.binomtest(inside, len(ranks), share).pvalue))
-    return RankVerdict(
-        name, float(stats.chisquare(counts).pvalue), float(stats.kstest(spread, "uniform").pvalue), covered, p_values
-    )
-
-
-def least_p(verdict: RankVerdict) -> float:
-    """The smallest p-value of the five tests, corrected for their number."""
-    return min(1.0, 5.0 * min(verdict.chi_square, verdict.kolmogorov, *verdict.coverage))
+    return {"quantity": name} | uniform | covered | {"p_corrected": min(1.0, len(p_values) * min(p_values))}
 
 
 PROTOCOLS = ("paper", "paper-mid", "random")
 #: Ends of a move of all six joints, in um and deg; no sweep of a protocol moves more than one.
 TASK = np.array([[60.0, 10.0, -60.0, 1.0, -1.0, 20.0], [-80.0, -12.0, 90.0, -2.0, 1.5, 60.0]])
-
-
-@dataclass(frozen=True)
-class Replicate:
-    """Ranks of one truth, from 0 to `RANKED`, or None if the fit failed; and what the sampler says of itself."""
-
-    ranks: list[int] | None
-    failures: tuple[str, ...]
-    charts: int
 
 
 def sbc_plan(protocol: str, cell: Cell) -> Sweeps:
@@ -99,40 +78,6 @@ def quantities(cell: Cell) -> list[str]:
     return [*cell.free.names, "task", "log density"]
 
 
-def ranks_of(
-    cell: Cell, plan: Sweeps, random: np.random.Generator, *, sigma: float, draws: int, steps: int | None = None
-) -> Replicate:
-    """Draw one truth and rank it.
-
-    `sigma` is the standard deviation of each change of cavity length in um; `draws` the effective draws of the
-    posterior, at least `RANKED`. With `steps` the walkers go so far and no further: the ranks are those of an exact
-    sampler if the start is.
-    """
-    truth = drawn_truth(cell, random)
-    values = truth.values[0]
-    noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
-    found = identify(cell, simulate_um(cell, truth, plan, sigma=sigma, seed=noise_seed))
-    charts = 1 + len(found.other_minima)
-    if not found.converged:
-        return Replicate(None, ("not identified",), charts)
-    posterior = sample(found, draws=draws, seed=sampler_seed, max_steps=steps)
-
-    problem = found.problem
-    # Walkers do not interact; the middle and the end of each walk lie many autocorrelation times apart.
-    chosen_steps = [posterior.points.shape[1] // 2, -1]
-    chosen = posterior.points[:, chosen_steps].reshape(-1, problem.n_unknowns)[:RANKED]
-    task = problem.model.rows(*(TASK[:, None] * cell.joint_scales))
-    target = PosteriorTarget(problem)
-
-    def ranked(unknowns: Floats) -> Floats:
-        lengths = problem.model.predict(problem.values(unknowns), task)
-        log_density = target.log_density(target.data_residuals(unknowns), unknowns)
-        return np.column_stack([unknowns, lengths, log_density])
-
-    ranks = (ranked(chosen) < ranked(problem.unknowns(values)[None])).sum(axis=0)
-    return Replicate(ranks.tolist(), posterior.failures, charts)
-
-
 @dataclass(frozen=True, kw_only=True)
 class PosteriorRanks(Study):
     """Simulation-based calibration."""
@@ -154,13 +99,21 @@ class PosteriorRanks(Study):
         return {"sweeps_sha256": sweeps_sha256(self.plan)} | own
 
     def replicate(self, number: int) -> dict[str, Floats]:
-        """Ranks of one truth, NaN if it was not identified; whether its draws converged (1 or 0)."""
-        found = ranks_of(
-            self.cell, self.plan, self.random(number), sigma=self.sigma, draws=self.draws, steps=self.steps
-        )
-        ranks = np.full(len(quantities(self.cell)), np.nan) if found.ranks is None else np.array(found.ranks, float)
-        flags = {"identified": found.ranks is not None, "sampled": not found.failures, "charts": found.charts}
-        return {name: np.array(float(flag)) for name, flag in flags.items()} | {"ranks": ranks}
+        """Ranks of one truth, NaN if it was not identified; whether its draws converged (1 or 0).
+
+        With `steps` the walkers go so far and no further: the ranks are those of an exact sampler if the start is.
+        """
+        cell, random = self.cell, self.random(number)
+        truth = drawn_truth(cell, random)
+        noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
+        found = identify(cell, simulate_um(cell, truth, self.plan, sigma=self.sigma, seed=noise_seed))
+        flags = {"identified": float(found.converged), "sampled": 0.0, "charts": 1.0 + len(found.other_minima)}
+        ranks = np.full(len(quantities(cell)), np.nan)
+        if found.converged:
+            posterior = sample(found, draws=self.draws, seed=sampler_seed, max_steps=self.steps)
+            flags["sampled"] = float(not posterior.failures)
+            ranks = _ranks(posterior, truth.values[0])
+        return {name: np.array(flag) for name, flag in flags.items()} | {"ranks": ranks}
 
     def summary(self, results: Results) -> Summary:
         """Tests of each quantity's ranks."""
@@ -177,25 +130,35 @@ class PosteriorRanks(Study):
         if not len(ranks):
             return Summary("ranks", [], [], warnings)
         random = np.random.default_rng(self.seed)
-        verdicts = [judge(name, ranks[:, i], random) for i, name in enumerate(names)]
-        rows: list[dict[str, str | int | float]] = [
-            {
-                "quantity": v.name,
-                "p_chi_square": v.chi_square,
-                "p_kolmogorov": v.kolmogorov,
-                **{f"in_{100 * c:g}_percent": 100.0 * share for c, share in zip(COVERAGES, v.covered, strict=True)},
-                "p_corrected": least_p(v),
-            }
-            for v in verdicts
-        ]
-        worst = min(verdicts, key=least_p)
-        corrected = min(1.0, len(names) * least_p(worst))
+        rows = [judge(name, ranks[:, i], random) for i, name in enumerate(names)]
+        worst = min(rows, key=lambda row: row["p_corrected"])
+        corrected = min(1.0, len(names) * worst["p_corrected"])
         good = corrected > FAMILY_WISE
         if not good:
-            warnings.append(f"not calibrated: {worst.name}, p = {corrected:.2g} over all {len(names)} quantities")
+            warnings.append(
+                f"not calibrated: {worst['quantity']}, p = {corrected:.2g} over all {len(names)} quantities"
+            )
         sentences = [
             f"{len(ranks)} of {len(kept)} truths ranked, {several} with several charts",
-            f"{'calibrated' if good else 'NOT calibrated'}: worst {worst.name}, p = {corrected:.3g} over all "
+            f"{'calibrated' if good else 'NOT calibrated'}: worst {worst['quantity']}, p = {corrected:.3g} over all "
             f"{len(names)} quantities (family-wise level {FAMILY_WISE})",
         ]
         return Summary("ranks of the truths among posterior draws", rows, sentences, warnings)
+
+
+def _ranks(posterior: Posterior, truth: Floats) -> Floats:
+    """Ranks of a truth (n_free,) among `RANKED` draws, in the order of `quantities`."""
+    problem = posterior.identification.problem
+    # Walkers do not interact; the middle and the end of each walk lie many autocorrelation times apart.
+    chosen_steps = [posterior.points.shape[1] // 2, -1]
+    chosen = posterior.points[:, chosen_steps].reshape(-1, problem.n_unknowns)[:RANKED]
+    task = problem.model.rows(*(TASK[:, None] * problem.model.cell.joint_scales))
+    target = PosteriorTarget(problem)
+
+    def ranked(unknowns: Floats) -> Floats:
+        lengths = problem.model.predict(problem.values(unknowns), task)
+        log_density = target.log_density(target.data_residuals(unknowns), unknowns)
+        return np.column_stack([unknowns, lengths, log_density])
+
+    ranks: Floats = (ranked(chosen) < ranked(problem.unknowns(truth)[None])).sum(axis=0).astype(float)
+    return ranks

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import Innovation
@@ -176,7 +176,8 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
     def chi_square(verdict: SessionVerdict, value: float, dof: int, allowed: float, evidence: str) -> None:
         p_value = chi2_tail(value, dof) if dof > 0 else 1.0
         if p_value < allowed:
-            said = evidence.format(value=value, dof=dof, session=last.session, count=len(monitor.recent))
+            recent, directions = counted(len(monitor.recent), "session"), counted(dof, "direction")
+            said = evidence.format(value=value, dof=dof, session=last.session, recent=recent, directions=directions)
             found.append(Finding(verdict, allowed, f"{said} (p = {p_value:.1e})"))
 
     def several(verdict: SessionVerdict, total: float, what: str) -> None:
@@ -197,10 +198,10 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
     allowed = _allowed(limits.extrinsic_per_week, last.hours) / 3.0
     text = "normalised innovation squared {value:.1f} for {dof} degrees of freedom"
     chi_square("extrinsics-moved", *monitor.recent[-1], allowed, text)
-    move = "a move of mirror or fibre before session {session} explains a chi-square of {value:.1f} in {dof} directions"
+    move = "a move of mirror or fibre before session {session} explains a chi-square of {value:.1f} in {directions}"
     chi_square("extrinsics-moved", explained, seen, allowed, move)
     squared, dof = zip(*monitor.recent, strict=True)
-    chi_square("extrinsics-moved", sum(squared), sum(dof), allowed, text + " over the last {count} sessions")
+    chi_square("extrinsics-moved", sum(squared), sum(dof), allowed, text + " over the last {recent}")
     several("extrinsics-moved", monitor.cusum_extrinsic, "mirror and fibre have moved more than modelled")
     return found
 

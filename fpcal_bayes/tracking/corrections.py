@@ -9,9 +9,8 @@ from typing import Self
 import numpy as np
 from scipy import linalg, sparse, special
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES
 from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -40,20 +39,6 @@ class RowChanges:
     seen: Floats
     weighed: Floats
 
-    @classmethod
-    def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: Floats) -> Self:
-        """Corrections of a whitened linearisation of all rows; `covariance` is of the prediction, `half_wave` in um."""
-        mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
-        waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
-        directions, triangle = np.linalg.qr(jacobian)
-        spread = np.eye(len(triangle)) + triangle @ covariance @ triangle.T
-        explained = np.eye(len(triangle)) - np.linalg.inv(spread)
-        left = misfit - directions @ (explained @ (directions.T @ misfit))
-        own, seen = sparse.csc_array(waves.T @ waves), waves.T @ directions
-        weighed = seen @ explained
-        size = own.diagonal() - (seen * weighed).sum(axis=1)
-        return cls(float(misfit @ left), waves.T @ left, size, own, seen, weighed)
-
     def taken_off(self, row: int, waves: int) -> Self:
         """With whole half wavelengths taken off one row."""
         squared = self.squared - 2.0 * waves * self.along[row] + waves**2 * self.size[row]
@@ -65,9 +50,18 @@ class RowChanges:
 
 def row_changes(measurement: SweepMeasurement, predicted: State) -> RowChanges:
     """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
-    half_wave = measurement.model.half_waves(measurement.rows)
+    half_wave, whitening = measurement.model.half_waves(measurement.rows), measurement.whitening
     misfit, jacobian = measurement.linearise(predicted.mean)
-    return RowChanges.of(measurement.whitening, misfit, jacobian, predicted.covariance, half_wave)
+    mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
+    waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
+    directions, triangle = np.linalg.qr(jacobian)
+    spread = np.eye(len(triangle)) + triangle @ predicted.covariance @ triangle.T
+    explained = np.eye(len(triangle)) - np.linalg.inv(spread)
+    left = misfit - directions @ (explained @ (directions.T @ misfit))
+    own, seen = sparse.csc_array(waves.T @ waves), waves.T @ directions
+    weighed = seen @ explained
+    size = own.diagonal() - (seen * weighed).sum(axis=1)
+    return RowChanges(float(misfit @ left), waves.T @ left, size, own, seen, weighed)
 
 
 #: A predicted sign is taken when its odds exceed e^12 with a predictive standard deviation three times as wide.
@@ -116,7 +110,7 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
     if not left:
         return signed, []
     named = ", ".join(sweeps.label[~known].tolist()[:5]) + (", ..." if left > 5 else "")
-    return signed, [f"the sign of {left} rows cannot be told, they are not used: {named}"]
+    return signed, [f"the sign of {counted(left, 'row')} cannot be told: not used: {named}"]
 
 
 def correct_slips(

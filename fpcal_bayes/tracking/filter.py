@@ -63,7 +63,8 @@ class Innovation:
 
     def whiten(self, rows: Floats) -> Floats:
         """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
-        return np.asarray(lapack.dtrtrs(self.factor, rows, lower=True)[0])
+        # LAPACK complains of no rows.
+        return np.asarray(lapack.dtrtrs(self.factor, rows, lower=True)[0]) if len(rows) else rows
 
     @property
     def squared(self) -> float:

@@ -55,14 +55,15 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
     odds = np.log([1.0 - _STEP, 0.5 * _STEP, *[0.5 * _STEP / n] * n])
     # What moves a state is linear in the squares of the paces.
     drifts = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
-    total = np.zeros(len(paces))
+    total, diagonal = np.zeros(len(paces)), np.arange(drift.n_states)
     mean = np.tile(outcomes[first].state.mean, (len(paces), 1))
     spread = np.tile(outcomes[first].state.covariance, (len(paces), 1, 1))
     for (before, now), part in zip(pairwise(outcomes[first:]), parts[first + 1 :], strict=False):
         kelvin = kelvin_between(before.state.temperature_c, mean_temperature(part))
         still, robot, mirror = (each.transition(now.time_h - before.time_h, kelvin) for each in drifts)
         noise = np.tensordot(paces**2, [robot.noise - still.noise, mirror.noise - still.noise], 1) + still.noise
-        mean, spread = mean @ still.matrix.T + still.shift, still.matrix @ spread @ still.matrix.T + noise
+        mean, moved = mean @ still.matrix.T + still.shift, (still.matrix != np.eye(drift.n_states)).any()
+        spread = (still.matrix @ spread @ still.matrix.T if moved else spread) + noise
         used, _ = with_signs(drift, model, now.predicted, part.take(part.kind != "path"))
         if not len(used):
             continue
@@ -79,7 +80,7 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
         alone = 0.5 * (step * (weighed @ seen) ** 2 / (1.0 + size) - np.log1p(size))
         likely[:, 2:] = likely[:, :1] + alone[:, :n]
         total += special.logsumexp(odds + likely, axis=1)
-        spread = spread + jumps[(odds + likely).argmax(axis=1)][:, :, None] * np.eye(drift.n_states)
+        spread[:, diagonal, diagonal] += jumps[(odds + likely).argmax(axis=1)]
         cross = seen @ spread
         gain = np.linalg.solve(cross @ seen.T + np.eye(len(seen)), cross)
         mean = mean + np.einsum("gij,gi->gj", gain, left)

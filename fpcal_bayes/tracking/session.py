@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -69,7 +69,7 @@ def take_in(
     hours = time_h - state.time_h
     predicted = predict(drift, state, time_h, temperature)
     used = sweeps.take(sweeps.kind != "path")
-    warnings = [f"{len(sweeps) - len(used)} rows of kind path are not used"] if len(used) < len(sweeps) else []
+    warnings = [f"{counted(len(sweeps) - len(used), 'row')} of kind path not used"] if len(used) < len(sweeps) else []
     used, left_out = with_signs(drift, model, predicted, used)
     warnings += left_out
     outcome = SessionOutcome(

@@ -41,12 +41,6 @@ class Smoothed:
     gains: Floats
     converged: bool  # whether the iteration came to rest
 
-    def change(self, number: int) -> tuple[Floats, Floats]:
-        """How the state moved from one session to the next: mean (n_states,), covariance (n_states, n_states)."""
-        first, second = self.states[number : number + 2]
-        joint = self.gains[number] @ second.covariance
-        return second.mean - first.mean, first.covariance + second.covariance - joint - joint.T
-
 
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     """States after each session given all sessions, in order of time.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import symmetric
+from fpcal_bayes.core.linalg import counted, symmetric
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
@@ -49,9 +49,8 @@ class Track(Result):
     data: dict[str, str] = field(default_factory=dict)  # of the file that was followed
 
     def __repr__(self) -> str:
-        return (
-            f"Track({len(self.outcomes)} sessions of {self.cell.name!r}, last {self.last.session} {self.last.verdict})"
-        )
+        sessions = counted(len(self.outcomes), "session")
+        return f"Track({sessions} of {self.cell.name!r}, last {self.last.session} {self.last.verdict})"
 
     def content(self) -> dict[str, Any]:
         """What ``track --json`` writes beside the estimate."""
@@ -79,11 +78,6 @@ class Track(Result):
             elif outcome.verdict in ROBOT_MOVED:
                 due = outcome.session
         return due
-
-    @property
-    def log_likelihood(self) -> float:
-        """Log likelihood of all sessions after the calibration, given it."""
-        return sum(outcome.log_likelihood for outcome in self.outcomes[1:])
 
     @property
     def trust(self) -> Trust:

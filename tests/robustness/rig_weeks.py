@@ -39,7 +39,7 @@ from fpcal_bayes.cli.main import main as fpcal  # noqa: E402
 from fpcal_bayes.core.errors import InputError  # noqa: E402
 from fpcal_bayes.decision.forecast import Forecaster, Goal  # noqa: E402
 from fpcal_bayes.infer.tasks.error import task_rows  # noqa: E402
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS  # noqa: E402
+from fpcal_bayes.infer.tasks.source import PATH_POINTS  # noqa: E402
 from fpcal_bayes.io.cell import load_cell  # noqa: E402
 from fpcal_bayes.io.estimate import read_estimate  # noqa: E402
 from fpcal_bayes.measure.truth import Truth  # noqa: E402

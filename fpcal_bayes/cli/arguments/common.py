@@ -26,15 +26,12 @@ def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)"
-    )
-    parser.add_argument("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
-    parser.add_argument(
-        "--mechanics", choices=("stated", "none"), default=MECHANICS,
-        help="error motions as the cell states them (default), or a mechanism that is perfect"
-    )  # fmt: skip
-    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
+    add = parser.add_argument
+    add("--cell", metavar="CELL", default="femto-st", help="cell TOML file, or built-in cell (femto-st)")
+    add("--opd", choices=("axis", "perpendicular"), help="path model, in place of the cell's own")
+    motions = "error motions as the cell states them (default), or a mechanism that is perfect"
+    add("--mechanics", choices=("stated", "none"), default=MECHANICS, help=motions)
+    add("--quiet", action="store_true", help="print warnings and errors only")
     return parser
 
 
@@ -45,26 +42,18 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_prior(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--prior``."""
-    parser.add_argument(
-        "--prior", metavar="ESTIMATE", help="estimate JSON of the same, unchanged cell: its sweeps count as well"
-    )
+    same = "estimate JSON of the same, unchanged cell: its sweeps count as well"
+    parser.add_argument("--prior", metavar="ESTIMATE", help=same)
 
 
 def add_goal(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what the cell must hold."""
-    parser.add_argument(
-        "--tolerance-nm",
-        type=positive,
-        help="largest peak to peak of a task's error (default: 50, or as the cell states for a task of its own)",
-    )
-    parser.add_argument(
-        "--task", metavar="TASK", action="append", help="to be held: circle (default), line-x, line-z, tilt-x, tilt-z, "
-        "spin, one of the cell's own, or PATH.csv; may be given several times"
-    )  # fmt: skip
-    parser.add_argument(
-        "--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)"
-    )
-    parser.add_argument("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
+    add = parser.add_argument
+    add("--tolerance-nm", type=positive, help="largest peak to peak of a task's error (default: 50, or the task's own)")
+    held = "to be held, may be repeated: circle (default), line-x|z, tilt-x|z, spin, the cell's own, or PATH.csv"
+    add("--task", metavar="TASK", action="append", help=held)
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
+    add("--level", type=share, default=0.1, help="accepted probability (default: 0.1)")
     add_compensation(parser)
 
 
@@ -75,37 +64,25 @@ def add_costs(parser: argparse.ArgumentParser) -> None:
     add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
     add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
     add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
-    add(
-        "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "
-        "be trusted (default: 1)"
-    )  # fmt: skip
-    add(
-        "--diagnose-every-h", type=positive, default=24.0, metavar="H", help="longest time between two sessions that "
-        "can show a change of the robot itself (default: 24)"
-    )  # fmt: skip
+    add("--least-sweeps", type=count, default=1, help="likewise: 2 if drift sizes are not to be trusted (default: 1)")
+    looks = "longest time between sessions that can show a change of the robot itself (default: 24)"
+    add("--diagnose-every-h", type=positive, default=24.0, metavar="H", help=looks)
     add("--sigma-nm", type=positive, help="of the sweeps to come (default: the campaign's median)")
 
 
 def add_task_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Add the options that choose a task."""
-    parser.add_argument(
-        "--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)"
-    )
-    parser.add_argument(
-        "--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)"
-    )
-    parser.add_argument(
-        "--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)"
-    )
+    add = parser.add_argument
+    add("--task", metavar="TASK", required=required, default="all", help="task by name, or a path CSV (see below)")
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
+    add("--points", type=count, metavar="N", help="points of the path (default: 31 with mechanics, else 61)")
     add_compensation(parser)
 
 
 def add_compensation(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--no-compensation``."""
-    parser.add_argument(
-        "--no-compensation", dest="compensate", action="store_false", help="drive as the geometry alone says (default: "
-        "make up for the error motions that are known, where that gains)"
-    )  # fmt: skip
+    alone = "drive as the geometry alone says (default: make up for known error motions, where that gains)"
+    parser.add_argument("--no-compensation", dest="compensate", action="store_false", help=alone)
 
 
 def positive(text: str) -> float:

@@ -164,10 +164,7 @@ def control(commands: Commands) -> None:
     add = parser.add_argument
     add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=True)
-    add(
-        "--now", metavar="TIME_H|UTC", help="when the task is driven: says if the estimate is past its horizon "
-        "(default: this clock, where the estimate carries a clock time)"
-    )  # fmt: skip
+    add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
     add_json(parser)
 
@@ -177,7 +174,7 @@ DIR gets certificate.json (calibrated or not, since when, until when, under whic
 parameter and task is, hashes), chain.csv (the links in the parameters of Khalil and Kleinfinger) and, with mechanics,
 q1.csv and so on: error motions over the joint, named after ISO 230-1: EYX_nm is what an axis along X moves along Y,
 EAX_urad how it turns about X, each with the edges of its 95 % band. An estimate that is not to be used gets no such
-tables, and its certificate says so.
+tables, and its certificate says so. One that a verification contradicts is not called calibrated either.
 """
 
 
@@ -186,6 +183,7 @@ def certificate(commands: Commands) -> None:
     parser = add_command(commands, "certificate", "hand a calibration over", _CERTIFICATE)
     add = parser.add_argument
     add("file", metavar="ESTIMATE", help="estimate JSON")
+    add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
     add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
     add_json(parser)
@@ -219,13 +217,6 @@ def check(commands: Commands) -> None:
     add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")
     add("--tolerance-nm", type=positive, metavar="T", help="say whether the path is within T")
     add("--level", type=share, default=0.01, metavar="P", help="refuted below this (default: 0.01)")
-    add(
-        "--stability-percent",
-        type=positive,
-        default=0.5,
-        metavar="P",
-        help="how gain and offset may wander during the path, one standard deviation (default: 0.5)",
-    )
     add("-o", dest="output", metavar="CHECK", type=Path, help="the check as sweeps: .csv or .h5")
     add("--points", type=count, metavar="N", help="with -o: sweeps to N points of the path too")
     add("--session", metavar="NAME", default="check", help="with -o: its session (default: check)")

@@ -95,10 +95,8 @@ def track(commands: Commands) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
-    add(
-        "--flat", metavar="OUT", type=Path, help="write it flat for MATLAB or LabVIEW: .json or .mat, with fpcal_ik.m "
-        "and fpcal_fk.m beside it"
-    )  # fmt: skip
+    flat = "write it flat for MATLAB or LabVIEW: .json or .mat, with fpcal_ik.m and fpcal_fk.m beside it"
+    add("--flat", metavar="OUT", type=Path, help=flat)
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
@@ -109,6 +107,7 @@ def track(commands: Commands) -> None:
     add_json(parser)
 
 
+_NOW = "for which time (default: this clock where rows carry utc, else the last session)"
 _DECIDE = """\
 hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
 error of the tasks; full: calibrate in full, since the robot itself moved or no few sweeps reach the tolerance.
@@ -125,10 +124,7 @@ def decide(commands: Commands) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add_goal(parser)
-    add(
-        "--now", metavar="TIME_H|UTC", help="time of the decision (default: this clock where rows carry utc, else the "
-        "last session)"
-    )  # fmt: skip
+    add("--now", metavar="TIME_H|UTC", help=_NOW)
     add_costs(parser)
     add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
     add_json(parser)
@@ -156,13 +152,7 @@ def keep(commands: Commands) -> None:
     add("--flat", metavar="OUT", type=Path, help="the same flat, for MATLAB or LabVIEW: .json or .mat")
     add("--report", metavar="R.html", type=Path, help="the campaign's page")
     add("--rig", metavar="RIG", help="measure tickets on the live cell: RIG.toml")
-    add(
-        "--every-min",
-        type=positive,
-        default=15.0,
-        metavar="MIN",
-        help="longest time between two decisions (default: 15)",
-    )
+    add("--every-min", type=positive, default=15.0, metavar="MIN", help="most between two decisions (default: 15)")
     add("--look-s", type=positive, default=5.0, metavar="S", help="time between two looks at the campaign (default: 5)")
     add("--once", action="store_true", help="one round, then end")
     add_goal(parser)
@@ -238,11 +228,9 @@ def report(commands: Commands) -> None:
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
     add("--posterior", metavar="POSTERIOR.nc", help="draws of the first session, of fpcal sample")
+    add("--verification", metavar="VERIFIED.json", help="of the first session, of fpcal verify or identify --hold-out")
     add_goal(parser)
-    add(
-        "--now", metavar="TIME_H|UTC", help="time of the report (default: this clock where rows carry utc, else the "
-        "last session)"
-    )  # fmt: skip
+    add("--now", metavar="TIME_H|UTC", help=_NOW)
     add_json(parser)
 
 
@@ -256,7 +244,7 @@ Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate
 policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
 (the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
 truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
-irradiance along each circle, for fpcal check), extrinsics.svg, circles.svg, courses.svg.
+irradiance along each circle, for fpcal check), courses.svg (error and sweeps of the three ways).
 """
 
 
@@ -267,10 +255,6 @@ def week(commands: Commands) -> None:
     add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--seed", type=seed, default=0, help="of the noise (default: 0)")
-    add(
-        "--between", choices=("steady", "walk"), default="steady", help="how the truth gets from one of the paper's "
-        "tables to the next: steadily, or on a random walk with the cell's drift sizes (default: steady)"
-    )  # fmt: skip
     add("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 
@@ -295,9 +279,6 @@ def study(commands: Commands) -> None:
     add("--workers", type=count, metavar="N", help="processes of this machine (default: its cores)")
     add("--seed", type=seed, default=0, help="of the study (default: 0)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    add(
-        "--protocol", default="paper", metavar="paper|paper-mid|SWEEPS",
-        help="sweeps of each calibration (default: paper); sbc also: random"
-    )  # fmt: skip
+    add("--protocol", default="paper", metavar="paper|paper-mid|SWEEPS", help="to calibrate with; sbc also: random")
     add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
     add_json(parser)

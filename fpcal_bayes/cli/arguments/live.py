@@ -18,14 +18,13 @@ A ticket without rows does nothing. Out of date, used up or measured already: re
 def measure(commands: Commands) -> None:
     """Add ``fpcal measure``."""
     parser = add_command(commands, "measure", "drive a ticket on the live cell", _MEASURE)
-    parser.add_argument("ticket", metavar="TICKET", help="ticket or plan: CSV without measured values")
-    parser.add_argument("--rig", metavar="RIG", required=True, help="devices: RIG.toml")
-    parser.add_argument(
-        "-o", dest="output", metavar="SESSION", type=Path, required=True, help="session to write: .h5 or .csv"
-    )
-    parser.add_argument("--campaign", metavar="C", help="campaign that the session will belong to: its clock, its past")
-    parser.add_argument("--estimate", metavar="ESTIMATE", help="geometry that tells the gap (default: the nominal one)")
-    parser.add_argument("--dry-run", action="store_true", help="look at every move and make none")
+    add = parser.add_argument
+    add("ticket", metavar="TICKET", help="ticket or plan: CSV without measured values")
+    add("--rig", metavar="RIG", required=True, help="devices: RIG.toml")
+    add("-o", dest="output", metavar="SESSION", type=Path, required=True, help="session to write: .h5 or .csv")
+    add("--campaign", metavar="C", help="campaign that the session will belong to: its clock, its past")
+    add("--estimate", metavar="ESTIMATE", help="geometry that tells the gap (default: the nominal one)")
+    add("--dry-run", action="store_true", help="look at every move and make none")
 
 
 _RIG = """\
@@ -40,9 +39,8 @@ def rig(commands: Commands) -> None:
     """Add ``fpcal rig``."""
     parser = add_command(commands, "rig", "emulate the devices of a cell", _RIG)
     parser.add_argument("--emulate", metavar="RIG", required=True, help="devices to emulate: RIG.toml")
-    parser.add_argument(
-        "-o", dest="output", metavar="LIVE", type=Path, help="rig file to write (default: RIG_live.toml)"
-    )
+    written = "rig file to write (default: RIG_live.toml)"
+    parser.add_argument("-o", dest="output", metavar="LIVE", type=Path, help=written)
 
 
 _SERVE = """\

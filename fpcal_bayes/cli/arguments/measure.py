@@ -61,11 +61,8 @@ def simulate(commands: Commands) -> None:
     add = parser.add_argument
     add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
     add("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
-    add(
-        "--protocol",
-        metavar="paper|paper-mid|SWEEPS.csv",
-        help="which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)",
-    )
+    sweeps = "which sweeps: the paper's 69, the same with a midpoint each, or those of a file (default: paper)"
+    add("--protocol", metavar="paper|paper-mid|SWEEPS.csv", help=sweeps)
     add("--signs", choices=("all", "paper"), help="paper: the direction of dL is known for X and Z translations only")
     add("--sigma-nm", type=positive, metavar="S", help=f"standard deviation of each dL (default: {DEFAULT_SIGMA_NM:g})")
     add("--seed", type=seed, default=0, help="of the noise (default: 0)")
@@ -110,12 +107,8 @@ def ingest(commands: Commands) -> None:
     add("--absolute", action="store_true", help="rows for the absolute lengths of all scans too")
     add("--wavelength-sd-pm", type=positive, metavar="PM", help="standard deviation of the laser's wavelength")
     add("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
-    add(
-        "--about",
-        metavar="TEXT",
-        default="",
-        help="operator, serial numbers: kept in an HDF5 FILE, shown by the report",
-    )
+    about = "operator, serial numbers: kept in an HDF5 FILE, shown by the report"
+    add("--about", metavar="TEXT", default="", help=about)
     add("--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior")
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(
@@ -136,9 +129,8 @@ def trace(commands: Commands) -> None:
     """Add ``fpcal trace``."""
     parser = add_command(commands, "trace", "look at recorded irradiance", _TRACE)
     parser.add_argument("file", metavar="FILE", help="recorded sweeps: CSV, HDF5 or MATLAB file")
-    parser.add_argument(
-        "--columns", metavar="t=NAME,..", type=columns, help="what the files of traces call t, joint and irradiance"
-    )
+    called = "what the files of traces call t, joint and irradiance"
+    parser.add_argument("--columns", metavar="t=NAME,..", type=columns, help=called)
     parser.add_argument("--label", metavar="NAME", help="this sweep alone")
     parser.add_argument("--figure", metavar="OUT", type=Path, help="draw a sweep: .svg or .png")
     add_json(parser)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.linalg import chi2_tail, counted
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
@@ -160,7 +160,7 @@ def identify(
     warnings: list[str] = []
     used = sweeps.take(sweeps.kind != "path")
     if len(used) < len(sweeps):
-        warnings.append(f"{len(sweeps) - len(used)} rows of kind path are not used in the identification")
+        warnings.append(f"{counted(len(sweeps) - len(used), 'row')} of kind path not used in the identification")
     if len(used) == 0 or not used.measured:
         raise InputError(f"{sweeps.file}: expected at least one sweep with dl_um and sigma_um")
     chosen = cell.select(free)
@@ -200,7 +200,7 @@ def identify(
             lost = replace(solution, converged=False)
         else:
             problem, solution = machine.problem, machine.solution
-            doubts += [Reason(doubt.kind, doubt.text) for doubt in doubts_of(machine)]
+            doubts += doubts_of(machine)
         if many and machine is not None:
             # Second solutions of the thinned rows, as all rows see them.
             others = distinct_minima(problem, solution, [minimise(problem, other.unknowns) for other in others])
@@ -339,7 +339,7 @@ def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
     if doubtful:
         named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])
         more = ", ..." if len(doubtful) > 5 else ""
-        text = f"the sign of {len(doubtful)} sweeps is doubtful (probability of the other): {named}{more}"
+        text = f"the sign of {counted(len(doubtful), 'sweep')} is doubtful (probability of the other): {named}{more}"
         found.append(Reason("signs", text))
     if again.any():
         named = ", ".join(map(str, used.rows[again][:5]))

@@ -6,7 +6,6 @@ columns of the term whitened alike, |X't|^2 has the mean |X|^2 and the variance 
 same two stands for its distribution (Satterthwaite 1946).
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.scales import LOG_SD_NOISE
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
+from fpcal_bayes.model.trust import Reason
 
 #: Family-wise probability of naming a term that is not there.
 _LEVEL = 0.01
@@ -28,22 +28,6 @@ _BEYOND = 3.0
 _ABSURD = 30.0
 #: Orders that the fit leaves out, looked for in the residuals.
 _POLYNOMIALS, _HARMONICS = range(6, 11), range(5, 9)
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A reason not to trust a fit: its kind and a sentence."""
-
-    kind: str
-    text: str
-
-
-@dataclass(frozen=True)
-class TermTest:
-    """Whether the rows hold more of a term than the fit allows: its name and the probability of as much by chance."""
-
-    name: str
-    p_value: float
 
 
 def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:
@@ -59,17 +43,20 @@ def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:
     return whitening.apply(target), whitening
 
 
-def term_tests(fit: MechanicsFit) -> list[TermTest]:
-    """Every test of the residuals, likeliest terms first."""
+def term_tests(fit: MechanicsFit) -> list[tuple[str, float]]:
+    """Whether the rows hold more of a term than the fit allows: its name, and the probability of as much by chance.
+
+    The likeliest terms come first.
+    """
     white, whitening = whitened_residuals(fit)
-    tests = [TermTest(name, _p_value(white, whitening.apply(columns))) for name, columns in _alternatives(fit)]
+    tests = [(name, _p_value(white, whitening.apply(columns))) for name, columns in _alternatives(fit)]
     n = len(white)
     if n > 2:
         along = abs(float(white[1:] @ white[:-1])) / np.sqrt(n - 1.0)
-        tests.append(TermTest("order of the rows", float(special.erfc(along / np.sqrt(2.0)))))
+        tests.append(("order of the rows", float(special.erfc(along / np.sqrt(2.0)))))
     total = float(white @ white)
-    tests.append(TermTest("noise beyond all terms", float(special.gammaincc(n / 2.0, total / 2.0))))
-    return sorted(tests, key=lambda test: test.p_value)
+    tests.append(("noise beyond all terms", float(special.gammaincc(n / 2.0, total / 2.0))))
+    return sorted(tests, key=lambda test: test[1])
 
 
 def terms_content(fit: MechanicsFit) -> dict[str, Any]:
@@ -80,25 +67,25 @@ def terms_content(fit: MechanicsFit) -> dict[str, Any]:
             name: {"median": float(middle[i]), "low": float(low[i]), "high": float(high[i]), "share": 0.95}
             for i, name in enumerate(fit.scales.names)
         },
-        "tests": [{"term": test.name, "p_value": test.p_value} for test in term_tests(fit)],
+        "tests": [{"term": name, "p_value": p} for name, p in term_tests(fit)],
     }
 
 
-def doubts_of(fit: MechanicsFit) -> tuple[Doubt, ...]:
+def doubts_of(fit: MechanicsFit) -> tuple[Reason, ...]:
     """Reasons not to trust the fit, none where it explains the rows within its sheet."""
     found = []
     low, middle, high = fit.scales.quantiles()
     for name, lower, median, upper in zip(fit.scales.names, low, middle, high, strict=True):
         text = f"{name}: the rows show {median:.2g} times the stated size (95 %: {lower:.2g} to {upper:.2g})"
         if lower > _ABSURD:
-            found.append(Doubt("poor-fit", f"poor fit: {text}; fpcal doctor tries what may be wrong"))
+            found.append(Reason("poor-fit", f"poor fit: {text}; fpcal doctor tries what may be wrong"))
         elif lower > _BEYOND and (name != "return" or _white_beyond(fit)):
-            found.append(Doubt("mechanics", text))
+            found.append(Reason("mechanics", text))
     tests = term_tests(fit)
     found += [
-        Doubt("residuals", f"{test.name}: the residuals show it beyond what is stated (p = {test.p_value:.1g})")
-        for test in tests
-        if test.p_value < _LEVEL / len(tests)
+        Reason("residuals", f"{name}: the residuals show it beyond what is stated (p = {p:.1g})")
+        for name, p in tests
+        if p < _LEVEL / len(tests)
     ]
     return tuple(found)
 

@@ -17,13 +17,13 @@ from fpcal_bayes.model.parameters import ParameterSet
 
 #: Poses anywhere in the joints' limits at which the directions are judged.
 _POSES = 240
-#: Directions whose effect on the cavity length is below this, in um, root mean square over poses, are cut.
+#: Directions whose effect is below this, in um, root mean square over poses, are cut.
 _NEGLIGIBLE = 1e-4
 _MOST_DIRECTIONS = 60
 
 
 def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collection[str]) -> MechanicsKnowledge:
-    """Draws of geometry and weights, turned to the directions that a cavity length feels.
+    """Draws of geometry and weights, turned to the directions that a cavity length or the mirror's pose feels.
 
     parameters: of the estimate; those that are neither free nor considered are exact.
     free: names of those that the estimate moved; others are held at nominal or where they were.
@@ -48,7 +48,9 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     for k in range(drift.shape[1]):
         drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * fit.drive.session_min
     effects = changes @ np.hstack([jacobian, path.motions, drift]).T
-    left, sizes, _ = linalg.svd(effects, full_matrices=False)
+    # The pose rests on more of the geometry than lengths feel: one standard deviation of the prior counts as 1 um.
+    scores = np.sqrt(_POSES) * geometry / np.where(model.free.prior_sd > 0, model.free.prior_sd, np.inf)
+    left, sizes, _ = linalg.svd(np.hstack([effects, scores - scores.mean(axis=0)]), full_matrices=False)
     count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
     z = left[:, : min(count, _MOST_DIRECTIONS)] * np.sqrt(len(changes))
     return MechanicsKnowledge(

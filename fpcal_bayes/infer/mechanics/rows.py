@@ -43,27 +43,13 @@ def scaled_whitening(noise: "RowNoise", made: Design, log: Floats) -> MarginalWh
 
 @dataclass(frozen=True)
 class RowNoise:
-    """What is new in each row: the noise of its readings and the return errors of the joints.
+    """What is new in each row: the noise of its readings and the return errors of the joints."""
 
-    Attributes
-    ----------
-    sigma
-        Stated standard deviation of the rows' readings in um, shape (n,).
-    stated
-        What rows say that they share with their sweep beside it, in um, shape (n, n_stated).
-    absolute
-        Rows that have no start, shape (n,).
-    sharing
-        Which rows share a start, and which an end.
-    design
-        With the return errors.
-    """
-
-    sigma: Floats
-    stated: Floats
-    absolute: Bools
-    sharing: Sharing
-    design: Design
+    sigma: Floats  # stated standard deviation of the rows' readings in um, shape (n,)
+    stated: Floats  # what rows say that they share with their sweep beside it, in um, shape (n, n_stated)
+    absolute: Bools  # rows that have no start, shape (n,)
+    sharing: Sharing  # which rows share a start, and which an end
+    design: Design  # with the return errors
 
     @classmethod
     def of(cls, sweeps: Sweeps, design: Design) -> "RowNoise":

@@ -60,8 +60,7 @@ class Line:
     """One input of a budget."""
 
     name: str
-    # ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where data and prior knowledge are combined
-    evaluation: str
+    evaluation: str  # ``A`` (from repeated observations), ``B`` (otherwise), or ``A, B`` where both are combined
     distribution: str  # ``normal`` or ``rectangular``
     unit: str  # of estimate and standard uncertainty: ``um``, ``rad`` or ``ppm``
     estimate: float  # best estimate of the input; its deviation from what is used, zero here
@@ -80,9 +79,8 @@ class Line:
 class Budget:
     """An uncertainty budget."""
 
-    task: str  # name of the task
-    # along, unit: where on it the worst point stands
-    along: float
+    task: str
+    along: float  # where on it the worst point stands, in `unit`
     unit: str
     lines: tuple[Line, ...]
     # correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n)
@@ -93,7 +91,8 @@ class Budget:
     @property
     def combined(self) -> float:
         """Combined standard uncertainty in um, JCGM 100 equation (16)."""
-        return _combined(self.lines, self.correlation)
+        contributions = np.array([line.contribution for line in self.lines])
+        return float(np.sqrt(max(float(contributions @ self.correlation @ contributions), 0.0)))
 
 
 def budget_of(
@@ -240,11 +239,6 @@ def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int)
                     Line(f"{kind} of q{i + 1}", "B", distribution, unit, 0.0, float(size), float(sensitivity[i]))
                 )
     return lines
-
-
-def _combined(lines: Sequence[Line], correlation: Floats) -> float:
-    contributions = np.array([line.contribution for line in lines])
-    return float(np.sqrt(max(float(contributions @ correlation @ contributions), 0.0)))
 
 
 def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.Generator) -> tuple[float, float]:

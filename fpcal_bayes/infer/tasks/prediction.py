@@ -19,7 +19,6 @@ from fpcal_bayes.infer.tasks.pose import PoseErrors, pose_errors, without_common
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics.errors import known_pose_errors, known_task_errors, known_task_sd
-from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.model.trust import Reason, Trust
 from fpcal_bayes.motion.tasks import Task, find_task
 
@@ -161,19 +160,6 @@ def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: f
     nearest = int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))
     result: Floats = draws[nearest].copy()
     return result
-
-
-def estimate_of_draws(model: CavityModel, draws: Floats, values: Floats) -> Estimate:
-    """An estimate with these values and the mean square of the draws around them as covariance."""
-    free: ParameterSet = model.free
-    around = draws - values
-    return Estimate(
-        cell=model.cell,
-        parameters=free,
-        values=values,
-        covariance=around.T @ around / len(draws),
-        status=("identified",) * len(free),
-    )
 
 
 def _require_cell(estimate: Estimate, task: Task) -> None:

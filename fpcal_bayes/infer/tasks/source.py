@@ -1,7 +1,7 @@
 """What a controller may hold: an estimate file, or the draws of a posterior file."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +10,10 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorDraws, read_posterior
-from fpcal_bayes.infer.tasks.machine import PATH_POINTS
 from fpcal_bayes.infer.tasks.prediction import (
     TaskPrediction,
     central_draw,
     covariance_sd,
-    estimate_of_draws,
     predict_from_covariance,
     predict_from_draws,
 )
@@ -48,14 +46,16 @@ def read_estimate_draws(path: str | Path, cell: Cell, text: str | None = None) -
 
 
 #: Points of a path on a perfect mechanism, where their number changes nothing.
-IDEAL_POINTS = 61
+_IDEAL_POINTS = 61
+#: On a machine return errors make a peak to peak grow with their number, so it is fixed and stated.
+PATH_POINTS = 31
 #: Draws of a posterior that are propagated at most.
 _MOST_DRAWS = 20_000
 
 
 def path_points(estimate: Estimate) -> int:
     """Points of a path where nobody asks for another number."""
-    return IDEAL_POINTS if estimate.mechanics is None else PATH_POINTS
+    return _IDEAL_POINTS if estimate.mechanics is None else PATH_POINTS
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,10 @@ class Knowledge:
         if self.draws is None or self.estimate is not None:
             assert self.estimate is not None
             return self.estimate
-        model = CavityModel.of(self.cell, self.draws.parameters)
-        values = central_draw(model, self.draws.values, task, radius=radius)
-        return replace(estimate_of_draws(model, self.draws.values, values), trust=self.draws.trust)
+        free, draws = self.draws.parameters, self.draws.values
+        values = central_draw(CavityModel.of(self.cell, free), draws, task, radius=radius)
+        covariance = (draws - values).T @ (draws - values) / len(draws)
+        return Estimate(self.cell, free, values, covariance, ("identified",) * len(free), trust=self.draws.trust)
 
     def predict(self, estimate: Estimate, task: Task, *, draws: int = 10_000, seed: int = 0) -> TaskPrediction:
         """The distribution of the error of a task that was found with `estimate`."""

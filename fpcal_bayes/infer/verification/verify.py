@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from fpcal_bayes.infer.tasks.prediction import predict_from_covariance
 from fpcal_bayes.infer.tasks.source import path_points
 from fpcal_bayes.infer.verification.expected import Expected
 from fpcal_bayes.infer.verification.power import LEVEL, effects_of
+from fpcal_bayes.io.estimate import read_result, require_unchanged
 from fpcal_bayes.measure.drive import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -31,6 +33,8 @@ LEAST_POWER = 0.5
 _INSIDE = 1.959964
 #: Joints that tasks drive by more than this share of their way beyond what was tried are named.
 _BEYOND = 0.05
+#: No session lasts longer, in h: rows that are held out may be its last.
+_SESSION_H = 24.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,34 @@ class Verification:
             "tasks": {task: {"verdict": self.outcome(task), "power": self.power[task]} for task in self.power},
             "scope": list(self.scope),
         }
+
+
+def read_verification(path: str | Path, calibration: Estimate) -> Verification:
+    """The verification of a calibration, in what ``verify --json`` or ``identify --hold-out --json`` wrote.
+
+    Raises InputError if there is none, or it is of another session than the calibration.
+    """
+    content = read_result(path, calibration.cell)
+    require_unchanged(path, content)
+    made = content.get("verification")
+    if made is None:
+        raise InputError(f"{path}: key verification: expected a result of fpcal verify, or fpcal identify --hold-out")
+    session, at = content.get("data", {}).get("session"), content.get("time_h", np.nan)
+    own = calibration.data.get("session")
+    if session != own or not abs(at - calibration.time_h) <= _SESSION_H:
+        raise InputError(
+            f"{path}: verifies the calibration of session {session!r} at {at:g} h, expected that of {own!r} at "
+            f"{calibration.time_h:g} h"
+        )
+    return Verification(
+        n_rows=made["n_rows"],
+        score=made["score"],
+        p_value=made["p_value"],
+        coverage=made["coverage_95"],
+        kinds={kind: (each["n_rows"], each["p_value"]) for kind, each in made["kinds"].items()},
+        power={task: each["power"] for task, each in made["tasks"].items()},
+        scope=tuple(made["scope"]),
+    )
 
 
 def verify(

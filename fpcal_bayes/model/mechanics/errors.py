@@ -29,14 +29,6 @@ class MechanicsTaskErrors:
         """Both, shape (n_draws, n_points)."""
         return self.repeatable + self.returned
 
-    def peak_to_peak_band(self, share: float = 0.95) -> Floats:
-        """Lower and upper edge of the peak to peak of the total, shape (2,)."""
-        return np.quantile(np.ptp(self.total, axis=1), [(1 - share) / 2, (1 + share) / 2])
-
-    def band(self, share: float = 0.95) -> Floats:
-        """Lower and upper edge at each point, shape (2, n_points)."""
-        return np.quantile(self.total, [(1 - share) / 2, (1 + share) / 2], axis=0)
-
 
 def known_task_errors(
     estimate: Estimate, start: Floats, q: Floats, *, added: Floats | None = None, draws: int = 10_000, seed: int = 0

@@ -89,13 +89,12 @@ def log_table(facts: CampaignFacts) -> Table | None:
         return None
     heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
     table = plain_table("Log", heads, words=(0, -2, -1))
-    for entry in log:
-        outcome = entry.outcome
+    for outcome, held, at_least, late in log:
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            figure_of(entry.held, f"{'at least ' if entry.at_least else ''}{entry.held:.1f} h"),
-            _next(entry.late, last=entry.last),
+            figure_of(held, f"{'at least ' if at_least else ''}{held:.1f} h"),
+            _next(late, last=outcome is log[-1][0]),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
     return table

@@ -9,9 +9,9 @@ from fpcal_bayes.analysis.campaign import CampaignFacts, gather
 from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report import observe as observe_words
 from fpcal_bayes.report import observe_figures
 from fpcal_bayes.report.campaign import charts as data
@@ -20,6 +20,7 @@ from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
 from fpcal_bayes.report.tasks import freedom_table, not_evaluated_line
 from fpcal_bayes.report.track import sweep_table
+from fpcal_bayes.report.verification import power_table, verification_sentences
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
 
@@ -32,6 +33,7 @@ def write_campaign_report(
     goal: Goal | None = None,
     now: str | None = None,
     posterior: str | Path | None = None,
+    verification: str | Path | None = None,
     command: str = "",
 ) -> CampaignFacts:
     """Write the report of a campaign as one HTML file; the same input gives the same bytes.
@@ -51,6 +53,8 @@ def write_campaign_report(
         where rows carry clock times, else the last session.
     posterior
         Draws of the calibration's posterior (.nc), or None.
+    verification
+        Result of ``fpcal verify`` of the calibration (.json), or None.
     command
         For the provenance.
 
@@ -65,7 +69,7 @@ def write_campaign_report(
         If a file cannot be used, sessions overlap or repeat, a task that must be held is unknown, or the page cannot be
         written.
     """
-    facts = gather(file, cell, goal=goal, now=now, posterior=posterior, command=command)
+    facts = gather(file, cell, goal=goal, now=now, posterior=posterior, verification=verification, command=command)
     write_text(Path(output), campaign_html(facts))
     return facts
 
@@ -85,7 +89,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         "contraction": observe_figures.contraction_figure(seen),
         "correlation": observe_figures.correlation_figure(seen),
         "residuals": figures.residual_figure(rows, alarmed),
-        "motions": figures.motion_figure(motion_curves(_calibration(facts))),
+        "motions": figures.motion_figure(motion_curves(facts.calibration.estimate)),
         "posterior": "" if facts.posterior is None else figures.posterior_figure(facts),
     }
     charts = {
@@ -96,7 +100,7 @@ def campaign_html(facts: CampaignFacts) -> str:
     return ENVIRONMENT.get_template("campaign.html").render(
         file=facts.file,
         cell=facts.cell,
-        summary=f"{len(facts.sweeps.sessions)} sessions, {len(facts.sweeps)} rows; as of {at}",
+        summary=f"{counted(len(facts.sweeps.sessions), 'session')}, {counted(len(facts.sweeps), 'row')}; as of {at}",
         about="" if facts.campaign is None else facts.campaign.about,
         style=Markup("\n".join([packaged("vendor", "uPlot.min.css"), packaged("templates", "campaign.css")])),
         scripts=Markup("\n".join(packaged(*file) for file in _SCRIPTS)),
@@ -120,12 +124,14 @@ def campaign_html(facts: CampaignFacts) -> str:
         blocks=observe_words.block_table(seen),
         posterior=words.posterior_table(facts),
         posterior_sentence=words.posterior_sentence(facts),
+        verification=None if facts.verification is None else power_table(facts.verification, "Power by task"),
+        verified=verification_sentences(facts.verification, facts.file),
         worst=words.residual_table(rows),
         budget=None if facts.budget is None else words.budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,
-        mechanics=words.mechanics_table(_calibration(facts)),
-        mechanics_sentence=words.mechanics_sentence(_calibration(facts)),
+        mechanics=words.mechanics_table(facts.calibration.estimate),
+        mechanics_sentence=words.mechanics_sentence(facts.calibration.estimate),
         provenance=words.provenance(facts),
         # Drawn here, and their texts escaped by the SVG writer.
         figures={name: Markup(svg) for name, svg in drawn.items()},
@@ -133,18 +139,13 @@ def campaign_html(facts: CampaignFacts) -> str:
     )
 
 
-def _calibration(facts: CampaignFacts) -> Estimate:
-    """What the first session told."""
-    found = facts.observability.identification
-    assert found is not None
-    return found.estimate
-
-
 def _warnings(facts: CampaignFacts) -> list[str]:
     """What speaks against trusting the page, each sentence once."""
     found = list(facts.observability.warnings)
     if facts.track is not None:
         found += [f"{o.session}: {w}" for o in facts.track.outcomes[1:] for w in (*o.evidence, *o.warnings)]
+    if facts.verification is not None:
+        found += [reason.text for reason in facts.verification.reasons]
     return list(dict.fromkeys(found))
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
-from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds, session_numbers
-from fpcal_bayes.analysis.parameters import saved_parameters
+from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds
+from fpcal_bayes.analysis.parameters import drawn_quantiles
 from fpcal_bayes.analysis.tasks import variance_shares
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
@@ -60,6 +61,9 @@ def verdict(facts: CampaignFacts) -> Headline:
         meaning = f"It cannot be said what to do: {facts.decision_reason}."
         return Headline("No verdict", "No verdict", "caution", meaning, tuple(sentences))
     word, title, style, meaning = _action(facts.decision, facts)
+    if facts.verification is not None and facts.verification.failed:
+        title, style = "Verification failed", "bad"
+        meaning = "Sweeps that were not fitted contradict the calibration: measure them again, then calibrate anew."
     said = decision_sentence(facts.decision, facts.track)
     sentences.insert(0, said[0].upper() + said[1:] + ".")
     if facts.track.calibration_due is not None:
@@ -75,8 +79,7 @@ def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, st
         title = f"{word}: at best {decision.attainable_nm:.3g} nm can be held"
     elif decision.action != "hold":
         looked = decision.action == "extrinsic" and decision.purpose == "robot"
-        count = 0 if decision.sweeps is None else len(decision.sweeps)
-        sweeps = "one sweep" if count == 1 else f"{count} sweeps"
+        sweeps = counted(0 if decision.sweeps is None else len(decision.sweeps), "sweep")
         title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
         meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
     elif decision.hold_hours < facts.costs.horizon_h:
@@ -120,7 +123,7 @@ def standing(outlook: TaskStanding, facts: CampaignFacts) -> tuple[str, str]:
 def task_table(facts: CampaignFacts) -> Table:
     """Each task against the tolerance."""
     heads = ["task", "standing", f"P(above {1e3 * facts.goal.tolerance_um:g} nm)", "median [nm]"]
-    heads += [f"{BAND:.0%} band [nm]", "mirror direction, 95 % [deg]", "to be held"]
+    heads += [f"{100 * BAND:g} % band [nm]", "mirror direction, 95 % [deg]", "to be held"]
     table = plain_table("Peak to peak of each task's error now", heads, words=(0, 1, 6))
     for outlook in facts.tasks:
         said, style = standing(outlook, facts)
@@ -144,9 +147,10 @@ def task_table(facts: CampaignFacts) -> Table:
 def measured_sentence(facts: CampaignFacts) -> str:
     """How much was measured over which time, and how many sessions were as modelled."""
     times, n = facts.sweeps.time_h, len(facts.sweeps.sessions)
-    sessions = f"{n} sessions" if n > 1 else "one session"
     days = float(times.max() - times.min()) / 24.0
-    sentence = f"{len(facts.sweeps)} rows in {sessions}" + (f" over {days:.1f} days" if days > 0 else "")
+    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}" + (
+        f" over {days:.1f} days" if days > 0 else ""
+    )
     if facts.track is None or n == 1:
         return sentence + "."
     later = facts.track.outcomes[1:]
@@ -162,15 +166,16 @@ def session_table(facts: CampaignFacts) -> Table:
     """What was measured, session by session, and what the tests say of it."""
     heads = ["session", "time", "verdict", "innovation", "95 % bounds", "rows", "sigma, median [nm]", "without sign"]
     table = plain_table("Sessions", heads, words=(0, 2))
-    for i, found in enumerate(session_numbers(facts)):
-        rows, time_h = found.rows, float(found.rows.time_h.max())
-        unsigned = int((~rows.signed).sum())
+    outcomes = {} if facts.track is None else {outcome.session: outcome for outcome in facts.track.outcomes}
+    for i, name in enumerate(facts.sweeps.sessions):
+        rows = facts.sweeps.of_session(name)
+        time_h, unsigned = float(rows.time_h.max()), int((~rows.signed).sum())
         table.add_row(
-            str(rows.session[0]),
+            name,
             figure_of(time_h, shown_time(time_h, facts)),
-            *_tested(found.outcome, first=i == 0),
+            *_tested(outcomes.get(name), first=i == 0),
             figure_of(len(rows), str(len(rows))),
-            figure_of(1e3 * found.sigma),
+            figure_of(1e3 * float(np.median(rows.sigma))),
             figure_of(unsigned, str(unsigned)),
         )
     return table
@@ -242,7 +247,7 @@ def since_sentence(since: SinceCalibration | None) -> str:
     """Whether the stated drift explains what changed since the last calibration."""
     if since is None:
         return "There are no two sessions to compare."
-    told = f"chi-square {since.chi2:.1f} in {since.dof} directions, p = {since.p_value:.2g}"
+    told = f"chi-square {since.chi2:.1f} in {counted(since.dof, 'direction')}, p = {since.p_value:.2g}"
     word = "the stated drift explains it" if since.explained else "more than the stated drift explains"
     advice = "" if since.explained else " Calibrate in full, or let fpcal track --fit-drift find this cell's drift."
     return f"From {since.session} to the last session, {since.hours:.1f} h: {told}: {word}.{advice}"
@@ -275,19 +280,19 @@ def residual_table(parts: list[SessionResiduals]) -> Table:
 
 def posterior_table(facts: CampaignFacts) -> Table | None:
     """Mean, interval and worth of the draws of each parameter."""
-    if facts.posterior is None:
+    found = facts.posterior
+    if found is None:
         return None
     heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
     table = plain_table("Posterior of the calibration", heads)
-    for found in saved_parameters(facts.posterior):
+    for i, (sd, median, low, high) in enumerate(drawn_quantiles(found).T.tolist()):
         table.add_row(
-            found.name,
-            found.unit,
-            figure_of(found.median, number(found.median, found.sd)),
-            figure_of(found.low, f"{number(found.low, found.sd)} to {number(found.high, found.sd)}"),
-            figure_of(found.ess_bulk, f"{found.ess_bulk:.0f}"),
-            figure_of(found.ess_tail, f"{found.ess_tail:.0f}"),
-            figure_of(found.rhat, f"{found.rhat:.4f}"),
+            found.parameters[i].name,
+            found.parameters[i].unit,
+            figure_of(median, number(median, sd)),
+            figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
+            *(figure_of(float(worth[i]), f"{worth[i]:.0f}") for worth in (found.ess_bulk, found.ess_tail)),
+            figure_of(float(found.rhat[i]), f"{found.rhat[i]:.4f}"),
         )
     return table
 
@@ -315,7 +320,9 @@ def budget_table(budget: Budget) -> Table:
     shares = variance_shares(budget)
     heads = ["input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
     heads += [] if shares is None else ["share of the variance"]
-    title = f"Uncertainty budget of {budget.task} at {budget.along:.4g} {budget.unit}, after the calibration"
+    title = (
+        f"Uncertainty budget of {budget.task} along the beam at {budget.along:.4g} {budget.unit}, after the calibration"
+    )
     table = plain_table(title, heads, words=(0, 1, 2))
     for i, line in enumerate(budget.lines):
         table.add_row(

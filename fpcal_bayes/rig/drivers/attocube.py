@@ -48,7 +48,11 @@ class AttocubeIDS:
         """Connect; the measurement must run already, since its start takes the zero of the positions."""
         self._link.open()
         if self._space == "auto":
-            self._space = "sen" if self._answers("com.attocube.sen.system.getCurrentMode") else "ids"
+            try:
+                self._request("com.attocube.sen.system.getCurrentMode", [])
+                self._space = "sen"
+            except _UnknownMethodError:
+                self._space = "ids"
         mode = self._call("system.getCurrentMode")
         if _RUNNING not in mode:
             raise self._link.error(f"mode {mode[-1]!r:.40}, expected {_RUNNING!r}: start it, then start again")
@@ -80,10 +84,6 @@ class AttocubeIDS:
             raise self._link.error(f"expected a temperature, found {result!r:.60}")
         return float(result[-1])
 
-    def close(self) -> None:
-        """Let go of the connection."""
-        self._link.close()
-
     def _position(self) -> float:
         result = self._call("displacement.getAbsolutePositions")
         if len(result) != 4 or not all(map(is_number, result)):
@@ -96,14 +96,6 @@ class AttocubeIDS:
         if result[0] != 0:
             raise self._link.error(f"error {result[0]!r:.40}")
         return result
-
-    def _answers(self, method: str) -> bool:
-        """Whether the instrument knows a method."""
-        try:
-            self._request(method, [])
-        except _UnknownMethodError:
-            return False
-        return True
 
     def _request(self, method: str, params: list[Any]) -> list[Any]:
         self._number += 1

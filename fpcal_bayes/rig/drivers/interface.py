@@ -8,7 +8,6 @@ from typing import IO, Protocol
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.times import iso
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.measure.traces import Trace
 from fpcal_bayes.rig.clock import Clock
 
 #: What a log line holds of one message.
@@ -63,9 +62,6 @@ class Stage(Protocol):
     def stopped(self) -> bool:
         """Whether all axes stand still, asked over a connection of its own after `stop`."""
 
-    def close(self) -> None:
-        """Let go of the connection."""
-
 
 class Interferometer(Protocol):
     """An instrument that knows the cavity length at rest, up to a constant."""
@@ -83,24 +79,6 @@ class Interferometer(Protocol):
 
     def temperature_c(self) -> float:
         """Temperature of the air, or NaN."""
-
-    def close(self) -> None:
-        """Let go of the connection."""
-
-
-class Recorder(Protocol):
-    """A program that records the photodiode during one sweep of one joint."""
-
-    name: str
-
-    def start(self, seconds: float, joint: int, start: float, end: float) -> None:
-        """Begin to record; comes back when samples are taken. Joint values as people read them."""
-
-    def finish(self, scale: float) -> Trace:
-        """End the recording and read it; `scale` is um or rad per shown unit of the joint."""
-
-    def abandon(self) -> None:
-        """End the recording, unread."""
 
 
 class CommandLog:

@@ -35,18 +35,13 @@ class PhotodiodeProgram:
             raise InputError(f"record = {command!r:.60}: expected a command in which {{trace}} stands for its file")
 
     def start(self, seconds: float, joint: int, start: float, end: float) -> None:
-        """Start the program and wait for the line by which it says that samples are taken."""
+        """Start the program and wait until it says that samples are taken; joint values as people read them."""
         self._count += 1
         self._trace = self._folder / f"{self._count:04d}.csv"
         self._trace.unlink(missing_ok=True)
         words = self._words
-        for field, value in (
-            ("trace", str(self._trace)),
-            ("seconds", f"{seconds:.6g}"),
-            ("joint", f"q{joint + 1}"),
-            ("start", f"{start:.9g}"),
-            ("end", f"{end:.9g}"),
-        ):
+        filled = {"trace": str(self._trace), "seconds": f"{seconds:.6g}", "joint": f"q{joint + 1}"}
+        for field, value in (filled | {"start": f"{start:.9g}", "end": f"{end:.9g}"}).items():
             words = [word.replace(f"{{{field}}}", value) for word in words]
         self._log.write(self.name, ">", shlex.join(words))
         try:
@@ -62,7 +57,7 @@ class PhotodiodeProgram:
             raise self._error(f"printed no line within {self._timeout_s:g} s, expected one when samples are taken")
 
     def finish(self, scale: float) -> Trace:
-        """Close the program's input, wait for its end, read its file."""
+        """Close the program's input, wait for its end, read its file; `scale` is um or rad per shown unit."""
         process = self._process
         if process is None or process.stdin is None:
             raise self._error("does not run")

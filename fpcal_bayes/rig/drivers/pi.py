@@ -33,12 +33,7 @@ _STOPPED_BY_COMMAND = 10
 
 
 class PIStage:
-    """Axes of one PI controller.
-
-    axes: in the order of `joints`.
-    speeds: in um/s or rad/s, shape (n_axes,).
-    servo_on: whether servos that are off are switched on; else they are a failure.
-    """
+    """Axes of one PI controller, in the order of `joints`; speeds in um/s or rad/s, shape (n_axes,)."""
 
     def __init__(
         self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, servo_on: bool
@@ -126,10 +121,6 @@ class PIStage:
             raise self._link.error("expected the state of motion", "#5") from error
         finally:
             self._gcs.errcheck = True
-
-    def close(self) -> None:
-        """Let go of the connection."""
-        self._link.close()
 
     def _of(self, query: Callable[[list[str]], dict[str, Any]]) -> dict[str, Any]:
         found: dict[str, Any] = self._asked(lambda: query(self._channels))

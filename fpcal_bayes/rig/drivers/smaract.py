@@ -19,12 +19,7 @@ _FAILURES = {0x100: "end stop", 0x200: "range limit", 0x400: "following error", 
 
 
 class SmarActStage:
-    """Channels of one MCS2.
-
-    axes: in the order of `joints`.
-    speeds: in um/s or rad/s, shape (n_axes,).
-    revolute: whether each axis turns, shape (n_axes,).
-    """
+    """Channels of one MCS2, in the order of `joints`; speeds in um/s or rad/s and `revolute`, shape (n_axes,)."""
 
     def __init__(
         self, link: Link, joints: tuple[int, ...], axes: tuple[ControllerAxis, ...], speeds: Floats, revolute: Bools
@@ -90,10 +85,6 @@ class SmarActStage:
         self._link.open()
         self.stop()
         return not any(state & _MOVING for state in self._numbers("STAT"))
-
-    def close(self) -> None:
-        """Let go of the connection."""
-        self._link.close()
 
     @staticmethod
     def _count(axis: ControllerAxis, q: float, wire: float) -> float:

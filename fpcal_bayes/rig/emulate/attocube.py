@@ -7,15 +7,16 @@ from fpcal_bayes.rig.emulate.cell import SimulatedCell
 
 _UNKNOWN_METHOD, _WRONG_PARAMS, _NO_REQUEST = -32601, -32602, -32600
 _SPACES = ("ids", "sen")
+_CONSTANT = {
+    "system.getCurrentMode": "measurement running",
+    "system.getDeviceType": "IDS3010",
+    "displacement.getMeasurementEnabled": True,
+}
+_AIR = {"getTemperatureInDegrees": 20.0, "getRefractiveIndex": 1.000268}
 
 
 class IDS3010:
-    """The cavity length on one head; the other two stand still.
-
-    axis: the head that sees the cavity.
-    sign: 1 if the reading grows with the cavity length, else -1.
-    spaces: which namespaces it answers to.
-    """
+    """The cavity length on one head, counted with a sign of 1 or -1; the other two stand still."""
 
     def __init__(self, lab: SimulatedCell, axis: int = 0, sign: int = 1, spaces: tuple[str, ...] = _SPACES) -> None:
         self._lab = lab
@@ -59,39 +60,27 @@ class IDS3010:
         head, _, rest = method.removeprefix("com.attocube.").partition(".")
         if method.startswith("com.attocube.") and head in self.spaces:
             result = self._instrument(rest, params)
-        elif head == "ecu":
-            air = {
-                "getTemperatureInDegrees": 20.0,
-                "getPressureInHPa": 1013.25,
-                "getHumidityInPercent": 50.0,
-                "getRefractiveIndex": 1.000268,
-            }
-            result = [0, air[rest]] if rest in air else None
+        elif head == "ecu" and rest in _AIR:
+            result = [0, _AIR[rest]]
         if result is None:
             return self._error(number, _UNKNOWN_METHOD, f"unknown method {method!r:.80}")
         return self._line({"jsonrpc": "2.0", "result": result, "id": number})
 
     def _instrument(self, method: str, params: Any) -> list[Any] | None:
-        if method == "system.getCurrentMode":
-            return [0, "measurement running"]
-        if method == "system.getDeviceType":
-            return [0, "IDS3010"]
-        if method == "displacement.getMeasurementEnabled":
-            return [0, True]
-        if method in ("displacement.getAbsolutePositions", "displacement.getAxesDisplacement"):
+        if method in _CONSTANT:
+            return [0, _CONSTANT[method]]
+        head, _, rest = method.partition(".")
+        if head != "displacement":
+            return None
+        if rest in ("getAbsolutePositions", "getAxesDisplacement"):
             return [0, *self._positions()]
         axis = params[0] if isinstance(params, list) and len(params) == 1 else None
-        if method not in (
-            "displacement.getAbsolutePosition",
-            "displacement.getAxisDisplacement",
-            "displacement.getAxisSignalQuality",
-        ):
-            return None
-        if axis not in (0, 1, 2):
-            return [7, 0] if method != "displacement.getAxisSignalQuality" else [7, 0, 0]
-        if method == "displacement.getAxisSignalQuality":
-            return [0, round(self._lab.contrast) if axis == self._axis else 500, 200]
-        return [0, self._positions()[axis]]
+        if rest == "getAxisSignalQuality":
+            contrast = round(self._lab.contrast) if axis == self._axis else 500
+            return [0, contrast, 200] if axis in (0, 1, 2) else [7, 0, 0]
+        if rest in ("getAbsolutePosition", "getAxisDisplacement"):
+            return [0, self._positions()[axis]] if axis in (0, 1, 2) else [7, 0]
+        return None
 
     def _positions(self) -> list[int]:
         positions = [0, 0, 0]

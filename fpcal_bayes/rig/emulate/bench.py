@@ -23,8 +23,7 @@ from fpcal_bayes.simulator.machine import Machine
 class EmulatedBench:
     """All devices of a rig, emulated: `lab` is the simulated cell behind them, `server.inject` gives them faults.
 
-    truth: by default that of the rig's file, else the paper's.
-    machine: mechanics beyond the geometry, or None.
+    The truth is by default that of the rig's file, else the paper's.
     """
 
     def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:
@@ -59,22 +58,18 @@ class EmulatedBench:
         spaces = ("ids", "sen") if space == "auto" else (space,)
         self.ids = IDS3010(self.lab, instrument.settings.axis, instrument.settings.sign, spaces)
         self.server.add(instrument.name, self.ids, instrument.address)
+        self._instrument = instrument.name
         self._pending = sorted(stated.faults, key=lambda fault: fault.at_s)
 
-    def live_toml(self) -> str:
-        """The rig's file with the ports that are open and the clock that runs."""
+    def write_live(self, path: Path) -> None:
+        """Write the rig's file with the ports that are open and the clock that runs."""
         table = tomllib.loads(read_text(Path(self.rig.file)))
         for name in self.stages:
             table["controller"][name]["address"] = str(self.server.endpoints[name].address)
-        instrument = self.rig.instrument
-        table["interferometer"]["address"] = str(self.server.endpoints[instrument.name].address)  # type: ignore[union-attr]
+        table["interferometer"]["address"] = str(self.server.endpoints[self._instrument].address)
         table["clock"] = {"speedup": self.rig.clock.speedup, "anchor_s": self.rig.clock.anchor}
         table.pop("emulate", None)
-        return _toml(table)
-
-    def write_live(self, path: Path) -> None:
-        """Write `live_toml` to a file."""
-        write_text(path, self.live_toml())
+        write_text(path, _toml(table))
 
     def run(self, halt: Halt) -> None:
         """Serve until `halt` says so; faults of the file come at their times."""

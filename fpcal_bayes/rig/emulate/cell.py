@@ -57,12 +57,9 @@ class Axis:
 
 
 class SimulatedCell:
-    """A cell with a truth through time, as its devices see it.
+    """A cell with a truth through time, as its devices see it; `machine` holds mechanics beyond the geometry.
 
-    noise: standard deviation of one position that the interferometer reads, in um.
-    settle_s: how long an axis rings.
-    time_h: hours of the campaign at the beginning.
-    machine: mechanics beyond the geometry, or None.
+    `noise` is the standard deviation of one position that the interferometer reads, in um; axes ring for `settle_s`.
     """
 
     def __init__(
@@ -118,13 +115,16 @@ class SimulatedCell:
         """Stop a joint where it is."""
         axis, now = self.axes[joint], self.clock.now()
         if axis.moving(now):
-            axis.start = axis.target = axis.at(now)
-            axis.began = now
+            axis.start, axis.target, axis.began = axis.at(now), axis.at(now), now
 
     def position(self, joint: int) -> float:
         """What a joint's encoder shows, in um or rad."""
         noise = self.cell.joints[joint].resolution * float(self._random.standard_normal())
         return self.axes[joint].at(self.clock.now()) + noise
+
+    def settled(self, joint: int) -> bool:
+        """Whether a joint stands on its target."""
+        return self.axes[joint].settled(self.clock.now())
 
     def hold(self, joint: int) -> None:
         """A joint gets no further than it is, until it is released."""

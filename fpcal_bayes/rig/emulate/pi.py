@@ -15,10 +15,7 @@ _COMMANDS = "*IDN?, ERR?, HLP?, MOV, MOV?, ONT?, POS?, SAI?, STP, SVO, SVO?, TMN
 
 
 class PIController:
-    """Axes of the cell behind GCS 2.0.
-
-    axes: channel and way of counting of each joint on this controller, by its place in the joint vector.
-    """
+    """Axes of the cell behind GCS 2.0."""
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
         self._lab = lab
@@ -98,7 +95,7 @@ class PIController:
         queries: dict[str, Callable[[str], str]] = {
             "POS?": lambda c: f"{self._shown(c, self._lab.position(self._joints[c])):.6f}",
             "MOV?": lambda c: f"{self._shown(c, self._lab.axes[self._joints[c]].target):.6f}",
-            "ONT?": lambda c: str(int(self._servo[c] and self._settled(c))),
+            "ONT?": lambda c: str(int(self._servo[c] and self._lab.settled(self._joints[c]))),
             "SVO?": lambda c: str(int(self._servo[c])),
             "VEL?": lambda c: f"{self._lab.axes[self._joints[c]].speed / self._axes[c].per_unit:.6f}",
             "TMN?": lambda c: f"{min(self._range(c)):.6f}",
@@ -137,9 +134,6 @@ class PIController:
                 if not self._lab.move(self._joints[channel], q):
                     return _LIMITS
         return 0
-
-    def _settled(self, channel: str) -> bool:
-        return self._lab.axes[self._joints[channel]].settled(self._lab.clock.now())
 
     def _shown(self, channel: str, q: float) -> float:
         return float(self._axes[channel].reading_of(np.asarray(q)))

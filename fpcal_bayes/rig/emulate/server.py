@@ -157,17 +157,12 @@ class Server:
             endpoint.half = active
         else:
             endpoint.device.fault(kind, active)
-            if kind == "reset":
-                endpoint.down = active
-                if active:
-                    self._wake()
-
-    def _wake(self) -> None:
-        """Drop the connections of devices that are down, soon."""
-        for connection, (endpoint, _) in list(self._connections.items()):
-            if endpoint.down:
-                with contextlib.suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
+            endpoint.down = active if kind == "reset" else endpoint.down
+            for connection, (of, _) in list(self._connections.items()):
+                # The connections of devices that are down are dropped soon.
+                if of.down:
+                    with contextlib.suppress(OSError):
+                        connection.shutdown(socket.SHUT_RDWR)
 
     def _until_next_end(self) -> float | None:
         ends = [end for endpoint in self.endpoints.values() for end in endpoint.faulty.values()]

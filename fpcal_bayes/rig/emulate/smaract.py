@@ -22,10 +22,7 @@ _NOT_REFERENCED = '-221,"Settings conflict;not referenced"'
 
 
 class MCS2:
-    """Joints of the cell behind an MCS2; lengths in pm, angles in ndeg.
-
-    axes: channel and way of counting of each joint on this controller, by its place in the joint vector.
-    """
+    """Joints of the cell behind an MCS2; lengths in pm, angles in ndeg."""
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
         self._lab = lab
@@ -70,12 +67,10 @@ class MCS2:
 
     def _command(self, text: str) -> str | None:
         upper = text.upper()
-        if upper in (":DEV:SNUM?", ":DEVICE:SNUMBER?"):
-            return "MCS2-00001234"
-        if upper in ("*IDN?",):
-            return "SmarAct,MCS2,MCS2-00001234,1.3.14"
-        if upper == ":SYST:ERR:COUN?":
-            return str(len(self._errors))
+        known = {":SYST:ERR:COUN?": str(len(self._errors)), "*IDN?": "SmarAct,MCS2,MCS2-00001234,1.3.14"}
+        known |= dict.fromkeys((":DEV:SNUM?", ":DEVICE:SNUMBER?"), "MCS2-00001234")
+        if upper in known:
+            return known[upper]
         if upper in (":SYST:ERR?", ":SYST:ERR:NEXT?"):
             return self._errors.pop(0) if self._errors else '0,"No error"'
         for pattern, act in ((_QUERY, self._query), (_SET, self._set), (_MOVE, self._move), (_STOP, self._stop)):

@@ -1,4 +1,4 @@
-"""The error of a task on a machine, straight from a fit."""
+"""The error of a task on a machine, straight from a fit: what an estimate hands on must say the same."""
 
 import numpy as np
 
@@ -7,9 +7,6 @@ from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.model.mechanics.design import path_design
 from fpcal_bayes.model.mechanics.errors import MechanicsTaskErrors, approached, drifted, encoder_errors, returned_errors
 from fpcal_bayes.motion.tasks import Task
-
-#: Points of a path: return errors make a peak to peak grow with their number, so it is fixed and stated.
-PATH_POINTS = 31
 
 
 def mechanics_task_errors(fit: MechanicsFit, task: Task, *, seed: int = 0) -> MechanicsTaskErrors:

@@ -33,7 +33,7 @@ def refused(arguments, capsys) -> str:
 
 def test_json_of_measured_sweeps(tmp_path, capsys):
     out = tmp_path / "out.json"
-    assert main(["observe", CASE_A, "--json", str(out), "--profile", "theta_wf,y_wf"]) == 0
+    assert main(["observe", CASE_A, "--json", str(out)]) == 0
     content = json.loads(out.read_text())
     assert (content["schema"], content["command"]) == ("fpcal/1", "observe")
     found = content["observability"]
@@ -57,7 +57,6 @@ def test_json_of_measured_sweeps(tmp_path, capsys):
     assert content["fit"]["n_sweeps"] == 69
     assert content["fit"]["converged"] is True
     assert content["covariance"]["names"] == list(content["parameters"])
-    assert [(p["name"], p["shape"]) for p in content["profiles"]] == [("theta_wf", "finite"), ("y_wf", "flat")]
     assert found["bounds"]["full"]["y_wf"]["unbiased"] is None
     captured = capsys.readouterr()
     assert "16 of 21 combinations are seen" in captured.out
@@ -86,16 +85,6 @@ def test_quiet_and_perpendicular(plan, tmp_path, capsys):
     assert content["parameters"]["beta_wf"]["status"] == "gauge"
 
 
-def test_candidates(plan, tmp_path, capsys):
-    few, out = tmp_path / "few.csv", tmp_path / "out.json"
-    write_csv(few, paper_protocol(CELL).take(paper_protocol(CELL).label == "orient3-3-0-tz"), CELL)
-    assert main(["observe", CASE_A, "--candidates", str(few), "--json", str(out)]) == 0
-    candidates = json.loads(out.read_text())["information"]["candidates"]
-    assert [c["label"] for c in candidates] == ["orient3-3-0-tz"]
-    assert candidates[0]["bits"] > 0.1
-    assert "Best additions, each counted alone: orient3-3-0-tz (+" in capsys.readouterr().out
-
-
 def test_html(tmp_path, capsys):
     page = tmp_path / "page.html"
     assert main(["observe", CASE_A, "--html", str(page), "--quiet"]) == 0
@@ -106,12 +95,9 @@ def test_bad_input_is_one_line(plan, tmp_path, capsys):
     missing = str(tmp_path / "none.csv")
     assert "no such file" in refused([missing], capsys)
     assert "no session 'x'" in refused([CASE_A, "--session", "x"], capsys)
-    assert "unknown parameter 'theta_9'" in refused([CASE_A, "--profile", "theta_9"], capsys)
-    assert "profiles need measured sweeps" in refused([plan, "--profile", "theta_2"], capsys)
     assert "does not exist" in refused([CASE_A, "--html", str(tmp_path / "no" / "page.html")], capsys)
     assert "does not exist" in refused([CASE_A, "--json", str(tmp_path / "no" / "out.json")], capsys)
     assert "is an input of this command" in refused([plan, "--html", plan], capsys)
-    assert "no such file" in refused([CASE_A, "--candidates", missing], capsys)
     broken = tmp_path / "broken.csv"
     broken.write_text(Path(plan).read_text().replace("node3-rx,", "node3-rx,far", 1))
     line = refused([str(broken)], capsys)
@@ -122,13 +108,11 @@ def test_bad_input_is_one_line(plan, tmp_path, capsys):
 
 def test_an_html_file_is_not_left_half_written(tmp_path, capsys):
     page = tmp_path / "page.html"
-    refused([CASE_A, "--html", str(page), "--profile", "theta_9"], capsys)
+    refused([str(tmp_path / "none.csv"), "--html", str(page)], capsys)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "option", [["--sigma-nm", "0"], ["--sigma-nm", "x"], ["--weak-share", "1"], ["--weak-share", "-1"]]
-)
+@pytest.mark.parametrize("option", [["--sigma-nm", "0"], ["--sigma-nm", "x"]])
 def test_bad_options(option, capsys):
     try:
         status = main(["observe", CASE_A, *option])

@@ -5,7 +5,6 @@ import contextlib
 import sys
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.identify import rows_of, with_prior, with_source
@@ -51,20 +50,10 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
     """Draw, and write what was drawn."""
     if not options.resume:
         store.clear()
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[effective]:.0f} effective draws"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=options.quiet or not sys.stderr.isatty(),
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("sampling", total=1.0, effective=0.0)
+    with Console(stderr=True, quiet=options.quiet or not sys.stderr.isatty()).status("sampling") as status:
 
         def show(effective: float, share: float) -> None:
-            bar.update(task, completed=share, effective=effective)
+            status.update(f"sampling: {effective:.0f} effective draws, {100 * share:.0f} %")
 
         posterior = sample(
             result, draws=options.draws, likelihood=options.likelihood, seed=options.seed, store=store, progress=show

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,7 +83,8 @@ def read_records(path: Path, expected: str = "", text: str | None = None) -> Rec
     try:
         for record in reader:
             if len(record) > 1 or (record and record[0].strip()):
-                records.append(record)
+                # Most fields of many rows repeat: each text is held once.
+                records.append(list(map(sys.intern, record)))
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise located(path, f"not a line of CSV ({error})", row=max(reader.line_num, 1)) from error

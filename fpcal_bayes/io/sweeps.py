@@ -130,7 +130,7 @@ def read_csv(
 
 def packed(sweeps: Sweeps, cell: Cell) -> str | None:
     """Measured sweeps as text that travels with a result: compressed CSV; None if it is too long or lacks something."""
-    if sweeps.common.any():
+    if sweeps.common.any() or len(sweeps) > _MOST_PACKED:
         return None
     text = b64encode(zlib.compress(table_text(to_columns(sweeps, cell, sweeps.file)).encode(), 9)).decode()
     return text if len(text) <= _MOST_PACKED else None

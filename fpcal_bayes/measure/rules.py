@@ -11,6 +11,8 @@ from fpcal_bayes.model.envelope import behind_the_fibre
 
 #: Absolute lengths that say where the fibre stands.
 _SCANS = 100
+#: Poses that are looked at together, so that their derivatives take little memory.
+_AT_ONCE = 20_000
 
 
 def check_sweeps(sweeps: Sweeps, cell: Cell) -> None:
@@ -77,7 +79,9 @@ def _check_ahead(sweeps: Sweeps, cell: Cell) -> None:
     known = np.flatnonzero(sweeps.absolute & (sweeps.dl > 0) & np.isfinite(sweeps.sigma))[:_SCANS]
     starts = np.where(sweeps.absolute[:, None], sweeps.q_end, sweeps.q_start)
     poses = np.vstack([starts, sweeps.q_end])
-    behind, lengths = behind_the_fibre(cell, poses, (sweeps.q_end[known], sweeps.dl[known], sweeps.sigma[known]))
+    seen = (sweeps.q_end[known], sweeps.dl[known], sweeps.sigma[known])
+    parts = [behind_the_fibre(cell, poses[i : i + _AT_ONCE], seen) for i in range(0, len(poses), _AT_ONCE)]
+    behind, lengths = map(np.concatenate, zip(*parts, strict=True))
     if behind.any():
         worst = int(np.argmax(behind))
         what = (

@@ -1,5 +1,6 @@
 """Options of the commands that find the parameters of a cell, and of those that use them."""
 
+from argparse import ArgumentParser
 from pathlib import Path
 
 from fpcal_bayes.cli.arguments.common import (
@@ -27,12 +28,17 @@ see it only together with others: its value is the prior's); fixed (held).
 _TRACES = "take every sample of recorded traces in place of rows (FILE: what fpcal ingest reads or made)"
 
 
+def _add_sweeps(parser: ArgumentParser) -> None:
+    sessions = "session to use, or several of an unchanged cell: a,b (default: the first)"
+    parser.add_argument("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    parser.add_argument("--session", metavar="NAME", help=sessions)
+
+
 def identify(commands: Commands) -> None:
     """Add ``fpcal identify``."""
     parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
     add = parser.add_argument
-    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
-    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
+    _add_sweeps(parser)
     add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
     add("--start", metavar="ESTIMATE", help="estimate JSON to start from and to hold the rest at")
     add_prior(parser)
@@ -52,13 +58,12 @@ def sample(commands: Commands) -> None:
     """Add ``fpcal sample``."""
     parser = add_command(commands, "sample", "draw from the posterior of a cell", _SAMPLE)
     add = parser.add_argument
-    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    _add_sweeps(parser)
     add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
-    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
     add("--traces", action="store_true", help=_TRACES)
     add("--draws", type=count, default=10_000, help="effective draws of every parameter (default: 10000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    kinds = "gaussian (default); student: outliers have bounded pull; slip: each dL may be off by half wavelengths"
+    kinds = "student: outliers have bounded pull; slip: dL may be off by whole half wavelengths (default: gaussian)"
     add("--likelihood", choices=("gaussian", "student", "slip"), default="gaussian", help=kinds)
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
@@ -79,9 +84,8 @@ def compare(commands: Commands) -> None:
     """Add ``fpcal compare``."""
     parser = add_command(commands, "compare", "say which of several models the data favour", _COMPARE)
     add = parser.add_argument
-    add("file", metavar="FILE", help="sweeps: CSV, or HDF5 campaign")
+    _add_sweeps(parser)
     add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
-    add("--session", metavar="NAME", help="session to use, or several of an unchanged cell: a,b (default: the first)")
     add("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add_json(parser)

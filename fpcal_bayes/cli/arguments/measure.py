@@ -2,17 +2,7 @@
 
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import (
-    Commands,
-    Folder,
-    add_command,
-    add_json,
-    columns,
-    count,
-    positive,
-    seed,
-    share,
-)
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_json, columns, count, positive, seed
 
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
@@ -171,9 +161,5 @@ def observe(commands: Commands) -> None:
     add("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
     add("--session", metavar="NAME", help="session to use (default: the first)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)")
-    weak = "a parameter is weak if more than this share of its prior variance is left (default: 0.5)"
-    add("--weak-share", type=share, default=0.5, metavar="SHARE", help=weak)
-    add("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
-    add("--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted")
     add("--html", metavar="OUT", type=Path, help="write a page with figures")
     add_json(parser)

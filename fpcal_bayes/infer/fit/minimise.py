@@ -65,11 +65,7 @@ def stepped(problem: Problem, start: Floats, steps: int, **settings: Any) -> tup
 
 
 def polished(problem: Problem, unknowns: Floats) -> Solution:
-    """Go from a point near a minimum to the minimum itself.
-
-    Gauss-Newton steps as long as they contract fast; where the curvature of the model slows them down, Newton steps
-    with the full second derivatives.
-    """
+    """From a point near a minimum to the minimum itself: Gauss-Newton, Newton steps where it is slow."""
     residuals = problem.residuals(unknowns)
     total = float(residuals @ residuals)
     step, decrement = gauss_newton(problem, unknowns, residuals)
@@ -156,11 +152,7 @@ MINIMUM_EXCESS = 30.0
 
 
 def sign_images(problem: Problem, solution: Solution) -> list[Floats]:
-    """Points (n_unknowns,) across the directions that the data see at `solution` but hardly at the prior mean.
-
-    They are starting points for further fits. Hardly means: they tell less than the prior (singular value below one),
-    or nothing.
-    """
+    """Points (n_unknowns,) across the directions that the data see at `solution` and at the prior mean less than it."""
     n, unknowns = problem.n_free, solution.unknowns
     at_mean = spectrum_of(problem.data_jacobian(np.zeros(problem.n_unknowns))[:, :n])
     here = spectrum_of(problem.data_jacobian(unknowns)[:, :n])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -37,13 +38,14 @@ class Batch:
         own = 1.0 / own_sd[members]
         shared = common[members] * own[..., None]
         products = shared[..., :, None] * shared[..., None, :]
-        known = np.eye(shared.shape[-1]) + _sum_before(products)
+        before = np.pad(products[:, :-1], ((0, 0), (1, 0), (0, 0), (0, 0)))
+        known = np.eye(shared.shape[-1]) + np.cumsum(before, axis=1)
         gain = np.linalg.solve(known, shared[..., None])[..., 0]
         return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
 
     def apply(self, rows: Floats) -> None:
         """Whiten the members among the rows (n_points, n_rows, n) in place."""
-        whiten_groups(rows, self.members, self.own, self.shared, self.gain, self.scale)
+        whiten_groups(rows, *vars(self).values())
 
     def weigh(self, rows: Floats, result: Floats) -> None:
         """Multiply the members among the entries of a vector (n_rows,) by the groups' inverse covariance."""
@@ -62,19 +64,17 @@ class Batch:
         return factor[:, row, column].ravel(), self.members[:, row].ravel(), self.members[:, column].ravel()
 
 
-def _sum_before(rows: Floats) -> Floats:
-    """Sums over all earlier entries along the second axis."""
-    total = np.zeros_like(rows)
-    np.cumsum(rows[:, :-1], axis=1, out=total[:, 1:])
-    return total
-
-
 @dataclass(frozen=True)
 class Whitening:
     """Linear map under which the rows have unit covariance."""
 
     scale: Floats  # one over the standard deviation of each row, shape (n_rows,)
     batches: tuple[Batch, ...] = ()  # what replaces `scale` where rows share a reading
+
+    @property
+    def as_matrix(self) -> Any:
+        """The map as a sparse matrix (n_rows, n_rows)."""
+        return sparse.diags_array(self.scale) if self.mix is None else self.mix
 
     @property
     def only_scales(self) -> bool:
@@ -110,8 +110,8 @@ class Whitening:
         """The batches, rows that share nothing being groups of one."""
         alone = self._alone[:, None]
         nothing = np.zeros((*alone.shape, 1))
-        ones = np.ones(alone.shape)
-        return (*self.batches, *([Batch(alone, self.scale[alone], nothing, nothing, ones)] if len(alone) else []))
+        rest = [Batch(alone, self.scale[alone], nothing, nothing, np.ones(alone.shape))] if len(alone) else []
+        return (*self.batches, *rest)
 
     @cached_property
     def _alone(self) -> Ints:
@@ -156,9 +156,8 @@ class Whitening:
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
     """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
-    A row's variance is that of its reading plus the joints' repeatability at both ends, carried through the joint
-    Jacobian at `values`. Rows of a group share the reading and the joint errors at their start, which gives equal
-    readings a correlation of 1/2.
+    A row's variance is that of its reading plus the joints' repeatability at both ends. Rows of a group share the
+    reading and the joint errors at their start, which gives equal readings a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
     starts = ends = np.zeros((len(sweeps), 0))

@@ -13,8 +13,6 @@ from fpcal_bayes.model.priors import Marginal
 
 #: Of a joint normal prior: eigenvalues of the scaled covariance below this are rounding.
 _LEAST_EIGENVALUE = 1e-16
-
-
 #: Of integrals over a standard normal score (Gauss and Hermite).
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
@@ -54,10 +52,7 @@ class Prior:
 
     @classmethod
     def joint(cls, parameters: ParameterSet, estimate: Estimate) -> "Prior":
-        """Jointly normal: an earlier estimate, yesterday's posterior as today's prior.
-
-        Parameters that the estimate does not hold, or holds as exact, keep the prior of the cell.
-        """
+        """Jointly normal, as an estimate has it; what it does not hold, or holds as exact, as the cell states."""
         alone = cls.of(parameters)
         known = dict(zip(estimate.parameters.names, np.diag(estimate.covariance) > 0, strict=True))
         names = [name for name in parameters.names if known.get(name, False)]

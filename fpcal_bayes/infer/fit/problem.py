@@ -108,10 +108,7 @@ class Problem:
         *,
         linearised: bool = True,
     ) -> "Problem":
-        """The problem of `sweeps`, by default under the cell's prior, linearised at nominal where that matters.
-
-        Without `linearised` it still has to be: rows stand by themselves, with their sigma alone.
-        """
+        """The problem of `sweeps`, linearised at nominal; else rows stand by themselves, with their sigma alone."""
         rows = sweeps.laid_out(model)
         problem = cls(
             model=model.facing(model.free.nominal, rows),
@@ -174,7 +171,7 @@ class Problem:
         return float(np.sqrt(np.mean(self.whitening.apply(ends - at) ** 2)))
 
     def with_target(self, target: Floats) -> "Problem":
-        """The same problem with other measured values (n_rows,)."""
+        """The same with other measured values (n_rows,)."""
         return replace(self, target=target)
 
     def take(self, chosen: NDArray[np.bool_]) -> "Problem":
@@ -205,10 +202,7 @@ class Problem:
         return self.whitening.apply(jacobian * self.prior.sd)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Whitened data residuals (n_points, n_rows) and their derivatives (n_points, n_rows, n_unknowns).
-
-        The `points` are scaled unknowns, shape (n_points, n_unknowns).
-        """
+        """Whitened residuals (n_points, n_rows) and derivatives (n_points, n_rows, n_unknowns) at many points."""
         change, scaled = self.unwhitened_batch(points)
         if self.whitening.only_scales:
             return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
@@ -247,8 +241,7 @@ class Problem:
     def covariance(self, unknowns: Floats) -> Floats:
         """Laplace covariance of free and considered parameters in um and rad, shape (n_unknowns, n_unknowns).
 
-        The inverse of J'J over data and prior rows: a direction that no row sees keeps its prior variance. The block of
-        the considered parameters is the covariance they came with, and the cross block is Schmidt's.
+        The block of the considered parameters is the covariance they came with, and the cross block is Schmidt's.
         """
         jacobian = self.data_jacobian(unknowns)
         inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(self.n_unknowns))

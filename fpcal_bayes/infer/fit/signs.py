@@ -78,7 +78,9 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
         finished = [_settle(problem, _Branch(target, np.ones_like(signed), branch.solution))]
     chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
     doubt = np.maximum(_rival_doubt(chosen, finished), _flip_doubt(problem.with_target(chosen.target), chosen.solution))
-    rivals = _rivals(problem.with_target(chosen.target), chosen.solution, finished)
+    most = chosen.solution.sum_of_squares + _RIVAL_EXCESS
+    near = [branch.solution for branch in finished if branch.solution.sum_of_squares < most]
+    rivals = distinct_minima(problem.with_target(chosen.target), chosen.solution, near)[:_MOST_RIVALS]
     return SignDecision(chosen.target, chosen.solution, np.where(signed, 0.0, doubt), complete, rivals)
 
 
@@ -150,14 +152,6 @@ def _settle(problem: Problem, branch: _Branch) -> _Branch:
     return branch
 
 
-def _rivals(problem: Problem, best: Solution, finished: list[_Branch]) -> tuple[Solution, ...]:
-    """Minima of other assignments within the excess that counts; those a standard deviation apart or less are one."""
-    near = [
-        branch.solution for branch in finished if branch.solution.sum_of_squares < best.sum_of_squares + _RIVAL_EXCESS
-    ]
-    return distinct_minima(problem, best, near)[:_MOST_RIVALS]
-
-
 def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:
     """Probability of the other sign of each row among the complete assignments."""
     excess = np.array([branch.solution.sum_of_squares for branch in finished]) - chosen.solution.sum_of_squares
@@ -165,8 +159,7 @@ def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:
     distinct = np.unique(np.array([branch.target for branch in finished]), axis=0, return_index=True)[1]
     weights = np.exp(-0.5 * excess[distinct])
     differs = np.array([finished[i].target != chosen.target for i in distinct])
-    share: Floats = weights @ differs / weights.sum()
-    return share
+    return np.asarray(weights @ differs / weights.sum())
 
 
 def _flip_doubt(problem: Problem, solution: Solution) -> Floats:
@@ -174,10 +167,6 @@ def _flip_doubt(problem: Problem, solution: Solution) -> Floats:
     unknowns = solution.unknowns
     residuals = problem.data_residuals(unknowns)
     orthonormal = linalg.qr(problem.jacobian(unknowns), mode="economic")[0][: len(residuals)]
-    whitening = problem.whitening
-    mix = whitening.mix if whitening.mix is not None else sparse.diags_array(whitening.scale)
-    change = sparse.csc_array(mix @ sparse.diags_array(2.0 * problem.target))
+    change = sparse.csc_array(problem.whitening.as_matrix @ sparse.diags_array(2.0 * problem.target))
     excess = 2.0 * (change.T @ residuals) + change.multiply(change).sum(axis=0)
-    excess = excess - ((change.T @ orthonormal) ** 2).sum(axis=1)
-    doubt: Floats = special.expit(-0.5 * excess)
-    return doubt
+    return np.asarray(special.expit(-0.5 * (excess - ((change.T @ orthonormal) ** 2).sum(axis=1))))

@@ -69,11 +69,9 @@ def _best_correction(
     unknowns = solution.unknowns
     residuals = problem.data_residuals(unknowns)
     orthonormal = linalg.qr(problem.jacobian(unknowns), mode="economic")[0][: len(residuals)]
-    mix = problem.whitening.mix
-    whitening = sparse.diags_array(problem.whitening.scale) if mix is None else mix
     rows, first = np.concatenate(together), np.cumsum([0, *map(len, together)])
     chosen = sparse.csc_array((half_wave[rows], rows, first), shape=(len(counts), len(together)))
-    unit = sparse.csc_array(whitening @ chosen)
+    unit = sparse.csc_array(problem.whitening.as_matrix @ chosen)
     along = unit.T @ residuals
     size = unit.multiply(unit).sum(axis=0) - ((unit.T @ orthonormal) ** 2).sum(axis=1)
     before, begun, ended, after = np.append(counts, 0)[ends]

@@ -64,13 +64,10 @@ def spectrum_of(jacobian: Floats) -> Spectrum:
     return Spectrum(values, directions, tolerance, rank, gap)
 
 
-def statuses(null_share: Floats, posterior_share: Floats, weak_share: float = WEAK_SHARE) -> tuple[Status, ...]:
-    """Status of each parameter from its share in the null space and its posterior over prior variance, shapes (n,).
-
-    Above `weak_share` of its prior variance a parameter is weak.
-    """
+def statuses(null_share: Floats, posterior_share: Floats) -> tuple[Status, ...]:
+    """Status of each parameter from its share in the null space and its posterior over prior variance, shapes (n,)."""
     return tuple(
-        "gauge" if null > GAUGE_SHARE else "weak" if left > weak_share else "identified"
+        "gauge" if null > GAUGE_SHARE else "weak" if left > WEAK_SHARE else "identified"
         for null, left in zip(null_share, posterior_share, strict=True)
     )
 

@@ -67,10 +67,6 @@ def cumulative_bits(jacobian: Floats) -> tuple[Ints, Floats]:
 
 
 def gain_of(jacobian: Floats, candidates: Floats) -> Floats:
-    """Information in bits, shape (n_candidates,), that each candidate row would add to what is measured.
-
-    Both are whitened, prior-scaled derivatives: of the measured rows (n_rows, n) and of the candidates (n_candidates,
-    n).
-    """
+    """Information in bits (n_candidates,) that each row would add, from whitened, prior-scaled derivatives (.., n)."""
     spread = linalg.solve_triangular(posterior_triangle(jacobian), candidates.T, trans="T")
     return 0.5 * np.log2(1.0 + (spread**2).sum(axis=0))

@@ -90,12 +90,9 @@ class BaseParameter:
 
 
 def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseParameter, ...]:
-    """Choose base parameters by QR with column pivoting (Gautier 1991), in prior-scaled units.
+    """As many base parameters as the rank, by QR with column pivoting (Gautier 1991), in prior-scaled units.
 
-    The order of the rows does not matter, since only the spectrum enters, nor do units, since parameters are in prior
-    standard deviations; among columns of equal size the first parameter is kept.
-
-    Returns as many as the rank, in the order of the parameters.
+    Among columns of equal size the first parameter is kept.
     """
     rank = spectrum.rank
     if rank == 0:

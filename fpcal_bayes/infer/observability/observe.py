@@ -1,6 +1,6 @@
 """Everything that a set of sweeps, measured or planned, can tell about a cell, in one report."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,7 +25,6 @@ from fpcal_bayes.infer.observability.measures import (
     bounds_of,
     indices_of,
 )
-from fpcal_bayes.infer.observability.profile import Profile, profile
 from fpcal_bayes.measure.protocol import add_midpoints
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
@@ -75,7 +74,6 @@ class Observability(Result):
     indices: Indices
     covariance: Floats  # expected or found posterior covariance in prior-scaled units, shape (n, n)
     status: tuple[Status, ...]  # one per parameter
-    weak_share: float  # share of prior variance that makes a parameter weak
     gauges: tuple[Gauge, ...]
     base: tuple[BaseParameter, ...]
     blocks: tuple[Block, ...]
@@ -83,7 +81,6 @@ class Observability(Result):
     # cramer-Rao bounds by what is free: ``full``, ``extrinsic``, ``intrinsic``; with the parameters they are for
     bounds: dict[str, tuple[ParameterSet, Bounds]]
     candidates: tuple[tuple[str, float], ...]  # worth in bits of one more row: (label, bits), best first
-    profiles: tuple[Profile, ...]  # of the parameters that were asked for
     warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     def __repr__(self) -> str:
@@ -168,7 +165,7 @@ class Observability(Result):
                 "base_parameters": [base.content() for base in self.base],
                 "blocks": [block.content() for block in self.blocks],
                 "bounds": bounds,
-                "weak_share": self.weak_share,
+                "weak_share": WEAK_SHARE,
             },
             "information": {
                 "sweeps": [
@@ -184,21 +181,11 @@ class Observability(Result):
                 },
                 "candidates": [{"label": label, "bits": bits} for label, bits in self.candidates],
             },
-            "profiles": [_profile_content(p, self.parameters) for p in self.profiles],
             "warnings": list(self.warnings),
         }
 
 
-def observe(
-    cell: Cell,
-    sweeps: Sweeps,
-    *,
-    sigma: float = 0.005,
-    weak_share: float = WEAK_SHARE,
-    profiles: Sequence[str] = (),
-    candidates: Sweeps | None = None,
-    seed: int = 0,
-) -> Observability:
+def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) -> Observability:
     """Analyse what sweeps can tell about the free parameters of a cell.
 
     Parameters
@@ -210,25 +197,9 @@ def observe(
         the prior.
     sigma
         Standard deviation supposed for a plan's rows that have none, in um.
-    weak_share
-        A parameter is weak if the data leave more than this share of its prior variance.
-    profiles
-        Names of parameters to profile; measured sweeps only.
-    candidates
-        Further sweeps whose worth is wanted; by default the midpoints of the sweeps and one absolute length.
     seed
         Seed of the prior draws.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or profiles are wanted of a plan.
     """
-    if not 0.0 < weak_share < 1.0:
-        raise InputError(f"weak share {weak_share:g}: expected a number between 0 and 1")
-    if profiles and not sweeps.measured:
-        raise InputError(f"{sweeps.file}: profiles need measured sweeps, expected dl_um and sigma_um")
-    cell.select(profiles)
     used = sweeps.take(sweeps.kind != "path")
     if len(used) == 0:
         raise InputError(f"{sweeps.file}: every row is of kind path, expected at least one sweep")
@@ -250,7 +221,7 @@ def observe(
     covariance = np.mean([_posterior(j) for j in jacobians], axis=0)
     # Statuses of a plan: what is to be expected, on average over the prior.
     null_share = np.mean([s.null_share for s in spectra], axis=0)
-    status = statuses(null_share, np.diag(covariance), weak_share)
+    status = statuses(null_share, np.diag(covariance))
     warnings = list(identification.warnings) if identification is not None else []
     if spectrum.gap < 1e3:
         warnings.append(
@@ -268,14 +239,12 @@ def observe(
         indices=indices_of(spectrum, len(used)),
         covariance=covariance,
         status=status,
-        weak_share=weak_share,
         gauges=tuple(find_gauges(model, values, spectrum.null_space)),
         base=base_parameters(spectrum, cell.free),
         blocks=_blocks(model, used, values, jacobian),
         information=information_of(jacobian, used),
         bounds=_bounds(cell, jacobian),
-        candidates=_worth(model, used, values, jacobian, candidates, sigma),
-        profiles=_profiles(identification, profiles),
+        candidates=_worth(model, used, values, jacobian, sigma),
         warnings=tuple(warnings),
     )
 
@@ -348,13 +317,12 @@ def _bounds(cell: Cell, jacobian: Floats) -> dict[str, tuple[ParameterSet, Bound
 
 
 def _worth(
-    model: CavityModel, sweeps: Sweeps, values: Floats, jacobian: Floats, candidates: Sweeps | None, sigma: float
+    model: CavityModel, sweeps: Sweeps, values: Floats, jacobian: Floats, sigma: float
 ) -> tuple[tuple[str, float], ...]:
-    """Information that one more row would add, best first."""
-    if candidates is None:
-        halved = add_midpoints(sweeps)
-        middles = halved.take(np.char.endswith(halved.label, "-mid") & ~np.isin(halved.label, sweeps.label))
-        candidates = join([middles, _absolute_row(model.cell, sweeps)])
+    """Information that one midpoint or one absolute length more would add, best first."""
+    halved = add_midpoints(sweeps)
+    middles = halved.take(np.char.endswith(halved.label, "-mid") & ~np.isin(halved.label, sweeps.label))
+    candidates = join([middles, _absolute_row(model.cell, sweeps)])
     alone = replace(
         candidates,
         group=np.full(len(candidates), ""),
@@ -363,26 +331,6 @@ def _worth(
     gains = gain_of(jacobian, whitened_jacobian(model, alone, values))
     order = np.argsort(-gains, kind="stable")
     return tuple((str(alone.label[i]), float(gains[i])) for i in order)
-
-
-def _profiles(identification: Identification | None, names: Sequence[str]) -> tuple[Profile, ...]:
-    if identification is None:
-        return ()
-    return tuple(profile(identification.problem, identification.solution, name) for name in names)
-
-
-def _profile_content(found: Profile, parameters: ParameterSet) -> dict[str, Any]:
-    scale = parameters[found.name].scale
-    return {
-        "name": found.name,
-        "unit": parameters[found.name].unit,
-        "shape": found.shape,
-        "level": found.level,
-        "low": finite(found.low / scale),
-        "high": finite(found.high / scale),
-        "values": (found.values / scale).tolist(),
-        "excess": found.excess.tolist(),
-    }
 
 
 def finite(value: float) -> float | None:

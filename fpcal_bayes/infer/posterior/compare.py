@@ -5,6 +5,7 @@ A model that does not fit, or that cannot be sampled, does not end the compariso
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -55,8 +56,9 @@ class ModelSpec:
     @property
     def words(self) -> str:
         """The model in a sentence."""
-        noise = _LIKELIHOOD_WORDS.get(self.likelihood, f" with {self.likelihood} noise")
-        return _PATH_WORDS[self.opd] + noise + _mechanics_words(self.mechanics)
+        mechanics = {"stated": "", "none": " on a perfect mechanism"}
+        left_out = f" without {self.mechanics.removeprefix('no-')}"
+        return _PATH_WORDS[self.opd] + _LIKELIHOOD_WORDS[self.likelihood] + mechanics.get(self.mechanics, left_out)
 
     def cell(self, cell: Cell) -> Cell:
         """The cell as the model takes it."""
@@ -68,18 +70,8 @@ class ModelSpec:
         return replace(cell, mechanics=cell.mechanics.without(self.mechanics.removeprefix("no-")))
 
 
-def _mechanics_words(mechanics: str) -> str:
-    if mechanics == "stated":
-        return ""
-    return " on a perfect mechanism" if mechanics == "none" else f" without {mechanics.removeprefix('no-')}"
-
-
 def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
-    """Parse models like ``opd=axis,opd=perpendicular+likelihood=slip``.
-
-    Models stand between commas, settings of one model between plus signs; what is not set is the cell's path model and
-    the Gaussian likelihood.
-    """
+    """Parse models like ``opd=axis,opd=perpendicular+likelihood=slip``; what is not set is the cell's, and Gaussian."""
     allowed = {
         "opd": ("axis", "perpendicular"),
         "likelihood": get_args(Likelihood),
@@ -90,26 +82,20 @@ def parse_models(text: str, cell: Cell) -> list[ModelSpec]:
         settings: dict[str, Any] = {"opd": cell.opd, "likelihood": "gaussian", "mechanics": "stated"}
         for setting in name.strip().split("+"):
             key, _, value = setting.partition("=")
-            if key not in allowed:
-                raise InputError(
-                    f"--models {name!r:.60}: expected opd=..., likelihood=... or mechanics=..., found {setting!r:.60}"
-                )
-            if value not in allowed[key]:
-                raise InputError(
-                    f"--models {name!r:.60}: expected {key} {' or '.join(allowed[key])}, found {value!r:.60}"
-                )
+            expected = "opd=..., likelihood=... or mechanics=..."
+            if value not in allowed.get(key, ()):
+                expected = f"{key} {' or '.join(allowed[key])}" if key in allowed else expected
+                found = value if key in allowed else setting
+                raise InputError(f"--models {name!r:.60}: expected {expected}, found {found!r:.60}")
             settings[key] = value
         if settings["mechanics"] != "stated" and cell.mechanics is None:
-            raise InputError(
-                f"--models {name!r:.60}: the cell states no mechanics, or --mechanics none leaves them out"
-            )
+            raise InputError(f"--models {name!r:.60}: the cell states no mechanics or --mechanics none leaves them out")
         models.append(ModelSpec(name.strip(), **settings))
     if len(models) < 2:
         raise InputError(f"--models {text!r:.60}: expected at least two models, with commas between them")
-    for i, model in enumerate(models):
-        for other in models[:i]:
-            if replace(model, name="") == replace(other, name=""):
-                raise InputError(f"--models: {other.name!r:.60} and {model.name!r:.60} are the same model")
+    for other, model in combinations(models, 2):
+        if replace(model, name="") == replace(other, name=""):
+            raise InputError(f"--models: {other.name!r:.60} and {model.name!r:.60} are the same model")
     return models
 
 
@@ -165,18 +151,18 @@ class ModelResult:
     def content(self) -> dict[str, Any]:
         """What ``compare --json`` writes of the model."""
         fit, loo = self.identification.fit, self.loo
+        told: dict[str, Any] = dict.fromkeys(("elpd", "se", "p_loo", "bad_k", "refitted", "max_k"))
+        if loo is not None:
+            counts = int(loo.bad.sum()), int(loo.refitted.sum())
+            most = float(loo.pareto_k.max()) if np.isfinite(loo.pareto_k).all() else None
+            told = dict(zip(told, (loo.elpd, loo.se, loo.p_loo, *counts, most), strict=True))
         return {
             "name": self.spec.name,
             "opd": self.spec.opd,
             "likelihood": self.spec.likelihood,
             **({} if self.identification.machine is None else _evidence(self.identification.machine)),
             "state": self.state,
-            "elpd": None if loo is None else loo.elpd,
-            "se": None if loo is None else loo.se,
-            "p_loo": None if loo is None else loo.p_loo,
-            "bad_k": None if loo is None else int(loo.bad.sum()),
-            "refitted": None if loo is None else int(loo.refitted.sum()),
-            "max_k": None if loo is None or not np.isfinite(loo.pareto_k).all() else float(loo.pareto_k.max()),
+            **told,
             "chi2_data": fit.chi2_data,
             "chi2_expected": fit.expected,
             "p_value": fit.p_value,
@@ -185,12 +171,9 @@ class ModelResult:
         }
 
     def _touches(self) -> bool:
-        problem = self.identification.problem
-        model, sweeps = problem.model, problem.sweeps
-        poses = model.pose_rows(np.vstack([sweeps.q_start, sweeps.q_end]))
-        return bool(
-            np.abs(model.predict(problem.values(self.identification.solution.unknowns), poses)).min() < _TOUCHING
-        )
+        problem, unknowns = self.identification.problem, self.identification.solution.unknowns
+        poses = problem.model.pose_rows(np.vstack([problem.sweeps.q_start, problem.sweeps.q_end]))
+        return bool(np.abs(problem.model.predict(problem.values(unknowns), poses)).min() < _TOUCHING)
 
 
 @dataclass(frozen=True)
@@ -223,14 +206,8 @@ class Difference:
 
     def content(self) -> dict[str, Any]:
         """What ``compare --json`` writes of the difference."""
-        return {
-            "better": self.better.name,
-            "worse": self.worse.name,
-            "elpd": self.elpd,
-            "se": self.se,
-            "clear": self.clear,
-            "at_least": self.at_least,
-        }
+        names = {"better": self.better.name, "worse": self.worse.name}
+        return names | {name: getattr(self, name) for name in ("elpd", "se", "clear", "at_least")}
 
 
 @dataclass(frozen=True)
@@ -248,16 +225,19 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """The result in words."""
-        said = [d.sentence() for d in self.differences]
-        said += [s for s in (model.sentence() for model in self.models) if s is not None]
+        said = [*(difference.sentence() for difference in self.differences), *self._against()]
         if not self.sound:
-            said.append("no model could be sampled: nothing can be compared")
-        elif not any(model.fits for model in self.models):
+            return "; ".join(said)
+        if not any(model.fits for model in self.models):
             said.append("none of the models fits")
         elif not self.differences:
             left = next(model for model in self.models if model.loo is not None)
             said.insert(0, f"the data favour {left.spec.words}, the only model that could be sampled")
         return "; ".join(said)
+
+    def _against(self) -> list[str]:
+        said = [s for s in (model.sentence() for model in self.models) if s is not None]
+        return said if self.sound else [*said, "no model could be sampled: nothing can be compared"]
 
     @property
     def trust(self) -> Trust:
@@ -269,9 +249,7 @@ class Comparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about what is not to be trusted."""
-        said = [s for s in (model.sentence() for model in self.models) if s is not None]
-        if not self.sound:
-            said.append("no model could be sampled: nothing can be compared")
+        said = self._against()
         for model in self.models:
             left = 0 if model.loo is None else int(model.loo.open.sum())
             if left:
@@ -308,9 +286,8 @@ def compare(
 ) -> Comparison:
     """Fit, sample and compare two models or more on the sweeps of one session.
 
-    The cell's path model is replaced by that of each model. `draws` are the effective draws of every parameter of a
-    model that fits; `progress` is called with what is done next, in words. `InputError` if the sweeps carry no
-    measurement, or a likelihood does not take them.
+    `draws` are the effective draws of every parameter of a model that fits; `progress` is called with what is done
+    next, in words. `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
     """
     fits: dict[tuple[str, str], Identification] = {}
     models = []
@@ -328,15 +305,12 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
     """The model with its predictions, or with what failed."""
     if not model.identification.converged:
         return model
-    likelihood = model.spec.likelihood
-    problem = model.identification.problem
+    likelihood, problem = model.spec.likelihood, model.identification.problem
+    asked = f"{problem.sweeps.file}: {model.spec.name!r:.60}"
     if likelihood != "gaussian" and model.identification.machine is not None:
-        raise InputError(f"{problem.sweeps.file}: {model.spec.name!r:.60}: with mechanics the rows are Gaussian")
+        raise InputError(f"{asked}: with mechanics the rows are Gaussian")
     if likelihood != "gaussian" and problem.whitening.batches:
-        raise InputError(
-            f"{problem.sweeps.file}: {model.spec.name!r:.60} needs rows without a group, found rows that share "
-            "a reading"
-        )
+        raise InputError(f"{asked} needs rows without a group, found rows that share a reading")
     draws, refits = (min(draws, _POOR_DRAWS), _POOR_REFITS) if model.poor else (draws, _MOST_REFITS)
     # Rows are left out at the scales that the mechanics have with all of them.
     random = np.random.default_rng(seed)

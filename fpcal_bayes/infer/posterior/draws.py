@@ -138,10 +138,7 @@ class WeightedDraws:
         return 1.0 / float((special.softmax(self.log_weights) ** 2).sum()) if len(self.log_weights) else 0.0
 
     def equal(self, count: int, random: np.random.Generator) -> Floats:
-        """Points of equal weight, shape (count, n_unknowns), by systematic resampling.
-
-        Each point stands in it as often as its weight says, up to rounding.
-        """
+        """Points of equal weight, shape (count, n_unknowns), by systematic resampling."""
         places = (np.arange(count) + random.random()) / count
         chosen = np.searchsorted(np.cumsum(special.softmax(self.log_weights)), places)
         return self.points[np.minimum(chosen, len(self.points) - 1)]
@@ -192,10 +189,9 @@ def charted_draws(
 
 
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad.
+    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad; some stand in it twice.
 
-    The minima are the reference points of the charts. Points that the charts propose too rarely stand in it more than
-    once. None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
+    None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
     """
     random = np.random.default_rng(seed)
     for known in islice(growing_draws(found, "gaussian", draws, random), _MOST_ROUNDS):

@@ -22,6 +22,7 @@ from fpcal_bayes.infer.posterior.draws import (
     charted_draws,
     smoothed_weights,
 )
+from fpcal_bayes.infer.posterior.proposal import in_parts
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 #: What draws of a posterior without one row are worth, and draws of the whole one that are set against them.
@@ -55,7 +56,7 @@ class LeaveOneOut:
 
     @property
     def open(self) -> Bools:
-        """Rows of them that could not be left out in earnest: what stands there is their upper bound."""
+        """Rows of them that could not be left out in earnest: their upper bound stands there."""
         return self.bad & ~self.refitted
 
     @property
@@ -80,11 +81,7 @@ def standard_error(rows: Floats) -> float:
 
 
 def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: int, seed: int = 0) -> LeaveOneOut:
-    """Log density of each row of a sampled, converged posterior, given all others.
-
-    `likelihood` is the one under which it was sampled. If more rows than `most_refits` need it, none is left out in
-    earnest: what stands would be a bound either way.
-    """
+    """From a converged posterior; if more rows than `most_refits` need it, none is left out in earnest."""
     n_rows, n = len(posterior.target.problem.target), posterior.points.shape[-1]
     every = -(-posterior.log_density.size // min(_MOST_DRAWS, _MOST_CELLS // n_rows))
     points = posterior.points[:, ::every].transpose(0, 2, 1, 3).reshape(-1, n)
@@ -96,7 +93,7 @@ def leave_one_out(posterior: Posterior, likelihood: Likelihood, *, most_refits: 
 def left_out_each(
     identification: Identification, known: WeightedDraws, likelihood: Likelihood, *, most_refits: int, seed: int = 0
 ) -> LeaveOneOut:
-    """The same from weighted draws of the posterior of an identification."""
+    """The same from weighted draws."""
     points, log_weights = known.points, special.log_softmax(known.log_weights)
     rows = rows_given_others(known.target, points)
     weighted = [_smoothed(row, log_weights, known.independent) for row in rows.T]
@@ -120,10 +117,7 @@ def left_out_each(
 
 
 def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[float, float]:
-    """Leave-one-out density of a row and its k, from its log densities at weighted draws (n_draws,).
-
-    The weights add up to one, and a share of the draws is independent.
-    """
+    """Leave-one-out density of a row and its k, from its log densities at draws (n_draws,) of normalised weights."""
     if np.ptp(row - log_weights) < _SAME:
         # No draw matters more than another.
         return float(special.logsumexp(row) - np.log(len(row))), 0.0
@@ -132,32 +126,12 @@ def _smoothed(row: Floats, log_weights: Floats, independent: float) -> tuple[flo
 
 
 def rows_given_others(target: PosteriorTarget, points: Floats) -> Floats:
-    """Log density of each row given the parameters and all other rows, per um, shape (n_points, n_rows).
-
-    Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and the
-    variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
-    """
-    parts = [_few_given_others(target, points[i : i + _AT_ONCE]) for i in range(0, len(points), _AT_ONCE)]
-    return np.concatenate(parts)
-
-
-def _few_given_others(target: PosteriorTarget, points: Floats) -> Floats:
-    problem = target.problem
-    mix = problem.whitening.mix
-    if mix is None:
-        return target.log_likelihoods(points)
-    residuals = target.data_residuals(points)[:, : len(problem.target)]
-    precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
-    # Inverse covariance times the residual in um, row by row.
-    weighed = residuals @ mix
-    return 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision
+    """Log density of each row given the parameters and all other rows, per um, shape (n_points, n_rows)."""
+    return np.concatenate([target.row_given_others(points[part]) for part in in_parts(len(points), _AT_ONCE)])
 
 
 def without_row(identification: Identification, row: int) -> Identification | None:
-    """The identification without one row, from the minima with it; None if no minimum is found.
-
-    Only what a posterior needs is made anew: problem, minima.
-    """
+    """Problem and minima of an identification without one row; None if no minimum is found from those with it."""
     problem = identification.problem
     kept = np.arange(len(problem.target)) != row
     reduced = problem.take(kept).relinearised(identification.solution.unknowns)
@@ -190,10 +164,9 @@ def _left_out(
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
-    """Log of the mean of exp(`without`) under `weights`, steadied by draws that the row itself has pulled near.
+    """Log of the mean of exp(`without`) (m,) under normalised weights that are worth `effective` independent draws.
 
-    `with_row` (n,) and `without` (m,) are log densities of the row at draws that know it, and at weighted draws that do
-    not; the weights add up to one and are worth `effective` independent draws.
+    It is steadied by log densities `with_row` (n,) at draws that the row itself has pulled near.
     """
     share = len(with_row) / (len(with_row) + effective)
     log_weights = np.log(np.maximum(weights, 1e-300))

@@ -32,10 +32,7 @@ _NUMBERS_KEPT = 2e7
 
 
 class MachineTarget(PosteriorTarget):
-    """Geometry in scores, then logarithms of the scales.
-
-    Rows by themselves (`log_likelihoods`) are those given all others, at the typical scales.
-    """
+    """Geometry in scores, then logarithms of the scales; rows are given all others, at the typical scales."""
 
     def __init__(self, fit: MechanicsFit) -> None:
         super().__init__(fit.problem)
@@ -52,12 +49,7 @@ class MachineTarget(PosteriorTarget):
 
     def log_likelihoods(self, points: Floats) -> Floats:
         """Log density of each row given the others, per um, at points (n_points, n_unknowns), (n_points, n_rows)."""
-        mix = self.problem.whitening.mix
-        assert mix is not None
-        residuals = self._whitened(points)
-        precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
-        result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * (residuals @ mix) ** 2 / precision
-        return result
+        return self.row_given_others(points)
 
 
 class MachineCharts:
@@ -80,15 +72,14 @@ class MachineCharts:
 
     def prior(self, log_scales: Floats) -> Floats:
         """Log prior of scales (n_points, n_scales), shape (n_points,)."""
-        density: Floats = -0.5 * ((log_scales / self.density.prior_sd) ** 2).sum(axis=1)
-        return density
+        return np.asarray(-0.5 * ((log_scales / self.density.prior_sd) ** 2).sum(axis=1))
 
     def charts(
         self, log_scales: Floats, made: dict[bytes, tuple[float, Floats]] | None = None
     ) -> tuple[Floats, list[ScaleCharts]]:
         """What the linearised rows say of scales (n_points, n_scales), and charts around each reference.
 
-        `made` holds densities and factors that are known already, by the scales' bytes.
+        `made` holds densities and factors by the scales' bytes.
         """
         keys, made = [log.tobytes() for log in log_scales], {} if made is None else made
         missing = [i for i, key in enumerate(keys) if key not in self._kept and key not in made]

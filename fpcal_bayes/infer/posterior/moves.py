@@ -12,12 +12,10 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 
 class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
-    """Metropolis-Hastings with independent proposals from an atlas.
+    """Metropolis-Hastings with independent proposals from an atlas; those of `ahead` steps are made at once.
 
     Each walker carries the log density with which the atlas proposes its place (the blob), so that the step is exact
-    also for walkers outside every chart: from there any move inside is refused, as none leads back. Another move has to
-    bring them in and out. Proposals do not depend on where the walkers stand, so those of `ahead` steps are made at
-    once.
+    also for walkers outside every chart: from there any move inside is refused. Another move brings them in and out.
     """
 
     def __init__(self, atlas: ProposalMixture, ahead: int = 1) -> None:
@@ -53,10 +51,7 @@ SCALES = (0.03, 0.1, 0.3)
 
 
 class LocalMove(Move):  # type: ignore[misc]
-    """Metropolis-Hastings with v' = v + s R(v)^-1 z, R'R = J'J + I at v (a random walk on the posterior's own metric).
-
-    It goes where no chart reaches, and so makes the mixture of moves irreducible.
-    """
+    """Metropolis-Hastings with v' = v + s R(v)^-1 z, R'R = J'J + I at v, which goes where no chart reaches."""
 
     def __init__(self, target: PosteriorTarget, atlas: ProposalMixture) -> None:
         self.target, self.atlas = target, atlas

@@ -17,6 +17,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.posterior.diagnostics import diagnose
 from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.proposal import in_parts
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
 from fpcal_bayes.io.hdf5 import Reader, reading
 from fpcal_bayes.model.cell.cell import Cell
@@ -52,7 +53,12 @@ def read_posterior(path: str | Path, cell: Cell) -> PosteriorDraws:
         raise InputError(f"{path}: group posterior: expected draws of parameters of cell {cell.name!r}")
     if len({column.shape for column in columns}) != 1 or columns[0].size == 0:
         raise InputError(f"{path}: group posterior: expected as many draws of each parameter, one or more")
-    trust = _trust(path, sha256, said, parameters, columns) if hashed else trust_of(None)
+    if hashed and sha256 != _draws_sha256(parameters.names, np.stack(columns, axis=-1), said):
+        raise InputError(f"{path}: attribute {CONTENT_HASH}: the draws are not those that fpcal sample wrote")
+    try:
+        trust = trust_of(json.loads(said) if hashed else None)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: attribute trust: {error}") from error
     values = parameters.to_internal(np.column_stack([column.ravel() for column in columns]))
     return PosteriorDraws(cell, parameters, values, trust)
 
@@ -77,16 +83,6 @@ def _reading(path: Path, cell: Cell) -> Iterator[Reader]:
         yield reader
 
 
-def _trust(path: Path, sha256: str, text: str, parameters: ParameterSet, columns: Sequence[Floats]) -> Trust:
-    """What is held against the draws of a file whose hash is right."""
-    if sha256 != _draws_sha256(parameters.names, np.stack(columns, axis=-1), text):
-        raise InputError(f"{path}: attribute {CONTENT_HASH}: the draws are not those that fpcal sample wrote")
-    try:
-        return trust_of(json.loads(text))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: attribute trust: {error}") from error
-
-
 def _column(reader: Reader, group: Any, name: str, unit: str) -> Floats:
     place = f"{reader.path}: posterior/{name}"
     values = reader.numbers(group, name, None)
@@ -105,7 +101,7 @@ class PosteriorSummary:
     # file, sha256: name without folder, and hash of the bytes
     file: str
     sha256: str
-    parameters: ParameterSet  # sampled parameters, n of them
+    parameters: ParameterSet
     draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
     prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
     n_ensembles: int  # independent ensembles; chains of one ensemble interact
@@ -240,11 +236,10 @@ def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
 
 
 def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
-    """The draws as an ArviZ DataTree.
+    """The draws as an ArviZ DataTree, in the units a person reads.
 
-    Groups posterior (in the units a person reads), prior, sample_stats, log_likelihood, posterior_predictive and
-    observed_data. Rows that share a reading have the likelihood of a row given those before it in its group. Of long
-    runs on many rows, likelihoods and predictions of evenly spaced draws are kept.
+    Rows that share a reading have the likelihood of a row given those before it in its group. Of long runs on many
+    rows, likelihoods and predictions of evenly spaced draws are kept.
     """
     # Importing arviz takes long: only where it is used.
     import arviz as az
@@ -257,19 +252,19 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
     rng = np.random.default_rng(seed)
     scores = rng.standard_normal((*values.shape[:2], problem.n_free))
     prior = parameters.to_shown(problem.prior.values(scores)[..., identification.own])
-    every = max(1, -(-n_chains * n_draws * len(problem.target) // _KEPT_CELLS))
-    unknowns = posterior.points.transpose(0, 2, 1, 3).reshape(n_chains, n_draws, -1)[:, ::every]
+    chains = posterior.points.transpose(0, 2, 1, 3).reshape(n_chains, n_draws, -1)
+    # Of very many rows draws of some chains are kept.
+    some = chains[:: -(-n_chains * len(problem.target) // _KEPT_CELLS)]
+    unknowns = some[:, :: -(-some.shape[0] * n_draws * len(problem.target) // _KEPT_CELLS)]
     log_likelihood, predicted = _pointwise(posterior, unknowns.reshape(-1, unknowns.shape[-1]), rng)
-    shape = (n_chains, unknowns.shape[1], -1)
+    shape = (*unknowns.shape[:2], -1)
     labels = np.array([str(label) for label in problem.sweeps.label])
     draws = {name: shown[:, :, i] for i, name in enumerate(parameters.names)}
-    noise = posterior.target.noise_factors(posterior.points.transpose(0, 2, 1, 3))
+    noise = posterior.target.noise_factors(chains)
     if noise is not None:
-        draws["noise_scale"] = noise.reshape(values.shape[:2])
+        draws["noise_scale"] = noise
     if isinstance(posterior.target, SlipTarget):
-        draws["slip_probability"] = posterior.target.eps(posterior.points.transpose(0, 2, 1, 3)).reshape(
-            values.shape[:2]
-        )
+        draws["slip_probability"] = posterior.target.eps(chains)
     with warnings.catch_warnings():
         # Each walker is a chain: there may be more of them than steps.
         warnings.filterwarnings("ignore", message="Found chain dimension to be longer", category=UserWarning)
@@ -335,8 +330,7 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
     problem = posterior.identification.problem
     n_rows = len(problem.target)
     likelihood, predicted = np.empty((len(unknowns), n_rows)), np.empty((len(unknowns), n_rows))
-    for i in range(0, len(unknowns), 256):
-        part = slice(i, i + 256)
+    for part in in_parts(len(unknowns), max(1, min(256, _KEPT_CELLS // n_rows))):
         mean = problem.model.predict(problem.values(unknowns[part]), problem.rows)
         if problem.sensitivity is not None:
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T

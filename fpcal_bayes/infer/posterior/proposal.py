@@ -103,9 +103,7 @@ class Proposal:
     def _advance(
         self, points: Floats, normal: Floats, inverse: Floats, miss: Floats, distance: Floats
     ) -> tuple[Floats, Bools]:
-        """Newton steps from `points`, then steps with the same inverse slopes while they contract fast.
-
-        A step that does not come closer is halved.
+        """Newton steps, halved where they do not come closer, then steps of the same slopes while these contract fast.
 
         Returns the points reached, and which of them are closer than before by enough to go on.
         """
@@ -132,9 +130,7 @@ class Proposal:
         return points, distance < _STUCK * before
 
     def _projected(self, residuals: Floats, points: Floats) -> Floats:
-        """h(v) from the residuals at points (n_points, n)."""
-        h: Floats = residuals @ self._on_data + points @ self._on_prior
-        return h
+        return np.asarray(residuals @ self._on_data + points @ self._on_prior)
 
     def _from_residuals(self, points: Floats) -> Floats:
         """h(v) without derivatives, as many points at a time as their residuals have room."""
@@ -215,10 +211,7 @@ class ProposalMixture:
         self.shares: Floats = shares / shares.sum()
 
     def propose(self, normal: Floats, choice: Floats) -> Solved:
-        """Turn standard normal numbers (n_points, n) and uniform ones (n_points,) into points.
-
-        The log density of the proposal is that of the whole mixture.
-        """
+        """Points of standard normal numbers (n_points, n) and uniform ones (n_points,); densities of the mixture."""
         chart_of = np.searchsorted(np.cumsum(self.shares)[:-1], choice, side="right")
         points, densities = np.empty_like(normal), np.empty(len(normal))
         own, inside = np.empty(len(normal)), np.zeros(len(normal), dtype=bool)
@@ -246,5 +239,4 @@ class ProposalMixture:
 
     def _mixed(self, parts: Floats) -> Floats:
         with np.errstate(divide="ignore"):
-            mixed: Floats = special.logsumexp(parts + np.log(self.shares)[:, None], axis=0)
-        return mixed
+            return np.asarray(special.logsumexp(parts + np.log(self.shares)[:, None], axis=0))

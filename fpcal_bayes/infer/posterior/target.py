@@ -69,10 +69,7 @@ class PosteriorTarget:
         return max(1, _NUMBERS // (len(self.problem.target) * self.problem.n_unknowns))
 
     def centred(self, reference: Floats) -> Self:
-        """The same density, with the residuals that serve best near `reference` (n_unknowns,).
-
-        Rows of unknown sign are taken with the sign that is predicted there, Student-t rows by their tangents.
-        """
+        """The same density near `reference` (n_unknowns,): signs as predicted there, Student-t rows by tangents."""
         result = self._signed_at(reference)
         if self.dof is not None:
             result = copy.copy(result)
@@ -130,11 +127,22 @@ class PosteriorTarget:
         return total
 
     def log_likelihoods(self, points: Floats) -> Floats:
-        """Log likelihood of each row at points (n_points, n_unknowns), shape (n_points, n_rows); per um.
-
-        For rows that share a reading, that of a row given those before it in its group.
-        """
+        """Log likelihood of each row given those before it in its group, shape (n_points, n_rows); per um."""
         return self._row_log_likelihoods(self.standardised(points), points)
+
+    def row_given_others(self, points: Floats) -> Floats:
+        """Log density of each row given all others at points (n_points, n_unknowns), shape (n_points, n_rows); per um.
+
+        Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and
+        the variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
+        """
+        mix = self.problem.whitening.mix
+        if mix is None:
+            return self.log_likelihoods(points)
+        precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
+        # Inverse covariance times the residual in um, row by row.
+        weighed = self.standardised(points) @ mix
+        return np.asarray(0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision)
 
     def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
         """Probability that a repeat of the rows is less likely than they are (posterior predictive check).

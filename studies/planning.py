@@ -1,4 +1,4 @@
-"""Accuracy against the number of sweeps: the paper's order, random, greedy, exchange, best found, adaptive.
+"""Accuracy against the number of sweeps: the paper's order, random, greedy, best found, adaptive.
 
     python studies/planning.py accuracy --numbers 10,12,14 --simulate    each way; simulated, too
     python studies/planning.py extrinsic                                 the best 1 to 6 sweeps a day after
@@ -116,8 +116,7 @@ def ways_of(cell: Cell, grounds: Grounds, options: argparse.Namespace) -> dict[s
     ways = {
         "paper's order": lambda: lambda n: paper.take(np.arange(n)),
         "random": lambda: lambda n: candidate_sweeps(cell, n=n, rng=np.random.default_rng(options.seed), limits=limits),
-        "greedy": lambda: planned(starts=1, passes=0, iterations=0),
-        "exchange": lambda: planned(starts=1, passes=5, iterations=0),
+        "greedy": lambda: planned(starts=1, iterations=0),
         "best": lambda: planned(),
     }
     return {name: make() for name, make in ways.items() if name in options.ways}
@@ -153,7 +152,7 @@ def accuracy(options: argparse.Namespace) -> None:
             began = time.process_time()
             plan = choose(n)
             spent = time.process_time() - began
-            if name in ("random", "greedy", "exchange"):
+            if name in ("random", "greedy"):
                 plan = in_short_order(cell, plan)
             each = grounds.judged.sd_at_draws(plan, readings=options.readings)
             show(f"{n} {name} ({spent:.0f} s)", each, grounds.paper)
@@ -279,7 +278,7 @@ def machine(options: argparse.Namespace) -> None:
     ground = prior_ground(cell, tasks=tuple(options.tasks), draws=options.draws, seed=options.seed)
     paper = paper_protocol(cell)
     reference = ground.expected_sd(paper, readings=2)
-    planner = Planner(ground, replace(settings_of(options), starts=4, finalists=1), reference)
+    planner = Planner(ground, replace(settings_of(options), starts=3, trials=6), reference)
     plans = {"paper, midpoints": paper}
     plans |= {str(n): planner.in_order(planner.best(n).sweeps) for n in options.numbers}
     for name, plan in plans.items():
@@ -326,7 +325,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("what", choices=("accuracy", "extrinsic", "machine", "figure"))
     made.add_argument("files", nargs="*", type=Path, help="figure: what accuracy --json wrote")
     made.add_argument("--numbers", type=lambda text: [int(n) for n in text.split(",")], default=[10, 12, 14])
-    made.add_argument("--ways", type=names, default=["paper's order", "random", "greedy", "exchange", "best"])
+    made.add_argument("--ways", type=names, default=["paper's order", "random", "greedy", "best"])
     made.add_argument("--tasks", type=names, default=list(DEFAULT_TASKS))
     made.add_argument(
         "--against", choices=("endpoints", "midpoints"), default="endpoints", help="of the paper's sweeps"

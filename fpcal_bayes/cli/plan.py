@@ -20,8 +20,15 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.design.order import duration
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, shortfalls
-from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point
+from fpcal_bayes.infer.design.problem import (
+    DEFAULT_TASKS,
+    Ground,
+    estimate_ground,
+    measured_estimate,
+    prior_ground,
+    shortfalls,
+)
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps
@@ -153,7 +160,8 @@ def _plan(
                 of, other = "paper", max(expected["plan"][task] / sd for task, sd in expected["paper"].items())
             out.say(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
     if frontier is not None:
-        out.say(f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps")
+        knee = frontier.points[frontier.knee].sweeps
+        out.say(f"knee of the frontier: {knee} sweeps, farthest from the straight line between its ends in logarithms")
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
     warn(warnings)
@@ -316,10 +324,9 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
     return PlanSettings(
         readings=readings,
         sigma=options.sigma_nm * 1e-3,
-        criterion=options.criterion,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,
-        **({} if cell.mechanics is None else {"starts": 4, "finalists": 1}),
+        **({} if cell.mechanics is None else {"starts": 3, "trials": 6}),
         seed=options.seed,
         limits=_limits(options),
     )
@@ -340,10 +347,10 @@ def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, ob
         "reach": options.reach,
         "readings": settings.readings,
         "sigma_nm": options.sigma_nm,
-        "criterion": settings.criterion,
         "candidates": settings.n_candidates,
         "coordinated": settings.several,
         "starts": settings.starts,
+        "exchanges": settings.trials,
         "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,

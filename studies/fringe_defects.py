@@ -2,9 +2,9 @@
 
 Sweeps along the optical axis of 4 to 200 um, from a generator that shares nothing with the reader but the cell's
 cavity length. Defects: none, a mirror that sets out late (0.05 to 2 um), one that lags (with rest at the end), a stage
-that runs unevenly under a column of commanded positions, a converter of 8 to 12 bits, a laser that hops, a jump by a
-whole fringe within one sample. Printed for each: how many are accepted, the variance of the standardised errors of
-those, and how many lie beyond six standard deviations.
+that runs unevenly under a column of commanded positions, or with a ripple, a converter of 8 to 16 bits, a laser that
+hops, a jump by a whole fringe within one sample. Printed for each: how many are accepted, the variance of the
+standardised errors of those, and how many lie beyond six standard deviations.
 
     python studies/fringe_defects.py [--traces 1000] [--seed 0]
 """
@@ -18,7 +18,7 @@ from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, Trace, TraceIndex, paper_truth, single_sweep
 from fpcal_bayes.model import CavityModel, Cell
 
-KINDS = ("clean", "late", "lag", "uneven", "bits", "hop", "whole fringe")
+KINDS = ("clean", "late", "lag", "uneven", "bits", "hop", "whole fringe", "ripple")
 #: Traces of one campaign.
 BATCH = 20
 
@@ -49,6 +49,10 @@ def drawn(
         commanded = time
         bend = random.normal(size=3) * np.minimum(0.1, 0.01 * travel) / travel
         place = done + sum(b * np.sin(np.pi * (k + 1) * time / 2.0) for k, b in enumerate(bend))
+    elif kind == "ripple":
+        turns = travel / np.exp(random.uniform(np.log(2.0), np.log(20.0)))
+        wave = random.uniform(0.002, 0.03) * np.sin(2.0 * np.pi * turns * place + random.uniform(0.0, 6.28))
+        place = place + wave / travel
     q = sweep.q_start[0] + place[:, None] * (sweep.q_end - sweep.q_start)[0]
     length = model.predict(values, model.pose_rows(q))
     phase = 4.0 * np.pi / cell.wavelength * length
@@ -62,7 +66,7 @@ def drawn(
     gain = 1.0 + 0.1 * random.normal() * (at - 0.5) + 0.05 * random.normal() * (at - 0.5) ** 2
     signal = 2.0 + 0.05 * random.normal() * at + gain * np.cos(phase + random.uniform(0.0, 6.28))
     signal += 0.01 * np.cos(2.0 * phase + random.uniform(0.0, 6.28)) + 0.01 * random.normal(size=len(q))
-    step = 5.0 / (2.0 ** (random.integers(8, 13) if kind == "bits" else 16) - 1)
+    step = 5.0 / (2.0 ** (random.integers(8, 17) if kind == "bits" else 16) - 1)
     joint = ends[0] + commanded * (ends[1] - ends[0])
     return sweep, Trace(0.005 * np.arange(len(q)), joint, np.rint(signal / step) * step), float(length[-1] - length[0])
 

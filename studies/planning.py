@@ -39,6 +39,7 @@ from fpcal_bayes.infer import (
     in_short_order,
     mechanics_task_errors,
     prior_ground,
+    task_errors,
 )
 from fpcal_bayes.io import load_cell, write_sweeps
 from fpcal_bayes.measure import Sweeps, Truth, drive_of_sweeps, join, paper_protocol, paper_truth, read_often
@@ -46,7 +47,6 @@ from fpcal_bayes.model import CavityModel, Cell
 from fpcal_bayes.motion import task_path
 from fpcal_bayes.report import draw_plan, save_figure
 from fpcal_bayes.simulator import Machine, MachineSettings, simulate_um
-from fpcal_bayes.study import compare, largest_errors
 from fpcal_bayes.tracking import propagated
 
 SIGMA = 0.005
@@ -55,6 +55,54 @@ ByTask = dict[str, np.ndarray]
 #: Expected standard deviation by task in um: what comparisons leave by name, plans by way and number of sweeps.
 Levels = dict[str, dict[str, float]]
 Found = dict[str, dict[int, dict[str, float]]]
+#: Points of each path.
+_POINTS = 31
+#: Sets of truths drawn from those simulated, to tell how far chance alone moves a ratio.
+_SETS = 1000
+
+
+def largest_errors(cell: Cell, values: np.ndarray, plan: Sweeps, *, sigma: float, seed: int) -> dict[str, float]:
+    """Largest error along each task, in um, after identifying a simulated cell from simulated measurements.
+
+    `values` (n_free,) are the truth's free parameters in um and rad; `sigma` is the standard deviation of each change
+    of cavity length in um. NaN where the estimate leaves no point to drive to.
+    """
+    model = CavityModel.of(cell)
+    truth = Truth(cell.free, np.zeros(1), values[None])
+    found = identify(cell, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)).estimate
+    result = dict.fromkeys(DEFAULT_TASKS, np.nan)
+    for name in DEFAULT_TASKS:
+        try:
+            task = task_path(cell, found.vector(), name, n_points=_POINTS)
+        except InputError:
+            # By its estimate, this robot's joint limits do not let it take the aligned pose.
+            continue
+        if task.ok.any():
+            result[name] = float(np.abs(task_errors(model, values, found.values, task.take(task.ok))).max())
+    return result
+
+
+def compare(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """One kind of error or standard deviation, above zero, over another at the same truths, shape (n_truths,) each.
+
+    The ratio of the root mean squares and of the medians, and the mean over truths of the ratio, each with its standard
+    error (``.._se``) by drawing the truths anew (bootstrap, Efron 1979). The mean ratio of simulated errors leans
+    upwards: some truth's error is small by luck.
+    """
+    picked = np.random.default_rng(0).integers(len(ours), size=(_SETS, len(ours)))
+
+    def ratios(a: np.ndarray, b: np.ndarray) -> dict[str, np.ndarray]:
+        return {
+            "ratio_of_rms": np.sqrt((a**2).mean(axis=-1) / (b**2).mean(axis=-1)),
+            "mean_ratio": (a / b).mean(axis=-1),
+            "ratio_of_medians": np.median(a, axis=-1) / np.median(b, axis=-1),
+        }
+
+    spread = {name: float(values.std()) for name, values in ratios(ours[picked], theirs[picked]).items()}
+    found: dict[str, float] = {}
+    for name, value in ratios(ours, theirs).items():
+        found |= {name: float(value), f"{name}_se": spread[name]}
+    return found
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """When to measure again: simulated weeks under several policies, share of time in tolerance against sweeps spent.
 
-Weeks, filter and loop are those of `fpcal study policy`. Each week starts with a full calibration. It drifts as the
+Each week starts with a full calibration. It drifts as the
 cell's sizes say, or is harder (`--harder`): a day and night cycle of temperature that moves mirror and fibre, two
 knocks, a steady rate of one parameter, and one quiet day. The temperature is logged, so that the filter allows for its
 part and for steady rates, whose sizes it does not know (`likely_terms`); `--stated` leaves them out. The controller
@@ -10,34 +10,71 @@ the same filter.
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from drifting_week import STEP, DriftingWeek, Rule, Run, Setting, follow, simulate_week
 
 from fpcal_bayes.core import write_json
 from fpcal_bayes.decision import Costs, Forecaster, Goal, Policy, is_diagnosis
+from fpcal_bayes.infer import peak_to_peak, task_errors
 from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps
 from fpcal_bayes.motion import task_path
-from fpcal_bayes.study import (
-    STEP,
-    DriftingWeek,
-    MakeRule,
-    Rule,
-    Run,
-    Setting,
-    check_circle,
-    fixed,
-    follow,
-    never,
-    ours,
-    simulate_week,
-    translations,
-)
 from fpcal_bayes.tracking import DriftModel, SessionOutcome
 
 CELL = load_cell(mechanics="none")
+
+
+#: Makes a rule anew for each week: some remember what they saw.
+MakeRule = Callable[[], Rule]
+
+
+def translations(cell_joints: int, *joints: int) -> Sweeps:
+    """Translations of some joints (1 for ``q1``) over 300 um, the others at zero."""
+    start = np.zeros((len(joints), cell_joints))
+    start[range(len(joints)), [j - 1 for j in joints]] = -150.0
+    return Sweeps.of_um_rad(start, -start, label=[f"q{j}" for j in joints])
+
+
+def fixed(hours: float, plan: Sweeps) -> Rule:
+    """The same sweeps at a fixed interval."""
+    return lambda outcome, now, week: (hours, plan)
+
+
+def never(setting: Setting) -> Rule:
+    """No measurement after the calibration."""
+    return lambda outcome, now, week: (setting.hours * 2, None)
+
+
+def check_circle(setting: Setting, hours: float, tolerance: float, plan: Sweeps) -> Rule:
+    """Drive a circle at a fixed interval, and measure when its peak to peak exceeds `tolerance` (um).
+
+    The circle counts as no sweep.
+    """
+
+    def rule(outcome: SessionOutcome, now: float, week: DriftingWeek) -> tuple[float, Sweeps | None]:
+        values = setting.drift.values(outcome.state.mean)
+        task = task_path(setting.cell, setting.model.vector(values), "circle")
+        ahead = min(now + hours, setting.hours)
+        error = float(peak_to_peak(task_errors(setting.model, week.at(ahead), values, task))[0])
+        return hours, plan if error > tolerance else None
+
+    return rule
+
+
+def chosen(setting: Setting, goal: Goal, costs: Costs, hours: float) -> Rule:
+    """The policy's choice of sweeps, at a fixed interval."""
+    policy = Policy.of(setting.drift, setting.model, goal, costs, setting.paper)
+
+    def rule(outcome: SessionOutcome, now: float, week: DriftingWeek) -> tuple[float, Sweeps | None]:
+        forecast = Forecaster.of(setting.drift, setting.model, goal, outcome.state.mean)
+        state = forecast.ahead(outcome.state, now - outcome.state.time_h)
+        return hours, policy.choose(forecast, forecast.ahead(state, hours), costs.most_sweeps)
+
+    return rule
 
 
 @dataclass(frozen=True)
@@ -102,9 +139,9 @@ def rules(options: argparse.Namespace, setting: Setting) -> dict[str, MakeRule]:
     for hours in (0.7, 1.0, 1.3, 1.6, 2.0, 4.0):
         found[f"q3 and q1 at the task every {hours:g} h"] = lambda hours=hours: fixed_at_task(setting, hours)
     found["q3 and q1 when a circle every 0.5 h fails"] = lambda: check_circle(setting, 0.5, goal.tolerance_um, two)
-    chosen = Costs(most_sweeps=options.most)
+    most = Costs(most_sweeps=options.most)
     for hours in options.chosen:
-        found[f"{options.most} chosen every {hours:g} h"] = lambda hours=hours: ours(setting, goal, chosen, hours)
+        found[f"{options.most} chosen every {hours:g} h"] = lambda hours=hours: chosen(setting, goal, most, hours)
     costs = Costs(least_sweeps=options.least, most_sweeps=options.most, diagnosis_h=options.diagnose)
     for level in options.levels:
         found[f"ours, level {level:g}"] = lambda level=level: planned(setting, replace(goal, level=level), costs)

@@ -82,14 +82,12 @@ from pathlib import Path
 import numpy as np
 from toy_study import ToyStudy
 from fpcal_bayes.io.cell import load_cell
-from fpcal_bayes.study.store import StudyStore, packed
+from fpcal_bayes.study.run import run_study
 
 study = ToyStudy(cell=load_cell("femto-st", mechanics="none"), seed=0)
-store = StudyStore(Path("study.h5"), study)
 for n in (2, 3):
-    with store.appending(n) as appender:
-        appender.put(n - 1, packed(study, study.replicate(n - 1)))
-    print(store.done().tolist())
+    results, came = run_study(study, Path("study.jsonl"), n, workers=0)
+    print(results["number"].tolist(), came)
 """
 
 
@@ -127,4 +125,4 @@ def test_the_way_from_sweeps_to_a_decision(tmp_path):
 def test_a_store_of_replicates_grows(tmp_path):
     done = on_windows(STORE, tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["[False, True]", "[False, True, True]"]
+    assert done.stdout.splitlines() == ["[0.0, 1.0] 2", "[0.0, 1.0, 2.0] 1"]

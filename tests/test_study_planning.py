@@ -1,9 +1,13 @@
 """Two kinds of errors compared, and the standard errors of that."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from fpcal_bayes.study.planning import compare
+sys.path.insert(0, str(Path(__file__).parents[1] / "studies"))
+from planning import compare
 
 
 def test_one_is_a_multiple_of_the_other() -> None:

@@ -1,9 +1,7 @@
 """A study whose replicates cost next to nothing, importable by workers."""
 
 import os
-import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,13 +11,12 @@ from fpcal_bayes.study.base import Results, Study, Summary
 
 @dataclass(frozen=True, kw_only=True)
 class ToyStudy(Study):
-    """Random numbers, a NaN now and then; `deadly` kills its worker unless the file beside it exists."""
+    """Random numbers, a NaN now and then; replicate `failing` raises an error, `deadly` kills its worker."""
 
     name: ClassVar[str] = "toy"
 
-    seconds: float = 0.0
     failing: int = -1
-    deadly: tuple[int, Path] | None = None
+    deadly: int = -1
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         return {"normal": (3,), "number": ()}
@@ -30,10 +27,8 @@ class ToyStudy(Study):
     def replicate(self, number: int) -> dict[str, np.ndarray]:
         if number == self.failing:
             raise ZeroDivisionError("one over nothing")
-        if self.deadly is not None and number == self.deadly[0] and not self.deadly[1].exists():
-            self.deadly[1].touch()
+        if number == self.deadly:
             os._exit(1)
-        time.sleep(self.seconds)
         normal = self.random(number).standard_normal(3)
         normal[number % 3] = np.nan if number % 5 == 0 else normal[number % 3]
         return {"normal": normal, "number": np.array(float(number))}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.core.errors import located
+from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.io.sweeps import append_sweeps, read_sweeps
 from fpcal_bayes.io.tickets import read_ticket, write_ticket
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -52,10 +52,6 @@ def append(
         return Appended((), 0, 0, 0)
     sweeps = measured if isinstance(measured, Sweeps) else read_sweeps(measured, cell)
     missing = 0 if asked is None else check_measured(asked, sweeps, cell)
-    if ticket is not None and _is_there(read_sweeps(campaign, cell), sweeps):
-        # A program that was ended between the two steps below runs again.
-        write_ticket(ticket, empty_ticket(str(ticket)), cell)
-        return Appended((), 0, 0, 0)
 
     def check(joined: Sweeps) -> None:
         before = joined.take(np.arange(len(joined) - len(sweeps)))
@@ -64,7 +60,14 @@ def append(
         _refuse_impossible(sweeps, cell)
         check_sessions(joined, None if now is None else hours_at(now, joined))
 
-    joined = append_sweeps(campaign, sweeps, cell, check)
+    try:
+        joined = append_sweeps(campaign, sweeps, cell, check)
+    except InputError:
+        if ticket is None or not _is_there(read_sweeps(campaign, cell), sweeps):
+            raise
+        # A program that was ended between the two steps runs again.
+        write_ticket(ticket, empty_ticket(str(ticket)), cell)
+        return Appended((), 0, 0, 0)
     if ticket is not None:
         # Used up: whoever measures whenever the ticket has rows does not measure twice.
         write_ticket(ticket, empty_ticket(str(ticket)), cell)

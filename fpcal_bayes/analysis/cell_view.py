@@ -82,10 +82,7 @@ class CellView:
 
 
 def view_cell(cell: Cell, q: Floats | None = None) -> CellView:
-    """Look at a cell at joint vector `q` (n_joints,), in um and rad; by default at joint zero.
-
-    The model's nominal geometry is shown; a cell whose geometry cannot be right is shown too, with the reason.
-    """
+    """Look at a nominal cell at joint vector `q`; one that cannot be right is shown too, with the reason."""
     vector = cell.parameters.nominal
     at = home(cell) if q is None else q
     seen = sight(cell, vector, at)

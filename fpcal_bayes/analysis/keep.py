@@ -25,14 +25,12 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.record import decisions_of, record_of
+from fpcal_bayes.tracking.record import record_of
 from fpcal_bayes.tracking.sessions import hours_of
 from fpcal_bayes.tracking.tracker import Track
 
 
-def follow_saved(
-    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
-) -> Followed:
+def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
     """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
 
     Arguments are those of `follow`.
@@ -41,14 +39,12 @@ def follow_saved(
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):
             alone.enter_context(exclusive(Path(file)))
-        followed = follow(file, cell, now=now, posterior=posterior, anew=anew)
+        followed = follow(file, cell, now=now, anew=anew)
         found, notes = followed.track, followed.notes
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed
         try:
-            before = followed.campaign.track
-            log = [] if before is None else decisions_of(before)
-            record = record_of(found, followed.sweeps, Limits(), log)
+            record = record_of(found, followed.sweeps, Limits())
             write_campaign(file, replace(followed.campaign, track=record), cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")
@@ -90,6 +86,9 @@ class Keeper:
     goal, costs: what is to be held, and what measuring costs, given the campaign's sweeps.
     outputs: what is published.
     now: Unix time.
+
+    While the campaign stays as it is, what was found of it is not worked out again, and a decision to hold stands until
+    its end.
     """
 
     def __init__(
@@ -103,15 +102,17 @@ class Keeper:
     ) -> None:
         self._campaign, self._cell, self._goal, self._costs = campaign, cell, goal, costs
         self._outputs, self._now = outputs, now
+        self._followed: tuple[float, Followed | None] = 0.0, None
+        self._held: Decision | None = None
 
     def round(self) -> Round:
         """Follow, decide, publish.
 
         Raises InputError if the campaign cannot be read or followed.
         """
-        cell, goal, outputs = self._cell, self._goal, self._outputs
+        goal, outputs = self._goal, self._outputs
         moment = self._now()
-        followed = follow_saved(self._campaign, cell, now=moment)
+        followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
         if (sweeps.utc != "").any():
@@ -119,9 +120,12 @@ class Keeper:
         else:
             now_h = max(found.last.time_h, (moment - began) / 3600.0)
         until_h = self._valid_until(found, notes)
-        decision: Decision | None = None
+        decision = self._held
         try:
-            decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+            if decision is None or not decision.now_h <= now_h < decision.now_h + decision.hold_hours:
+                decision = self._held = None
+                decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+                self._held = decision if decision.action == "hold" else None
             notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
@@ -141,6 +145,16 @@ class Keeper:
         pending = self._pending()
         if pending is None or pending.plan is not None:
             write_ticket(self._outputs.ticket, empty_ticket(str(self._outputs.ticket)), self._cell)
+
+    def _follow(self, moment: float) -> Followed:
+        """The campaign as it is followed up to its last session."""
+        path, (before, known) = Path(self._campaign), self._followed
+        same = known is not None and before <= moment and path.is_file()
+        if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
+            self._held = None
+            known = follow_saved(path, self._cell, now=moment)
+        self._followed = moment, known
+        return known
 
     def _issue(self, decision: Decision | None, sweeps: Sweeps, moment: float) -> Ticket:
         """Write the decision's ticket, unless one that rests on the same campaign is being measured."""

@@ -11,12 +11,13 @@ from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import HeldError, InputError
 from fpcal_bayes.io.flat import check_flat
+from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.report.track import decision_sentence, time_text, verdict_lines
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.reader import read_rig
-from fpcal_bayes.rig.settings import IDSDevice
+from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 
 def run(options: argparse.Namespace) -> int:
@@ -24,14 +25,10 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     goal = goal_of(options, cell)
     check_flat(options.flat)
-    clock = Clock()
-    if options.rig is not None:
-        rig = read_rig(options.rig, cell)
-        if not isinstance(rig.instrument, IDSDevice):
-            raise InputError(
-                f"{options.rig}: keep needs an interferometer that reads lengths: traces are to be ingested"
-            )
-        clock = rig.clock
+    rig = None if options.rig is None else read_rig(options.rig, cell)
+    if rig is not None and not isinstance(rig.instrument, IDSDevice):
+        raise InputError(f"{options.rig}: keep needs an interferometer that reads lengths: traces are to be ingested")
+    clock = Clock() if rig is None else rig.clock
     warm_up_inverse(cell)
     outputs = Outputs(options.estimate, options.ticket, options.flat)
     keeper = Keeper(options.campaign, cell, goal, lambda sweeps: costs_of(options, sweeps), outputs, clock.now)
@@ -48,8 +45,8 @@ def run(options: argparse.Namespace) -> int:
         if options.report is not None:
             write_campaign_report(options.campaign, cell, options.report, goal=goal, now=f"{found.now_h:.6f}")
         teller.tell(found)
-        if options.rig is not None and found.ticket.plan is not None:
-            _measure(options, cell, found, clock)
+        if rig is not None and found.ticket.plan is not None:
+            _measure(options, cell, rig, found)
 
     if options.once:
         take_in(False)
@@ -61,19 +58,19 @@ def run(options: argparse.Namespace) -> int:
         return 0
 
 
-def _measure(options: argparse.Namespace, cell: Cell, found: Round, clock: Clock) -> None:
+def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, found: Round) -> None:
     """Drive the ticket and hand over what was measured."""
-    assert found.ticket.plan is not None
+    ticket = read_ticket(options.ticket, cell)
+    assert ticket.plan is not None
     # A ticket that expired half measured has a session of the same name after it.
-    stated = f"{found.ticket.plan.session[0]}_{found.ticket.name}"
+    stated = f"{ticket.plan.session[0]}_{ticket.name}"
     name = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in stated)
     campaign = Path(options.campaign)
     session = campaign.with_name(f"{campaign.stem}_{name}.h5")
-    words = {"output": session, "campaign": options.campaign, "estimate": str(options.estimate), "dry_run": False}
-    status = measure.run(argparse.Namespace(**vars(options) | words | {"ticket": str(options.ticket)}))
-    if status != 0:
+    words = argparse.Namespace(**vars(options) | {"output": session})
+    if measure.drive(words, cell, rig, ticket, found.followed.sweeps) != 0:
         raise InputError(f"{session}: the ticket is not measured to its end")
-    append(campaign, session, cell, ticket=options.ticket, now=clock.now())
+    append(campaign, session, cell, ticket=options.ticket, now=rig.clock.now())
 
 
 class _Teller:

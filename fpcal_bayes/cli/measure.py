@@ -14,6 +14,7 @@ from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.orders import orders_of
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
@@ -34,12 +35,20 @@ def run(options: argparse.Namespace) -> int:
         console(options).say(f"{options.ticket}: no rows, nothing to measure")
         return 0
     rig = read_rig(options.rig, cell)
-    estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     warm_up(cell)
-    guard = Guard(cell, rig, estimate)
     if options.dry_run:
-        return _show(options, cell, guard, ticket)
+        return _show(options, cell, _guard(options, cell, rig), ticket)
     campaign = None if options.campaign is None else read_sweeps(options.campaign, cell)
+    return drive(options, cell, rig, ticket, campaign)
+
+
+def _guard(options: argparse.Namespace, cell: Cell, rig: Rig) -> Guard:
+    return Guard(cell, rig, None if options.estimate is None else read_estimate(options.estimate, cell))
+
+
+def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, campaign: Sweeps | None) -> int:
+    """Drive a ticket of a campaign, as the options `output`, `estimate` and those of the screen say; exit status."""
+    guard = _guard(options, cell, rig)
     origin = origin_of(ticket, campaign, rig.clock.now())
     command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
     agenda = Agenda(ticket, cell, rig, options.output, origin, command)

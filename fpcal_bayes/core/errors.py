@@ -38,12 +38,6 @@ def reason(error: BaseException) -> str:
 
 
 def located(file: object, expected: str, *, row: int | None = None, column: str | None = None) -> InputError:
-    """Build the message ``file: row R, column C: what was expected``.
-
-    file: name of the file as the user gave it.
-    expected: what stands there and what was expected.
-    row: line in the file, 1 being its first line.
-    column: name of the column or key.
-    """
+    """Build the message ``file: row R, column C: what was expected``; the first line of a file is row 1."""
     place = [text for text in (f"row {row}" if row is not None else "", f"column {column}" if column else "") if text]
     return InputError(": ".join([str(file), *([", ".join(place)] if place else []), expected]))

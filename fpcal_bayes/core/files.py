@@ -63,10 +63,7 @@ def require_readable(path: Path) -> None:
 
 
 def require_writable(path: Path) -> Path:
-    """Where content for `path` goes: links are followed, and nothing is left behind.
-
-    Raises InputError unless there can be a file; devices and streams such as ``/dev/stdout`` can be written too.
-    """
+    """Where content for `path` goes, links followed; `InputError` unless there can be a file, a device or a stream."""
     try:
         target = _destination(path)
         kind = stat.S_IFMT(target.stat().st_mode) if target.exists() else stat.S_IFREG
@@ -119,10 +116,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path`; on success it takes the place of `path`, unless another program holds that.
 
     The content reaches the disk before the rename, so a reader sees the old file or the new one. Links are followed;
-    a device or a stream is written, never replaced.
-
-    Raises InputError if the folder is missing or not writable, the disk refuses the content, or another program writes
-    the file.
+    a device or a stream is written, never replaced. `InputError` if any of it fails.
     """
     target = require_writable(path)
     try:
@@ -199,10 +193,8 @@ def _replace(temporary: Path, path: Path) -> None:
 def exclusive(path: Path, *, in_place: bool = False) -> Iterator[Callable[[], None]]:
     """Be the only writer of an existing file or folder; the lock ends with the process, however that ends.
 
-    Gives a function that raises `InputError` if another program has changed the file or put another one in its place
-    meanwhile; `replacing` calls it at the last moment. With `in_place` this process itself changes the file.
-
-    Raises InputError if another process holds the file, or it cannot be opened.
+    Gives a function that raises `InputError` if another program has changed or replaced the file meanwhile; `replacing`
+    calls it at the last moment. With `in_place` this process itself changes the file.
     """
     name = os.path.realpath(path)
     if name in _HELD:

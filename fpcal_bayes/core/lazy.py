@@ -7,11 +7,7 @@ from typing import Any
 
 
 def lazy(package: str, places: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """``__all__``, ``__getattr__`` and ``__dir__`` of a package whose names stand in its modules.
-
-    package: name of the package.
-    places: module in the package of each name.
-    """
+    """``__all__``, ``__getattr__`` and ``__dir__`` of a package whose names stand in its modules, `places`."""
 
     def load(name: str) -> Any:
         if name not in places:

@@ -1,6 +1,7 @@
 """Linear algebra and distributions that every room needs; each formula stands here once."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,7 @@ def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Ei
 
 
 def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.linalg.eigh) -> Floats:
-    """The symmetric matrix whose square is `covariance` (n, n); it moves smoothly with it, as no other root does.
-
-    Eigenvalues below `least` are raised to it.
-    """
+    """The symmetric matrix whose square is `covariance` (n, n), eigenvalues raised to `least`; only it is smooth."""
     values, vectors = eigh(covariance)
     root: Floats = (vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T
     return root
@@ -45,7 +43,15 @@ def posterior_triangle(jacobian: Floats) -> Floats:
 
 def symmetric(matrix: Floats) -> Floats:
     """A matrix without the skew part that rounding leaves."""
-    return (matrix + matrix.T) / 2.0
+    return 0.5 * (matrix + matrix.T)
+
+
+@cache
+def identity(n: int) -> Floats:
+    """The identity of shape (n, n), made once and read-only: a step of a small filter costs little more than it."""
+    made = np.eye(n)
+    made.flags.writeable = False
+    return made
 
 
 def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> Floats:

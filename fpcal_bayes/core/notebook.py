@@ -11,10 +11,7 @@ _load = lazy("fpcal_bayes.report", dict.fromkeys(("shown", "write", "arviz_tree"
 
 
 class Result:
-    """A result that tells, tabulates, draws and writes itself.
-
-    What each kind shows stands in `fpcal_bayes.report.notebook`, far above; it is loaded when it is first asked.
-    """
+    """A result that tells, tabulates, draws and writes itself, by `fpcal_bayes.report.notebook`, loaded when asked."""
 
     def _view(self) -> Any:
         """All that is shown of it."""
@@ -33,23 +30,11 @@ class Result:
         return self._view().draw()
 
     def write(self, path: str | Path) -> None:
-        """Write the file that the command of the same kind writes: JSON, or netCDF where `path` ends in ``.nc``.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be written, or the result has no such file.
-        """
+        """Write the file that the command of the same kind writes: JSON, or netCDF where `path` ends in ``.nc``."""
         _load("write")(self, Path(path))
 
     def to_arviz(self) -> Any:
-        """The draws of a posterior as an ArviZ DataTree.
-
-        Raises
-        ------
-        InputError
-            If the result has no draws.
-        """
+        """The draws of a posterior as an ArviZ DataTree; `InputError` if the result has no draws."""
         return _load("arviz_tree")(self)
 
     def _repr_html_(self) -> str:
@@ -57,12 +42,7 @@ class Result:
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table as HTML; every text is escaped.
-
-    caption: above the table.
-    columns: heads.
-    rows: as many entries each.
-    """
+    """A table as HTML; every text is escaped."""
     head = "".join(f"<th>{escape(str(column))}</th>" for column in columns)
     body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

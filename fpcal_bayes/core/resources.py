@@ -8,10 +8,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def data_file(name: str) -> Path:
-    """Path of a file of the ``data`` folder.
-
-    An installed wheel holds the folder inside the package; a checkout has it beside the package.
-    """
+    """Path of a file of the ``data`` folder, inside an installed package or beside it in a checkout."""
     inside = _PACKAGE / "data" / name
     return inside if inside.exists() else _PACKAGE.parent / "data" / name
 

@@ -8,8 +8,11 @@ _PLACES = {
     "Forecaster": "forecast",
     "Goal": "forecast",
     "Policy": "policy",
+    "Sessions": "closed_loop",
     "is_diagnosis": "diagnosis",
     "run_policy": "closed_loop",
+    "run_rule": "closed_loop",
+    "task_peaks": "closed_loop",
     "valid_until": "policy",
 }
 

@@ -8,17 +8,13 @@ and Learning Algorithms, chapter 28) weighs profiles and envelopes of different 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.legendre import legder
+from scipy.linalg import block_diag
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import HARMONICS, fit_signal
-from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, end_weights, legendre, lengths_at
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, end_weights, legendre, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples
 
-#: The cell's priors are widened by this factor: they direct a fit but shall not pull it.
-_WIDENED = 1.3
-#: Modes of a profile whose effect stays below this, in um, are left out.
-_LEAST_MODE = 1e-5
 #: Variance that a signal leaves of a mode's unit variance beyond which it says nothing of it.
 _TOLD_NOTHING = 1.0 - 1e-6
 #: Second and third harmonic relative to the fringe amplitude, as standard deviations.
@@ -60,6 +56,7 @@ class Fit:
     #: unknowns, unknowns_covariance: All that was fitted, in the order of `normal_equations`, and its covariance.
     unknowns: Floats
     unknowns_covariance: Floats
+    prior: tuple[Floats, Floats]  # mean of the unknowns before the fit, and the inverse of their covariance
     nuisance: Nuisance  # what was allowed beside the fringes
     noise: float  # standard deviation of one reading that was presumed, in V
     evidence: float  # logarithm, up to a constant that fits of one trace share
@@ -131,17 +128,19 @@ class Fit:
         second, third = (h1 - 1j * h2) * turned**2, (h3 - 1j * h4) * turned**3
         return (turned + second + third).real, -(turned + 2.0 * second + 3.0 * third).imag
 
-    def misses(self, samples: Samples, phase_per_um: float) -> float:
-        """Sum over readings of the squared residuals of averages, times their count, in V^2."""
-        left = samples.signal - self.signal(samples.s, samples.time, phase_per_um, samples.spread)
-        return float(samples.count @ left**2)
+    def misses(self, samples: Samples, places: Floats, phase_per_um: float) -> Floats:
+        """Sums (m,) over readings of the squared residuals of averages, times their count, in V^2, at places (m, n)."""
+        m = len(places)
+        time, spread = np.tile(samples.time, m), np.tile(np.broadcast_to(samples.spread, len(samples)), m)
+        fitted = self.signal(places.ravel(), time, phase_per_um, spread)
+        return np.asarray((samples.signal - fitted.reshape(m, -1)) ** 2 @ samples.count)
 
 
 def damping(profile: Floats, s: Floats, spread: Floats | float, phase_per_um: float) -> Floats:
     """What averages over places of a `spread` (n,) around `s` (n,) leave of the height of the fringes, (n,)."""
     if not np.any(spread):
         return np.ones(len(s))
-    slope = phase_per_um * (legendre(s, len(profile) - 1) @ legder([0.0, *profile]))
+    slope = phase_per_um * slopes_at(profile, s)
     return np.asarray(np.exp(-0.5 * slope**2 * spread))
 
 
@@ -172,67 +171,58 @@ def fit_course(
     known: what other samples of the trace say by the same prior, nuisance and noise, which is then the prior.
     slope: rad of phase for a unit of a further unknown, the last, whose prior is standard normal, shape (n,).
     """
-    mean, modes_um = _modes(profile)
+    mean, modes_um = profile.mean, profile.modes
     degree = len(mean)
     over_place, over_time = legendre(samples.s, max(degree, DEGREE)), legendre(samples.time)
     base = phase_per_um * (over_place[:, 1 : degree + 1] @ mean)
-    modes = np.ascontiguousarray(phase_per_um * (over_place[:, 1 : degree + 1] @ modes_um))
-    first, off = start if warm is None else warm.profile, -mean
-    off[: len(first)] += first
-    z = np.linalg.lstsq(modes_um, off, rcond=None)[0]
-    if slope is not None:
-        modes, z = np.column_stack([modes, slope]), np.append(z, 0.0)
-    phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
-    light = mirror_light if nuisance.fade else 0.0
-    unknowns, prior_mean, prior_sd = _initial(samples, nuisance, amplitude, phase, z, light)
-    if warm is not None:
-        n_warm = len(unknowns) - (slope is not None)
-        unknowns[:n_warm] = warm.unknowns[:n_warm]
-    matrix = np.empty((len(unknowns), len(unknowns)))
-    prior_weight = np.diag(prior_sd**-2)
+    modes = phase_per_um * (over_place[:, 1 : degree + 1] @ modes_um)
+    if warm is None:
+        first = start
+        z = (np.pad(start, (0, degree - len(start))) - mean) @ modes_um / (modes_um**2).sum(axis=0)
+        phase, amplitude = _phase_and_amplitude(samples, over_time, base + modes @ z)
+        light = mirror_light if nuisance.fade else 0.0
+        unknowns, prior_mean, prior_weight = _initial(samples, nuisance, amplitude, phase, z, light)
+    else:
+        n = sum(nuisance.counts) + 2 + HARMONICS + modes.shape[1]
+        first, unknowns = warm.profile, warm.unknowns[:n].copy()
+        prior_mean, prior_weight = warm.prior[0][:n], warm.prior[1][:n, :n]
     if known is not None:
         prior_mean, prior_weight = known.unknowns, np.linalg.inv(known.unknowns_covariance)
-    cost = fit_signal(
-        over_time,
-        over_place,
+    if slope is not None:
+        modes, unknowns = np.column_stack([modes, slope]), np.append(unknowns, 0.0)
+        prior_mean, prior_weight = np.append(prior_mean, 0.0), block_diag(prior_weight, np.eye(1))
+    cost, log_determinant, covariance = fit_signal(
+        np.ascontiguousarray(over_time.T),
+        np.ascontiguousarray(over_place.T),
         damping(first, samples.s, samples.spread, phase_per_um),
         np.array(nuisance.counts, dtype=np.int64),
         base,
-        modes,
+        np.ascontiguousarray(modes.T),
         samples.signal,
-        samples.count / noise**2,
+        np.sqrt(samples.count) / noise,
         unknowns,
         prior_mean,
-        prior_weight,
+        np.ascontiguousarray(prior_weight),
         max_steps,
-        matrix,
     )
     off = prior_mean - unknowns
     residual_squares = noise**2 * max(cost - float(off @ prior_weight @ off), 0.0)
-    inverse = np.linalg.inv(matrix)
-    freedom = len(samples) - len(unknowns) + float(np.sum(inverse * prior_weight))
-    evidence = -0.5 * (cost + np.linalg.slogdet(matrix)[1] - np.linalg.slogdet(prior_weight)[1])
-    own = slice(len(unknowns) - len(z), len(unknowns) - len(z) + modes_um.shape[1])
+    freedom = len(samples) - len(unknowns) + float(np.sum(covariance * prior_weight))
+    evidence = -0.5 * (cost + log_determinant - np.linalg.slogdet(prior_weight)[1])
+    own = slice(len(unknowns) - modes.shape[1], len(unknowns) - modes.shape[1] + modes_um.shape[1])
     return Fit(
         profile=mean + modes_um @ unknowns[own],
-        covariance=modes_um @ inverse[own, own] @ modes_um.T,
+        covariance=modes_um @ covariance[own, own] @ modes_um.T,
         modes=modes_um,
         unknowns=unknowns,
-        unknowns_covariance=inverse,
+        unknowns_covariance=covariance,
+        prior=(prior_mean, prior_weight),
         nuisance=nuisance,
         noise=noise,
         evidence=float(evidence),
         residual_squares=float(residual_squares),
         freedom=freedom,
     )
-
-
-def _modes(profile: DisplacementProfile) -> tuple[Floats, Floats]:
-    """Mean of the prior, and its modes, widened, in um (DEGREE, n_modes): a unit of each is one sd."""
-    values, vectors = np.linalg.eigh(_WIDENED**2 * profile.covariance)
-    sds = np.sqrt(np.maximum(values, 0.0))
-    kept = (sds > _LEAST_MODE) | (sds == sds.max())
-    return profile.mean, np.ascontiguousarray((vectors * sds)[:, kept])
 
 
 def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tuple[float, float]:
@@ -248,7 +238,7 @@ def _phase_and_amplitude(samples: Samples, over_time: Floats, f: Floats) -> tupl
 def _initial(
     samples: Samples, nuisance: Nuisance, amplitude: float, phase: float, z: Floats, mirror_light: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Unknowns to start from, and means and standard deviations of their priors."""
+    """Unknowns to start from, the means of their priors, and the inverse of the priors' covariance."""
     half = max(amplitude, 0.5 * float(np.ptp(samples.signal)))
     mean = float(samples.count @ samples.signal / samples.count.sum())
     rest = [*[0.0] * len(nuisance.gain), *(nuisance.fade_mean or [0.0] * len(nuisance.fade))]
@@ -260,4 +250,4 @@ def _initial(
     # Without a mirror that fades its light is part of the offset; a share of it held at zero says nothing.
     envelope = [_AMPLITUDE_SD, *nuisance.gain, *nuisance.fade, mirror_light or 1e-6]
     prior_sd = np.array([*relative, *envelope, *_HARMONIC_SDS, 100.0, *np.ones(len(z))])
-    return unknowns, prior_mean, prior_sd
+    return unknowns, prior_mean, np.diag(prior_sd**-2)

@@ -10,14 +10,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Legendre
 from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import Fit, Nuisance, fit_course
 from fpcal_bayes.fringes.misfit import PhaseErrors
-from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre, lengths_at, loosened
+from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre, lengths_at, loosened, slopes_at
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.search import find_profiles
 from fpcal_bayes.fringes.solve import FringeSolution, bins, noise_of, path_fringes
@@ -33,6 +32,8 @@ _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 _LATE_ODDS = 0.01
 #: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
 _IMAGES = np.linspace(0.5, 2.0, 13)
+#: Places at which a hop of the phase is sought to begin with.
+_HOPS = 48
 #: Share of a trace below which its first samples are fitted beside what the others say.
 _FEW = 0.3
 #: Share of the evidence by which one uneven course is told from another.
@@ -56,6 +57,7 @@ class Followed:
     set_out: float = -1.0
     lag: float = 0.0
     size: float = 0.0  # of a course that has polynomials that no joint makes, in um
+    hop: float = 0.0  # of the phase, in rad, that explains the trace as well as such a course
 
     @cached_property
     def errors(self) -> PhaseErrors:
@@ -146,6 +148,8 @@ def follow(
         new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
     best = max(weighed, key=lambda each: each.evidence)
+    if best.uneven:
+        best = _hopped(best, samples, size, tries[0], fit)
     # Courses that do about as well may end elsewhere. None of those that are uneven is as rough as the stage's own, so
     # that they are told apart less clearly than their evidence says.
     chosen = best.solution.best
@@ -226,7 +230,7 @@ def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fi
         return FringeSolution((found,), moved)
 
     for _ in range(2):
-        costs = np.array([held.misses(_late(early, float(v)), per_um) for v in grid]) / held.noise**2
+        costs = held.misses(early, np.maximum(early.s, grid[:, None]), per_um) / held.noise**2
         held = at(float(grid[np.argmin(costs)]), held).best
     # A phase and its mirror image at the nearest extreme make nearly the same signal, and each is looked at closely.
     beside = np.pad(costs, 1, constant_values=np.inf)
@@ -264,7 +268,7 @@ def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Follow
         rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
         shift = _chunked(replace(moved, s=rise), size).s
         moved = _chunked(moved, size)
-        held = fit(moved, held, slope=per_um * Legendre([0.0, *held.profile]).deriv()(moved.s) * shift)
+        held = fit(moved, held, slope=per_um * slopes_at(held.profile, moved.s) * shift)
         step, sd = float(held.unknowns[-1]), float(np.sqrt(held.unknowns_covariance[-1, -1]))
         lag *= float(np.exp(np.clip(step, -0.5, 0.5)))
         if abs(step) < 0.1 * sd:
@@ -332,6 +336,26 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
         if holds and best.evidence < max(each.solution.best.evidence for each in tried):
             break
     return tried
+
+
+def _hopped(best: Followed, whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:
+    """The same, with the hop of the phase on the joint's course that explains the trace as well, if one does."""
+    used, held = smooth.solution.samples, smooth.solution.best
+    after = np.arange(len(whole))
+
+    def at(place: int) -> Fit:
+        return fit(used, held, slope=_chunked(replace(whole, s=(after >= place).astype(float)), size).s)
+
+    step = max(1, len(whole) // _HOPS)
+    tried = {place: at(place) for place in range(step, len(whole), step)}
+    while True:
+        place = max(tried, key=lambda each: tried[each].evidence)
+        if step == 1:
+            break
+        step = max(1, step // 4)
+        tried |= {near: at(near) for near in range(place - 3 * step, place + 4 * step, step) if near not in tried}
+    found = tried[place]
+    return replace(best, hop=float(found.unknowns[-1])) if found.evidence > best.evidence else best
 
 
 def _demodulated(fit: Fit, samples: Samples, phase_per_um: float) -> Floats:

@@ -95,7 +95,7 @@ def normal_equations(
     base: Floats,
     modes: Floats,
     signal: Floats,
-    weight: Floats,
+    root: Floats,
     unknowns: Floats,
     prior_mean: Floats,
     prior_weight: Floats,
@@ -104,16 +104,15 @@ def normal_equations(
 ) -> float:
     """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
 
-    over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (n, ..).
+    over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (.., n).
     damping: what averaging over a part of a fringe leaves of its height, shape (n,).
     counts: coefficients of A, of log B over time, of log B over the place.
-    base, modes: known phase and derivatives of the phase, shapes (n,) and (n, n_modes).
-    signal, weight: signal and inverse variances, shape (n,).
+    base, modes: known phase and derivatives of the phase, shapes (n,) and (n_modes, n).
+    signal, root: signal and its inverse standard deviations, shape (n,).
     prior_mean, prior_weight: of the unknowns, and the inverse of its covariance, shapes (p,) and (p, p).
     matrix, gradient: filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
     """
-    n, n_modes = modes.shape
-    p = unknowns.size
+    n_modes, n = modes.shape
     n_offset, n_gain, n_fade = counts[0], counts[1], counts[2]
     fade_at = n_offset + n_gain
     mirror_at = fade_at + n_fade
@@ -122,59 +121,44 @@ def normal_equations(
     h1, h2 = unknowns[harmonic_at], unknowns[harmonic_at + 1]
     h3, h4 = unknowns[harmonic_at + 2], unknowns[harmonic_at + 3]
     mirror = unknowns[mirror_at]
-    for i in range(p):
-        gradient[i] = 0.0
-        for j in range(p):
-            matrix[i, j] = 0.0
-    row = np.empty(p)
-    cost = 0.0
+    rows = np.empty((unknowns.size, n))
+    residual, change, slope = np.empty(n), np.empty(n), np.empty(n)
+    f, offset, logarithm = base + unknowns[phase_at], np.zeros(n), np.zeros(n)
+    for j in range(n_modes):
+        f += modes[j] * unknowns[phase_at + 1 + j]
+    for j in range(n_offset):
+        offset += over_time[j] * unknowns[j]
+        rows[j] = root * over_time[j]
+    for j in range(n_gain):
+        logarithm += over_time[j] * unknowns[n_offset + j]
+    for j in range(n_fade):
+        logarithm += over_place[j + 1] * unknowns[fade_at + j]
     for k in range(n):
-        f = base[k] + unknowns[phase_at]
-        for j in range(n_modes):
-            f += modes[k, j] * unknowns[phase_at + 1 + j]
-        c, s = np.cos(f), np.sin(f)
+        c, s = np.cos(f[k]), np.sin(f[k])
         c2, s2 = c * c - s * s, 2.0 * s * c
         c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
-        offset, logarithm = 0.0, 0.0
-        for j in range(n_offset):
-            offset += over_time[k, j] * unknowns[j]
-            row[j] = over_time[k, j]
-        for j in range(n_gain):
-            logarithm += over_time[k, j] * unknowns[n_offset + j]
-        for j in range(n_fade):
-            logarithm += over_place[k, j + 1] * unknowns[fade_at + j]
-        b = np.exp(logarithm)
-        d = b * damping[k]
+        b = np.exp(logarithm[k])
+        d, light = b * damping[k], mirror * b * b
         wave = d * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
-        light = mirror * b * b
-        change = wave + 2.0 * light
-        for j in range(n_gain):
-            row[n_offset + j] = change * over_time[k, j]
-        for j in range(n_fade):
-            row[fade_at + j] = change * over_place[k, j + 1]
-        row[mirror_at] = b * b
-        row[harmonic_at], row[harmonic_at + 1] = d * c2, d * s2
-        row[harmonic_at + 2], row[harmonic_at + 3] = d * c3, d * s3
-        slope = d * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
-        row[phase_at] = slope
-        for j in range(n_modes):
-            row[phase_at + 1 + j] = slope * modes[k, j]
-        residual = signal[k] - offset - light - wave
-        cost += weight[k] * residual * residual
-        for i in range(p):
-            scaled = weight[k] * row[i]
-            gradient[i] += scaled * residual
-            for j in range(i + 1):
-                matrix[i, j] += scaled * row[j]
-    for i in range(p):
-        pull = 0.0
-        for j in range(p):
-            pull += prior_weight[i, j] * (prior_mean[j] - unknowns[j])
-        cost += pull * (prior_mean[i] - unknowns[i])
-        gradient[i] += pull
-        for j in range(i + 1):
-            matrix[i, j] += prior_weight[i, j]
-            matrix[j, i] = matrix[i, j]
+        change[k] = root[k] * (wave + 2.0 * light)
+        slope[k] = root[k] * d * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
+        residual[k] = root[k] * (signal[k] - offset[k] - light - wave)
+        rows[mirror_at, k] = root[k] * b * b
+        d *= root[k]
+        rows[harmonic_at, k], rows[harmonic_at + 1, k] = d * c2, d * s2
+        rows[harmonic_at + 2, k], rows[harmonic_at + 3, k] = d * c3, d * s3
+    for j in range(n_gain):
+        rows[n_offset + j] = change * over_time[j]
+    for j in range(n_fade):
+        rows[fade_at + j] = change * over_place[j + 1]
+    rows[phase_at] = slope
+    for j in range(n_modes):
+        rows[phase_at + 1 + j] = slope * modes[j]
+    off = prior_mean - unknowns
+    pull = np.dot(prior_weight, off)
+    matrix[:] = np.dot(rows, rows.T) + prior_weight
+    gradient[:] = np.dot(rows, residual) + pull
+    cost: float = np.dot(residual, residual) + np.dot(off, pull)
     return cost
 
 
@@ -217,19 +201,20 @@ def fit_signal(
     base: Floats,
     modes: Floats,
     signal: Floats,
-    weight: Floats,
+    root: Floats,
     unknowns: Floats,
     prior_mean: Floats,
     prior_weight: Floats,
     max_steps: int,
-    matrix: Floats,
-) -> float:
-    """Levenberg-Marquardt from `unknowns`, which are improved in place; returns the sum of squares reached.
+) -> tuple[float, float, Floats]:
+    """Levenberg-Marquardt from `unknowns`, which are improved in place.
 
-    `matrix` (p, p) is left with the normal equations at the solution: the inverse of its covariance.
+    Returns the sum of squares reached, and of the normal equations there the logarithm of the determinant and the
+    inverse (p, p), the covariance of the unknowns.
     """
     p = unknowns.size
     gradient, factor, step = np.empty(p), np.zeros((p, p)), np.empty(p)
+    matrix = np.empty((p, p))
     trial, trial_matrix, trial_gradient = np.empty(p), np.empty((p, p)), np.empty(p)
     damped, cost = 1e-3, np.inf
     trial[:] = unknowns
@@ -242,7 +227,7 @@ def fit_signal(
             base,
             modes,
             signal,
-            weight,
+            root,
             trial,
             prior_mean,
             prior_weight,
@@ -265,7 +250,8 @@ def fit_signal(
         while not damped_step(matrix, gradient, damped, factor, step):
             damped = max(10.0 * damped, 1e-3)
         trial[:] = unknowns + step
-    return cost
+    damped_step(matrix, gradient, 0.0, factor, step)
+    return cost, 2.0 * np.log(np.diag(factor)).sum(), np.linalg.inv(matrix)
 
 
 @compiled

@@ -7,8 +7,10 @@ rotation two. That smoothness is what tells a reversal from a fringe, and one co
 """
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
+from numpy.polynomial.legendre import legder
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import legendre_table
@@ -24,6 +26,10 @@ DEGREE = 6
 _DRAWS, _SEED = 400, 20240501
 #: Length over which a course that is its own stays alike, times its number of polynomials.
 _SMOOTH = 6.0
+#: The cell's priors are widened by this factor: they direct a fit but shall not pull it.
+_WIDENED = 1.3
+#: Modes of a profile whose effect stays below this, in um, are left out.
+_LEAST_MODE = 1e-5
 #: Nodes at which profiles are compared with their polynomials.
 _NODES = 15
 
@@ -35,6 +41,13 @@ class DisplacementProfile:
     #: mean, covariance: Shapes (DEGREE,) and (DEGREE, DEGREE).
     mean: Floats
     covariance: Floats
+
+    @cached_property
+    def modes(self) -> Floats:
+        """Modes of the coefficients, widened, in um (degree, n_modes): a unit of each is one standard deviation."""
+        values, vectors = np.linalg.eigh(_WIDENED**2 * self.covariance)
+        sds = np.sqrt(np.maximum(values, 0.0))
+        return np.asarray((vectors * sds)[:, (sds > _LEAST_MODE) | (sds == sds.max())])
 
     @property
     def dl(self) -> float:
@@ -61,6 +74,17 @@ def end_weights(degree: int = DEGREE, ends: tuple[float, float] = (-1.0, 1.0)) -
 def lengths_at(profile: Floats, s: Floats) -> Floats:
     """Lengths less their mean, in um, at places `s` (n,) by coefficients (degree,) of any degree."""
     return legendre(s, len(profile))[:, 1:] @ profile
+
+
+def slopes_at(profile: Floats, s: Floats) -> Floats:
+    """Slopes of the same, in um per unit of s."""
+    return legendre(s, len(profile) - 1) @ (_derivative(len(profile)) @ profile)
+
+
+@cache
+def _derivative(degree: int) -> Floats:
+    """What makes the coefficients from P_0 on of a slope of those from P_1 on of a profile, shape (degree, degree)."""
+    return np.asarray(legder(np.eye(degree + 1)[:, 1:]), dtype=float)
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

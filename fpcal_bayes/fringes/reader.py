@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial import Legendre
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
 from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden_start
 from fpcal_bayes.fringes.misfit import fringes_seen
-from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at
+from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples, fault
 from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, rescaled, solve, with_noise
 
@@ -135,7 +134,7 @@ def _followed(
         rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
     )
     best = found.solution.best
-    slopes = Legendre([0.0, *best.profile]).deriv()(np.array(best.ends)) * 2.0 / (each.end - each.start)
+    slopes = slopes_at(best.profile, np.array(best.ends)) * 2.0 / (each.end - each.start)
     added = each.ripple**2 * float(slopes @ slopes)
     jumps = found.uneven and errors.worst > _MAY_JUMP
     if jumps or errors.probability < UNLIKELY:
@@ -296,14 +295,17 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     if found.astray and errors.worst > _JUMP:
         off = errors.worst**0.5
         return f"the signal does not follow a smooth sweep (it jumps: samples in a row {off:.0f} times the noise off)"
+    if found.hop:
+        return f"the phase hops by {abs(found.hop):.2g} rad: the laser or the mirror jumps"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
     if missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
-    turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
-    mirrored = found.uneven and bool((np.abs(turns - np.rint(turns)) < _AT_EXTREME).any())
-    if mirrored and _turned_back(verdict.fit.profile, found) > _turned_back(each.profile.mean, found) + _TURNED:
-        return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
+    more = _TURNED + _turned_back(each.profile.mean, found)
+    if found.uneven and _turned_back(verdict.fit.profile, found) > more:
+        turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
+        if (np.abs(turns - np.rint(turns)) < _AT_EXTREME).any():
+            return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
     for source in each.sign_sources:
         off = min(abs(verdict.fit.change[0] - source.dl), abs(verdict.fit.change[0] + source.dl))
         if source.sd < fringe / 8.0 and off > 6.0 * np.hypot(source.sd, sd) + _UNEVEN * found.uneven + late:

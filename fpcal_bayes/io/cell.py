@@ -120,10 +120,7 @@ _WALKS = re.compile(r"(#[^\n]*)|^[ \t]*\[+[ \t]*(\w+)|(\bwalk_\w+[ \t]*=[ \t]*)(
 
 
 def write_resized_cell(source: str | Path, robot: float, mirror: float, output: Path) -> None:
-    """Write a cell's file again, its walks `robot` and `mirror` times as large; all else stays as it stands.
-
-    `InputError` if they stand in a way that is not understood; nothing is written then.
-    """
+    """Write a cell's file again, its walks `robot` and `mirror` times as large; all else stays as it stands."""
     path, table = _path(source), ""
 
     def resized(found: re.Match[str]) -> str:

@@ -16,24 +16,9 @@ _KEYS = ("name", "shares", "target", "opd", "optical_axis", "wavelength_nm", "ex
 def read_beams(
     reader: Tables, tables: object, first: Mapping[str, Any], extrinsic: dict[str, Any] | None
 ) -> tuple[list[Beam], list[tuple[str, dict[str, Any], str]]]:
-    """The beams of a cell, and the tables of the parameters that they have of their own.
+    """The beams of a cell, and for each the place of its table of parameters, that table, and the names' suffix.
 
-    Parameters
-    ----------
-    reader
-        Of the cell's file.
-    tables
-        The value of ``beam``, an empty list where the file has none.
-    first
-        Target, path model, optical axis and wavelength in um of a beam that states none.
-    extrinsic
-        The table [extrinsic], which belongs to the first beam, or None.
-
-    Returns
-    -------
-    tuple
-        The beams, the first one first, with an empty name where the file names none; and for each of them the place of
-        its table of parameters, that table, and what its parameters' names end in.
+    first: what a beam has that states nothing else. extrinsic: the table [extrinsic] of the first beam, or None.
     """
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise reader.error("beam", f"expected one [[beam]] table for each beam, found {literal(tables)}")

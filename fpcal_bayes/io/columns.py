@@ -117,7 +117,6 @@ def check_names(
 ) -> None:
     """Hold the names of a file's columns to those of the cell, and to those that may stand there `also`.
 
-    Raises `InputError` if a column repeats, is unknown or missing, or belongs to a cell with other joints.
     In a plan, columns other than the joints' may be missing. `file` and `row` are for the message.
     """
     required, joints = required_columns(cell), joint_columns(cell)
@@ -191,8 +190,7 @@ def to_columns(
 ) -> dict[str, Column]:
     """Sweeps, or a plan, as columns (n,) in file order, joints in um and deg; optional ones only if they say something.
 
-    `asked` are columns that say how a plan is to be measured. Raises `InputError`, which names `file`, if the sweeps
-    are such that the file could not be read back.
+    `asked` are columns that say how a plan is to be measured. `InputError` if the file could not be read back.
     """
     q = np.hstack([sweeps.q_start, sweeps.q_end]) / np.tile(cell.joint_scales, 2)
     table: dict[str, Column] = {name: getattr(sweeps, name) for name in LEADING}
@@ -219,11 +217,10 @@ def to_columns(
 def from_columns(
     table: Mapping[str, Column], cell: Cell, file: str, rows: Ints, *, plan: bool, whole: bool = False
 ) -> Sweeps:
-    """Sweeps from columns (n,) in um and deg whose names `check_names` has passed; those of an index are left aside.
+    """Sweeps from columns (n,) in um and deg whose names `check_names` has passed; `InputError` at the first bad value.
 
-    Raises `InputError`, which names `file` and one of its `rows` (n,), if a value is not what its column holds, or the
-    sweeps break a rule of `check_sweeps`. In a plan, columns other than the joints' may be missing, and a sweep becomes
-    as many rows as its `readings` ask for, of each beam where it names none, unless sweeps are wanted `whole`.
+    In a plan a sweep becomes as many rows as its `readings` ask for, of each beam where it names none, unless sweeps
+    are wanted `whole`.
     """
     if len(rows) == 0:
         raise InputError(f"{file}: no rows, expected at least one sweep")

@@ -79,10 +79,7 @@ def _is_number(text: str, finite: bool) -> bool:
 
 
 def read_records(path: Path, expected: str = "", text: str | None = None) -> Records:
-    """The records of a CSV file, or of its `text`; `InputError` if a line is not CSV.
-
-    It says what was `expected` where no line holds text.
-    """
+    """The records of a CSV file, or of its `text`; `InputError`, with what was `expected`, where no line holds text."""
     text = read_text(path) if text is None else text
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records, lines = [], []
@@ -107,8 +104,7 @@ def read_records(path: Path, expected: str = "", text: str | None = None) -> Rec
 def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
     """The columns of a CSV file that holds nothing but finite numbers, shape (n_columns, n).
 
-    Millions of samples are read; their text becomes numbers in one call, and is looked at line by line only when
-    something is wrong with it.
+    There may be millions: they are read in one call, and line by line only when something is wrong.
     """
     text = read_text(path)
     head, _, body = text.lstrip("\r\n").partition("\n")

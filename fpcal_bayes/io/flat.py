@@ -21,10 +21,7 @@ def check_flat(path: Path | None) -> None:
 
 
 def write_flat(path: Path, content: Mapping[str, Any]) -> None:
-    """Write flat names, numbers, texts and arrays, whole or not at all, and the functions that read them beside it.
-
-    The functions are written where none are; None becomes null, or NaN in MATLAB.
-    """
+    """Write flat names and values, None as null or NaN, and the MATLAB functions that read them where none are."""
     check_flat(path)
     for name in FUNCTIONS:
         beside = path.parent / name

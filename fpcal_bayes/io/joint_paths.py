@@ -19,8 +19,7 @@ _OTHERS = ("status", "predicted_sd_nm")
 def read_joint_path(path: str | Path, cell: Cell) -> Floats:
     """Joint vectors (n, n_joints) in um and rad from a CSV with the columns ``q1_um`` .. ``q6_deg``.
 
-    Columns ``status`` and ``predicted_sd_nm`` may follow. Raises `InputError` if a joint leaves its limits, there are
-    fewer than two lines, or the status of a line is not ``ok``: a path with a gap cannot be driven.
+    `InputError` if the status of a line is not ``ok``: a path with a gap cannot be driven.
     """
     path = Path(path)
     records = read_records(path)
@@ -46,15 +45,10 @@ def check_suffix(path: Path) -> None:
 def write_joints(
     path: str | Path, cell: Cell, q: Floats, status: NDArray[np.str_], predicted_sd: Floats, *, task: str
 ) -> None:
-    """Write a joint path, whole or not at all.
+    """Write a joint path (n_points, n_joints), whole or not at all, as ``.csv`` or ``.mat``.
 
-    ``.csv``: columns ``q1_um`` .. ``q6_deg``, ``status``, ``predicted_sd_nm``; joint values are left empty where the
-    status is not ``ok``, so that nobody drives there. ``.mat``: variables of the same names, NaN there, ``q``
-    (n_points, n_joints) with all joints side by side, and ``task``.
-
-    q, status: joint vectors in um and rad, shape (n_points, n_joints), and the status of each, shape (n_points,).
-    predicted_sd: of the task error at each point, shape (n_points,), in um; NaN where there is none.
-    task: name of the task.
+    Joint values are left empty, or NaN, where the status is not ``ok``, so that nobody drives there; `predicted_sd` is
+    in um, NaN where there is none.
     """
     path = Path(path)
     check_suffix(path)

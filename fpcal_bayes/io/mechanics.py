@@ -17,13 +17,7 @@ _LARGEST = 1e6
 
 
 def joint_mechanics(table: Mapping[str, Any], *, prismatic: bool, place: str) -> JointMechanics:
-    """The sizes that a table ``[joint.mechanics]`` states.
-
-    table: keys as in the contract: ``straightness_nm``, ``reversal_urad``, ``lever_mm`` ...
-    prismatic: whether the joint moves along (nm) or turns (urad).
-    place: where the table stands, for messages.
-    Raises InputError if a key is unknown or not meant for this kind of joint, or a value is no size.
-    """
+    """The sizes that a table ``[joint.mechanics]`` states, of a joint that moves along (nm) or turns (urad)."""
     own, shown = ("nm", "um") if prismatic else ("urad", "deg")
     names = {key: key for key in (_LINEAR_ONLY if prismatic else _TURNING_ONLY)}
     names |= {f"{stem}_{own}": {"return": "return_sd"}.get(stem, stem) for stem in _IN_OWN_UNIT}
@@ -48,10 +42,7 @@ def joint_mechanics(table: Mapping[str, Any], *, prismatic: bool, place: str) ->
 
 
 def cell_mechanics(table: Mapping[str, Any], joints: tuple[JointMechanics, ...], *, place: str) -> Mechanics:
-    """The sizes that a cell's table ``[mechanics]`` adds to those of its joints.
-
-    Raises InputError if a key is unknown or a value is no size.
-    """
+    """The sizes that a cell's table ``[mechanics]`` adds to those of its joints."""
     known = {"drift_nm_per_min": 0.0, "minutes_per_sweep": 1e-6, "correlated_nm": 0.0}
     for key in table:
         if key not in known:

@@ -51,7 +51,6 @@ def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
 
     path: CSV with the columns ``kind,alpha_deg,a_um,theta_deg,d_um`` (Craig's alpha and a of the link before, theta and
     d of the joint, without the joint's own value), a row a joint from base to tool; ``beta_deg`` may follow.
-    Raises InputError if the file is anything else.
     """
     records = read_records(Path(path))
     texts = [[text.strip() for text in row] for row in records.texts]
@@ -76,11 +75,7 @@ def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
 def new_cell_text(
     layout: Layout, name: str, *, wavelength_nm: float, opd: str = "axis", gap_sd_um: float | None = None
 ) -> str:
-    """The text of a cell file.
-
-    gap_sd_um: standard deviation of the layout's gap where it was measured; without it the file leaves it to be filled
-    in.
-    """
+    """The text of a cell file; a gap without standard deviation was not measured, and is left to be filled in."""
     directions = layout.directions()
     words = [_axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]
     title = "; ".join(f"q{i} {word}" for i, word in enumerate(words, 1))

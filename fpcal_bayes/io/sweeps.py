@@ -118,9 +118,7 @@ def read_csv(
 ) -> Sweeps:
     """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1.
 
-    UTF-8 text; lengths in um, angles in deg. A byte order mark, CRLF line ends and blank lines are accepted. In a plan,
-    columns other than the joints' may be missing and stand in any order. Whatever is not as documented raises
-    `InputError`, which names the line and the column.
+    In a plan, columns other than the joints' may be missing and stand in any order.
     """
     path = Path(path)
     records = read_records(path, "a header and sweeps", text)

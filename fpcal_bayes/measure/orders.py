@@ -26,10 +26,7 @@ class Order:
 
 
 def orders_of(ticket: Ticket) -> list[Order]:
-    """The drives of a ticket: a row with n readings is one, and so are the rows of a group.
-
-    Raises InputError if a row is no sweep, or a group's row asks for readings of its own.
-    """
+    """The drives of a ticket: a row with n readings is one, and so are the rows of a group."""
     plan = ticket.plan
     if plan is None:
         return []

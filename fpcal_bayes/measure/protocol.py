@@ -63,11 +63,7 @@ def paper_protocol(cell: Cell, *, midpoints: bool = False, session: str = "full-
 
 
 def add_midpoints(sweeps: Sweeps) -> Sweeps:
-    """A plan in which each sweep is read at its middle too.
-
-    Each row that stands alone becomes two: start to middle (label ends in ``-mid``) and start to end, in a group named
-    after the sweep. Rows of a group and absolute lengths stay as they are.
-    """
+    """A plan in which each row that stands alone becomes two: start to middle and start to end, in one group."""
     alone = (sweeps.group == "") & (sweeps.kind == "sweep")
     return read_often(sweeps, np.where(alone, 2, 1)) if alone.any() else sweeps
 
@@ -204,12 +200,9 @@ def protocol_by_name(name: str, cell: Cell) -> Sweeps:
 
 
 def mark_signs(sweeps: Sweeps, signs: str) -> Sweeps:
-    """Mark which rows know the sign of their change of length.
+    """Mark which rows know the sign of their change of length; others get its size. A lost sign stays lost.
 
-    sweeps: a plan or measured; where the sign is unknown, a measured change becomes its size. A sign that was lost
-    before stays lost.
-    signs: ``all``, or ``paper``: only X and Z translations (labels that end in ``-tx``, ``-tz``, their midpoints
-    included) and absolute lengths, which have no sign to lose.
+    signs: ``all``, or ``paper``: only X and Z translations (labels in ``-tx``, ``-tz``) and absolute lengths.
     """
     if signs not in ("all", "paper"):
         raise InputError(f"unknown signs {signs!r}: expected all or paper")

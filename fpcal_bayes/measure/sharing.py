@@ -46,9 +46,8 @@ class Sharing:
     def columns(self, reading: Floats, starts: Floats, ends: Floats) -> Floats:
         """Effects of the errors that the rows of a block share, each error a column of its block, shape (n, n_shared).
 
-        reading: of the reading at the start, shape (n,).
-        starts, ends: of what the joints miss at either end, shape (n, n_joints) each; without several beams the end's
-        are each row's own, and no columns here.
+        Of the reading at the start (n,), and of what the joints miss at either end (n, n_joints); without several beams
+        the end's are each row's own, and no columns here.
         """
         if not self.several:
             return np.column_stack([reading, starts])

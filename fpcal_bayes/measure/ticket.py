@@ -27,10 +27,7 @@ class Ticket:
     sha256: str = ""  # of the file
 
     def rows(self) -> Sweeps:
-        """The rows that measuring gives, as a plan; a whole trace is one.
-
-        Raises ValueError if nothing is to be measured.
-        """
+        """The rows that measuring gives, as a plan; a whole trace is one. `ValueError` if there are none."""
         if self.plan is None:
             raise ValueError("a ticket without sweeps has no rows")
         return read_often(self.plan, np.maximum(self.readings, 1))

@@ -24,10 +24,7 @@ class TruthRecord:
     values: Floats  # in `units`, shape (t, n)
 
     def check(self, cell: Cell, place: str) -> None:
-        """Raise `InputError` unless the record is one of parameters of `cell`, at epochs in order.
-
-        place: where the record comes from, for the message.
-        """
+        """Raise `InputError`, which names the `place`, unless these are parameters of `cell` at epochs in order."""
         shape = (len(self.times_h), len(self.names))
         if self.values.shape != shape or len(self.units) != len(self.names) or not self.names:
             raise InputError(f"{place}: expected as many units as names, and values of shape {shape}")
@@ -100,10 +97,7 @@ _DRAWN = 7
 
 
 def default_truth(cell: Cell, seed: int) -> Truth:
-    """The truth of a simulated cell: the paper's for the paper's robot, for any other one a constant draw of its prior.
-
-    seed: the seed of numpy's default generator, for the draw.
-    """
+    """The truth of a simulated cell: the paper's for the paper's robot, else a constant draw of its prior."""
     with contextlib.suppress(InputError):
         paper = paper_truth(cell)
         priors = [cell.parameters[name] for name in paper.parameters.names]

@@ -25,10 +25,7 @@ _ZERO_CELSIUS = 273.15
 def ciddor(wavelength: ArrayLike, temperature_c: ArrayLike, pressure_hpa: ArrayLike, humidity_pct: ArrayLike) -> Floats:
     """Phase refractive index of moist air with 450 ppm of carbon dioxide.
 
-    wavelength: in vacuum, in um.
-    temperature_c, pressure_hpa, humidity_pct: temperature in C, pressure in hPa, relative humidity in %. All broadcast
-    against each other.
-    Returns the index, of the shape that the arguments broadcast to.
+    The wavelength is that in vacuum, in um; the humidity is relative. All arguments broadcast.
     """
     given = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (wavelength, temperature_c, pressure_hpa)))
     humidity = np.asarray(humidity_pct, dtype=float)

@@ -38,12 +38,9 @@ class Sight:
 
 
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Direction of each joint's axis and a point on it, in the world frame.
+    """Direction of each joint's axis and a point on it, in the world frame, shape (n_joints, 3) each.
 
-    vector: model vector, shape (model size,), in um and rad.
-    q: joint vector, shape (n_joints,), in um and rad.
-    Returns unit vectors along which positive joint values move, or about which they turn by the right hand, and points
-    in um; shape (n_joints, 3) each.
+    Positive joint values move along the unit vectors, or turn about them by the right hand; points are in um.
     """
     pose, directions, points = np.eye(4), [], []
     for i, joint in enumerate(cell.joints):

@@ -41,12 +41,7 @@ def translation(x: complex, y: complex, z: complex) -> Matrix:
 
 
 def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
-    """Transform i-1Ti of one link at joint value `q`, paper equation (4).
-
-    link: the link's eight numbers in `LINK_SLOTS` order.
-    q: joint variable in um or rad.
-    prismatic: whether `q` adds to r (else to theta).
-    """
+    """Transform i-1Ti of a link, eight numbers in `LINK_SLOTS` order, at joint value `q`, paper equation (4)."""
     beta, alpha, d, theta, r, gain, runout_cos, runout_sin = link
     travel = q * (1 + gain)
     if prismatic:
@@ -59,11 +54,9 @@ def link_transform(link: Matrix, q: complex, prismatic: bool) -> Matrix:
 
 
 def tool_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
-    """DGM: wTe, the end-effector frame in the world frame, paper equation (12).
+    """DGM: wTe, the end-effector frame in the world frame, paper equation (12); shape (4, 4).
 
-    vector: model vector, shape (model size,), in um and rad.
-    q: joint vector, shape (n_joints,), in um and rad.
-    Returns transform, shape (4, 4).
+    vector, q: model vector (model size,) and joint vector (n_joints,), in um and rad.
     """
     pose = np.eye(4)
     for i, joint in enumerate(cell.joints):
@@ -104,12 +97,10 @@ def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
 
 
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:
-    """Reflection point in the world frame and in the mirror frame, paper equations (28), (29).
+    """Reflection points wPr and tPr, in the world and in the mirror frame, paper equations (28), (29); (3,), in um.
 
     On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane; a target that
     is a point reflects there.
-
-    Returns wPr and tPr, each of shape (3,), in um.
     """
     mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
     if cell.target == "corner-cube":

@@ -41,8 +41,7 @@ def breaches(
 ) -> list[Breach]:
     """Where a path leaves the cell's envelope, at most once a row and in the order of the rows.
 
-    model, draws, path, exact: as in `margin`.
-    rows: how many rows the risk is shared by; by default those of the path.
+    Arguments as in `margin`; by default the rows of the path share the risk.
     """
     envelope = require_envelope(model.cell)
     rows = len(np.unique(path.row)) if rows is None else rows
@@ -96,9 +95,8 @@ def breaches(
 def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Ranges of the joints within `low` to `high` (n_joints,) in which every pose stays in the envelope.
 
-    Whatever the order in which joints move, a way between two such poses stays there too. Where the whole ranges do
-    not, the joint gives way whose return towards joint zero helps the worst pose most. `InputError` if the cell may
-    leave its envelope at joint zero already.
+    So does every way between two such poses. Where the whole ranges do not, the joint gives way whose return towards
+    joint zero helps the worst pose most. `InputError` if the cell may leave its envelope at joint zero already.
     """
     cell, at = model.cell, home(model.cell)
     if cell.envelope is None:
@@ -161,10 +159,8 @@ def require_within_envelope(
 ) -> None:
     """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on their whole path.
 
-    model, draws: the cell and draws of what is known of it (`estimate_draws`, `prior_draws`).
-    file, rows: for the message: the source and the line of each row.
-    exact: as in `margin`.
-    Raises InputError at the first such row, with what to do; nothing is refused where the cell has no envelope.
+    The first such row raises `InputError`, with what to do. `draws` are of what is known of the cell, `exact` is as in
+    `margin`; `rows` are lines of the file.
     """
     cell = model.cell
     if cell.envelope is None or not len(q_start):
@@ -185,10 +181,7 @@ def require_within_envelope(
 def require_task_within_envelope(
     model: CavityModel, draws: Floats, q: Floats, *, name: str, start: Floats | None = None, exact: bool = False
 ) -> None:
-    """Refuse a task through `q` (n_points, n_joints), from `start` or joint zero, that may leave the cell's envelope.
-
-    Raises InputError at the first such point, with what to do; nothing is refused where the cell has no envelope.
-    """
+    """Refuse a task through `q` (n_points, n_joints), from `start` or joint zero, that may leave the envelope."""
     if model.cell.envelope is None or not len(q):
         return
     found = breaches(model, draws, task_path(model.cell, q, start), exact=exact)
@@ -197,10 +190,7 @@ def require_task_within_envelope(
 
 
 def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, file: object, rows: Sequence[int]) -> None:
-    """Refuse rows that no cell can give: the mirror stands behind the fibre, or turns its back to it, on the way.
-
-    values: free parameters, shape (n_free,): a truth or an estimate.
-    """
+    """Refuse rows that no cell with these parameters gives: the mirror stands behind the fibre or faces away."""
     ahead, facing, _, _ = Known.of(model, values).facing(path.q)
     bad = ((facing[0] <= 0) | (ahead[0] <= 0)) & ~path.between
     if bad.any():
@@ -213,8 +203,7 @@ def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, fil
 def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats]) -> tuple[Bools, Floats]:
     """At which poses (n, n_joints) the mirror stands behind the fibre whatever is likely of the cell, and the lengths.
 
-    seen: poses (n_seen, n_joints) whose lengths were measured, these and their standard deviations (n_seen,); the gap
-    that the envelope states counts as one at joint zero.
+    seen: poses (n_seen, n_joints), their measured lengths and standard deviations (n_seen,); a stated gap is one more.
     """
     model, at = CavityModel.of(cell.with_opd("axis")), home(cell)[None]
     gap = () if cell.envelope is None or cell.envelope.gap is None else (cell.envelope.gap, cell.envelope.gap_sd or 0.0)

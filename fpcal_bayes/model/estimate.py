@@ -67,13 +67,7 @@ class Estimate(Result):
         return f"Estimate({len(self.parameters)} parameters of {self.cell.name!r} at {self.time_h:g} h)"
 
     def __getitem__(self, name: str) -> dict[str, Any]:
-        """Value, standard deviation, unit, prior and status of one parameter, in the units a person reads.
-
-        Raises
-        ------
-        InputError
-            If no parameter of the estimate has that name.
-        """
+        """Value, standard deviation, unit, prior and status of one parameter, in the units a person reads."""
         at = self.parameters.position(name)
         p = self.parameters[at]
         told = {"unit": p.unit, "prior_sd": p.shown(p.prior_sd), "status": self.status[at]}

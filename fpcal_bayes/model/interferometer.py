@@ -25,15 +25,13 @@ Complexes = NDArray[np.complex128]
 def coupling(
     distance: ArrayLike, tilt: ArrayLike, offset: ArrayLike, *, mode_field_radius: float, wavelength: ArrayLike
 ) -> Complexes:
-    """Amplitude of the fibre mode that a beam excites.
+    """Amplitude of the fibre mode that a beam excites; its square is the share of power. Arguments broadcast.
 
     distance: from the beam's waist to the fibre end, along the beam, in um.
     tilt: angle between the beam and the fibre's axis, in rad, in the plane of the offset.
-    offset: of the fibre's centre from the beam's axis, across the beam, in um; positive to the side to which the fibre
-    plane's X axis points, along which a positive tilt makes the light arrive later.
-    mode_field_radius: of fibre mode and beam waist, in um.
-    wavelength: in the medium, in um. All array arguments broadcast.
-    Returns complex; its size is at most one (for small tilts), its square the share of power.
+    offset: of the fibre's centre across the beam, in um, positive to the side on which a positive tilt makes the light
+    arrive later.
+    mode_field_radius, wavelength: of fibre mode and beam waist, and in the medium, in um.
     """
     wave_number = 2.0 * np.pi / np.asarray(wavelength, dtype=float)
     angle, aside = np.asarray(tilt, dtype=float), np.asarray(offset, dtype=float)
@@ -51,15 +49,13 @@ def coupling(
 def mirror_coupling(
     distance: ArrayLike, tilt: ArrayLike, *, mode_field_radius: float, wavelength: ArrayLike
 ) -> Complexes:
-    """Amplitude of the fibre mode after one reflection at a plane mirror.
+    """Amplitude of the fibre mode after one reflection at a plane mirror, without the mirror's reflectivity and phase.
 
     distance: from the fibre end to the mirror plane, perpendicular to it, in um.
     tilt: angle between the mirror's normal and the fibre's axis, in rad.
-    mode_field_radius, wavelength: as in `coupling`.
-    Returns complex, without the mirror's own reflectivity and phase. Minus its phase over twice the wave number is the
-    length that an interferometer sees. As the mirror tilts it follows `distance`, whatever the mode's radius: the
-    field that comes back and the one that the fibre takes overlap around the foot of the perpendicular. As the
-    mirror moves away the Gouy phase adds 8e-6 of the motion (0.3 nm of 40 um at 920 um).
+    Minus the phase over twice the wave number is the length that an interferometer sees. As the mirror tilts it follows
+    `distance`, whatever the mode's radius: the field that comes back and the one that the fibre takes overlap around
+    the foot of the perpendicular. As the mirror moves away the Gouy phase adds 8e-6 of the motion.
     """
     away, angle = np.asarray(distance, dtype=float), np.asarray(tilt, dtype=float)
     # Seen from the image of the fibre, twice the distance away along the normal and turned by twice the tilt.
@@ -73,12 +69,7 @@ def mirror_coupling(
 
 
 def mirror_views(model: CavityModel, values: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
-    """Where the mirror stands as the fibre sees it, for poses `q` (n, n_joints).
-
-    model, values: cavity model and its free parameters (n_free,), in um and rad.
-    Returns cavity length in the cell's own path model and distance perpendicular to the mirror, both in um, and the
-    angle between mirror normal and fibre axis, in rad; each of shape (n,).
-    """
+    """Cavity length in the cell's path model, perpendicular distance (um) and tilt (rad) at poses (n, n_joints)."""
     vector = model.vector(values)
     fibre, axis = fibre_in_world(vector)[:3, 3], optical_axis(model.cell, vector)
     normals, origins = model.mirrors(values, q)
@@ -90,10 +81,7 @@ def mirror_views(model: CavityModel, values: Floats, q: Floats) -> tuple[Floats,
 
 
 def mirror_amplitude(optics: Interferometer, distance: ArrayLike, tilt: ArrayLike) -> Floats:
-    """Amplitude s of the light that comes back from the mirror into the fibre, before it passes the fibre end.
-
-    distance, tilt: perpendicular distance in um and angle of the mirror in rad; they broadcast.
-    """
+    """Amplitude s of the light that comes back into the fibre, at a perpendicular distance (um) and tilt (rad)."""
     taken = mirror_coupling(distance, tilt, mode_field_radius=optics.mode_field_radius, wavelength=optics.wavelength)
     return np.asarray(np.sqrt(optics.mirror_reflectivity) * np.abs(taken))
 
@@ -114,12 +102,10 @@ def reflected(
     wavelength: ArrayLike | None = None,
     index: ArrayLike = 1.0,
 ) -> Floats:
-    """Share of the light that comes back.
+    """Share of the light that comes back; all arguments broadcast.
 
-    length: cavity length L in um, in the path model that counts.
-    distance, tilt: perpendicular distance to the mirror in um and its angle in rad; only the coupling depends on them.
-    wavelength: of the laser in vacuum, in um; by default that of the cell. An error or drift of it multiplies L.
-    index: refractive index of the air. All arguments broadcast.
+    length: cavity length in um, in the path model that counts; only the coupling depends on `distance` and `tilt`.
+    wavelength: of the laser in vacuum, in um, by default the cell's; `index` is that of the air.
     """
     light = optics.wavelength if wavelength is None else np.asarray(wavelength, dtype=float)
     phase = 4.0 * np.pi * np.asarray(index) * np.asarray(length, dtype=float) / light

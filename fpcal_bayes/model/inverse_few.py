@@ -77,10 +77,7 @@ class FewJoints:
         return q, status, joint
 
     def missed(self, targets: Floats, q: Floats) -> Floats:
-        """What joint values `q` (n_poses, n_joints) leave undone of tool poses (n_poses, 4, 4), shape (n_poses, 6).
-
-        In um, turns in rad times `LEVER`.
-        """
+        """What joint values leave undone of tool poses (n_poses, 4, 4), in um, turns times `LEVER`; (n_poses, 6)."""
         error = self._error(targets, q)
         error[:, self.met] = 0.0
         return error

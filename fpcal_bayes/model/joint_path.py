@@ -61,8 +61,7 @@ def travel_seconds(cell: Cell, moves: Floats) -> Floats:
 def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True) -> JointPath:
     """The path of sweeps that are driven in their order, each (n_rows, n_joints).
 
-    ways: also look at the ways from joint zero to the first start and from each end to the next start. The order in
-    which the joints go there is not known: every pose between their old and new values counts.
+    ways: also from joint zero to the first start and from each end to the next start, in any order of the joints.
     """
     parts: list[Floats] = []
     rows: list[Ints] = []

@@ -116,14 +116,11 @@ class Known:
 def margin(
     model: CavityModel, draws: Floats, path: JointPath, *, exact: bool = False, rows: int = 1, boxes: bool = False
 ) -> Margin:
-    """What a path leaves between mirror and fibre.
+    """What a path leaves between mirror and fibre, with `draws` (n_draws, n_free) of the model's parameters.
 
-    model, draws: A cell with an envelope, and draws of the model's free parameters, shape (n_draws, n_free).
     exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
     rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
     boxes: poses that a box around many of them shows to be inside need no sizes of their own, which are NaN then.
-    Raises InputError if the cell has no envelope, or the gap that it states and the one that the draws have measured
-    disagree.
     """
     envelope = require_envelope(model.cell)
     told = Known.of(model, draws)
@@ -159,8 +156,8 @@ def _room(sizes: Floats, envelope: Envelope) -> Floats:
 def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float], gap: bool) -> Bools:
     """Which poses (n_poses, n_joints) need a look of their own: no box of joints around many of them stays inside.
 
-    Boxes are halved while that costs less than a look at their poses. Between the values that are looked at, no more is
-    taken for granted than that a quantity bends twice as much as it does on them; `gap` is false where it is not known.
+    Boxes are halved while that costs less than a look at their poses; between the values that are looked at a quantity
+    may bend twice as much as it does on them. `gap` is false where the gap is not known.
     """
     cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
     groups = [np.arange(len(q))]

@@ -62,10 +62,7 @@ class Parameter:
 
 
 class ParameterSet:
-    """An ordered set of parameters, found by position or by name.
-
-    parameters: with distinct names.
-    """
+    """An ordered set of parameters with distinct names, found by position or by name."""
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self._parameters = tuple(parameters)

@@ -42,10 +42,7 @@ class Marginal(Protocol):
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution cut off at `low` and `high`, either of which may be infinite.
-
-    A half-normal distribution is cut off at its centre.
-    """
+    """A normal distribution cut off at `low` and `high`, which may be infinite; half-normal: cut off at its centre."""
 
     centre: float
     spread: float

@@ -101,10 +101,7 @@ HELD_EXACT = "held values are taken as exact: no band holds what they are off by
 
 
 def trust_of(content: Any) -> Trust:
-    """The trust that a file states; `ValueError` if it contradicts itself or is not as `Trust.content` writes it.
-
-    content: what stands under ``trust``; None where a file of an older program has nothing there.
-    """
+    """The trust that a file states; `ValueError` if it contradicts itself or is not as `Trust.content` writes it."""
     if content is None:
         return Trust((UNRECORDED,))
     if not isinstance(content, Mapping) or set(content) != {"usable", "verdict", "reasons"}:

@@ -14,10 +14,7 @@ from fpcal_bayes.motion.tasks import Task
 def compensated_joints(
     estimate: Estimate, start: Floats, q: Floats, before: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """As `compensated_path`, with what an estimate knows; the path as it is where that is a perfect mechanism.
-
-    `before` is where the joints stand before the first point, shape (n_joints,), by default at `start`.
-    """
+    """As `compensated_path`, with what an estimate knows; the path as it is where that is a perfect mechanism."""
     known = estimate.mechanics
     if known is None:
         return q, np.zeros(len(q))

@@ -46,11 +46,9 @@ class Placement:
         return cls(fibre, _inverse(point), aligned)
 
     def moved(self, offsets: Floats) -> Floats:
-        """Poses fX away from the aligned one.
+        """Poses fX (n, 4, 4) away from the aligned one by `offsets` (n, 6): um along Xf, Yf, Zf, then turns in rad.
 
-        offsets: shape (n, 6): translations in um along Xf, Yf, Zf, and turns in rad about the fibre frame's X, then Y,
-        then Z axis through the reflection point.
-        Returns shape (n, 4, 4).
+        They turn about the fibre frame's X, then Y, then Z axis through the reflection point.
         """
         poses = np.zeros((len(offsets), 4, 4))
         poses[:, :3, :3] = turns(offsets[:, 3:]) @ self.aligned[:3, :3]

@@ -192,10 +192,7 @@ def default_radius(cell: Cell) -> float:
 
 
 def possible_tasks(cell: Cell, names: Sequence[str] | None = None, *, radius: float | None = None) -> tuple[str, ...]:
-    """Those of some built-in tasks that the nominal cell has the axes for; other names stay.
-
-    By default all of them, and the cell's own.
-    """
+    """Those of some built-in tasks, by default all and the cell's own, that the nominal cell has the axes for."""
     names = (*TASKS, *(task.name for task in cell.tasks)) if names is None else names
     if len(cell.joints) == 6:
         return tuple(names)
@@ -207,11 +204,7 @@ def possible_tasks(cell: Cell, names: Sequence[str] | None = None, *, radius: fl
 
 
 def user_path(cell: Cell, vector: Floats, path: str | Path) -> Task:
-    """A user's path as a task.
-
-    path: CSV with the columns ``x_um,y_um,z_um,rx_deg,ry_deg,rz_deg`` in the fibre frame, relative to the aligned pose;
-    turns in the order x, y, z about axes through wPr.
-    """
+    """A user's path as a task: moves in the fibre frame, relative to the aligned pose (see `Placement.moved`)."""
     offsets = read_path(path)
     placement = Placement.of(cell, vector)
     return _follow(cell, vector, placement, Path(path).name, offsets, np.arange(1.0, len(offsets) + 1.0), "point")
@@ -233,10 +226,7 @@ def find_task(cell: Cell, vector: Floats, task: str, *, radius: float | None = N
 
 
 def follow_offsets(cell: Cell, vector: Floats, name: str, offsets: Floats, near: Floats | None = None) -> Task:
-    """Moves `offsets` (n_points, 6) away from the aligned pose, in um and rad, as a task (see `Placement.moved`).
-
-    Joint values of the first are looked for near `near` (n_joints,), by default joint zero.
-    """
+    """Moves `offsets` (n_points, 6), in um and rad, as a task (see `Placement.moved`), looked for near `near`."""
     along = np.arange(1.0, len(offsets) + 1.0)
     return _follow(cell, vector, Placement.of(cell, vector), name, offsets, along, "point", near)
 

@@ -14,11 +14,7 @@ class StaleEstimateWarning(UserWarning):
 
 
 def hours_of_estimate(estimate: Estimate, moment: datetime) -> float | None:
-    """A moment in hours since the campaign began, or None where the estimate carries no clock time.
-
-    estimate: its `data` may hold ``utc``, the clock time (ISO 8601) at `time_h`, as the tracker writes it.
-    moment: with its time zone.
-    """
+    """A moment in hours since the campaign began, or None where the estimate's `data` hold no ``utc`` of `time_h`."""
     try:
         made = clock(str(estimate.data["utc"]))
     except (KeyError, ValueError):
@@ -27,10 +23,7 @@ def hours_of_estimate(estimate: Estimate, moment: datetime) -> float | None:
 
 
 def read_now(text: str | None, estimate: Estimate) -> float | None:
-    """The time that a user gives, or this machine's clock, in hours since the campaign began; None if not known.
-
-    text: hours, a clock time as ISO 8601, or None for the clock.
-    """
+    """The time that a user gives, or this machine's clock, in hours since the campaign began; None if not known."""
     if text is None:
         return hours_of_estimate(estimate, datetime.now(UTC))
     given = read_time(text, "--now")
@@ -51,8 +44,7 @@ def judged_at(estimate: Estimate, now_h: float | None) -> Estimate:
 def stale_text(estimate: Estimate, now_h: float | None) -> str | None:
     """One sentence if an estimate is used after its horizon, else None.
 
-    now_h: in hours since the campaign began, or None where that is not known: then only an estimate that never held its
-    tasks is spoken of.
+    Where the time is not known only an estimate that never held its tasks is spoken of.
     """
     until = estimate.valid_until_h
     if until is None:

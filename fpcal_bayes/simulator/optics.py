@@ -173,11 +173,7 @@ class SimulatedOptics:
         return np.maximum(wanted, s.fewest_samples)
 
     def progress(self, n: int, ripple: float) -> Floats:
-        """Share of a sweep that is done at each of its samples, from 0 to 1, with the ripple of its velocity.
-
-        n: samples of the motion; those at rest are added on either side.
-        ripple: phase of the ripple.
-        """
+        """Share of a sweep that is done at each of its `n` samples and those at rest; `ripple` is a phase."""
         if n == 0:
             return np.zeros(0)
         time, s = np.linspace(0.0, 1.0, n), self.settings
@@ -188,11 +184,7 @@ class SimulatedOptics:
         return np.concatenate([np.zeros(rest), done, np.ones(rest)])
 
     def voltages(self, seen: Views, chances: Chances, at: Floats | None = None) -> Floats:
-        """What is recorded along a trace.
-
-        seen: from `views`.
-        at: share of the recording's time that has gone by, from 0 to 1, shape (n,); by default equal steps.
-        """
+        """What is recorded along a trace at shares `at` of its time (n,), by default equal steps."""
         s, optics = self.settings, self.cell.interferometer
         length, distance, tilt = seen
         time = np.linspace(0.0, 1.0, len(length)) if at is None else at

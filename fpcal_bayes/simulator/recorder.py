@@ -140,11 +140,6 @@ def record_path(
     A reference scan goes through a few fringes and back to where it began. Where `settings.quadrature` is set the rig
     fits the first one with the nominal geometry, and moves that joint to the nearest point at half fringe height along
     the whole path. The second one shows how gain and offset drifted meanwhile.
-
-    path: joint vectors, shape (n, n_joints), in um and rad, driven through in straight lines at equal times.
-    time_h: when; the truth of that time is used.
-    machine_seed: of the machine, where the cell has mechanics; by default `seed`.
-    Returns with the true cavity lengths.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():

@@ -15,6 +15,7 @@ _PLACES = {
     "estimate_of": "tracker",
     "follow_sessions": "smoother",
     "followed_drift": "session",
+    "likely_terms": "drift",
     "predict": "filter",
     "propagated": "drift",
     "smooth": "smoother",

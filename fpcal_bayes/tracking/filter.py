@@ -6,12 +6,14 @@ until it goes down; filterpy takes the last step, with the Joseph form of the co
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isnan
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from filterpy.kalman import update as kalman_update
+from scipy.linalg import lapack
 
-from fpcal_bayes.core.linalg import covariance_root, symmetric
+from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.measurement import LinearMeasurement, Measurement, equivalent_rows
@@ -24,6 +26,7 @@ _SLOW = 0.3
 _PATIENCE = 10
 #: Where no step lowers the sum of squares beyond its rounding, a state this near to rest has come to rest.
 _AT_REST = 0.05
+_LOG_2_PI = float(np.log(2.0 * np.pi))
 #: What rounding may add to the sum of squares.
 _ROUNDING = 1e-9
 
@@ -60,8 +63,7 @@ class Innovation:
 
     def whiten(self, rows: Floats) -> Floats:
         """Equivalent rows (n_equivalent,) or (n_equivalent, n) in standard deviations of the misfit."""
-        # For a few rows this is faster than a triangular solve by LAPACK.
-        return np.linalg.solve(self.factor, rows)
+        return np.asarray(lapack.dtrtrs(self.factor, rows, lower=True)[0])
 
     @property
     def squared(self) -> float:
@@ -71,8 +73,8 @@ class Innovation:
     @property
     def log_likelihood(self) -> float:
         """Logarithm of the probability density of the rows, in their own units."""
-        log_factor = float(np.log(np.diag(self.factor)).sum())
-        return self.log_volume - log_factor - 0.5 * (self.squared + self.dof * float(np.log(2.0 * np.pi)))
+        log_factor = float(np.log(self.factor.diagonal()).sum())
+        return self.log_volume - log_factor - 0.5 * (self.squared + self.dof * _LOG_2_PI)
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,21 @@ class Update:
 
     state: State  # after the rows
     innovation: Innovation  # what they said beyond the prediction
-    # Kalman gain at the solution for the equivalent rows of `misfit` and `jacobian`, shape (n_states, n_equivalent)
-    gain: Floats
+    equivalent: Floats  # derivatives of the equivalent rows of `misfit` and `jacobian`, (n_equivalent, n_states)
     # misfit, jacobian: linearisation of all rows at the solution, as an innovation: whitened measurement minus what the
     # linearised prediction makes of the predicted state, shapes (n_rows,) and (n_rows, n_states)
     misfit: Floats
     jacobian: Floats
     converged: bool  # whether the iteration came to rest
+
+    @property
+    def gain(self) -> Floats:
+        """Kalman gain for the equivalent rows, P H' as their variance is one, shape (n_states, n_equivalent)."""
+        return self.state.covariance @ self.equivalent.T
+
+    def linearised(self, prior: State) -> Innovation:
+        """The rows at the solution beyond `prior`, the state before them."""
+        return Innovation.of(self.misfit, self.jacobian, prior.covariance, self.innovation.log_volume)
 
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
@@ -97,14 +107,14 @@ def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float
     """
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
-    known = state.temperature_c if np.isnan(temperature_c) else temperature_c
-    return State(time_h, mean, symmetric(covariance), known)
+    known = state.temperature_c if isnan(temperature_c) else temperature_c
+    return State(time_h, mean, covariance, known)
 
 
 def kelvin_between(before: float, after: float) -> float:
     """Change of temperature, zero where either is not known."""
     change = after - before
-    return 0.0 if np.isnan(change) else float(change)
+    return 0.0 if isnan(change) else float(change)
 
 
 def update(state: State, measurement: Measurement) -> Update:
@@ -112,7 +122,7 @@ def update(state: State, measurement: Measurement) -> Update:
     prior, covariance = state.mean, state.covariance
     misfit, jacobian = measurement.linearise(prior)
     innovation = Innovation.of(misfit, jacobian, covariance, measurement.log_volume)
-    mean, pull = prior, np.zeros_like(prior)
+    mean, pull = prior, np.zeros(len(prior))
     cost = float(misfit @ misfit)
     # Linear rows need no step: the exact update below is all there is.
     converged, last = isinstance(measurement, LinearMeasurement), np.inf
@@ -145,12 +155,13 @@ def update(state: State, measurement: Measurement) -> Update:
             break
         mean, pull, misfit, jacobian, cost = trial, pull + step, found, slope, trial_cost
     # Linear in the state from here on: one exact update from the prediction.
-    misfit = misfit + jacobian @ (mean - prior)
-    rows, derivatives = equivalent_rows(misfit, jacobian)
-    shift, left = kalman_update(np.zeros_like(prior), covariance, rows, np.eye(len(rows)), derivatives)
+    rows, derivatives = innovation.misfit, innovation.jacobian
+    if mean is not prior:
+        misfit = misfit + jacobian @ (mean - prior)
+        rows, derivatives = equivalent_rows(misfit, jacobian)
+    shift, left = kalman_update(np.zeros(len(prior)), covariance, rows, identity(len(rows)), derivatives)
     after = State(state.time_h, prior + shift, symmetric(left), state.temperature_c)
-    # With errors of unit variance the gain is P H'.
-    return Update(after, innovation, after.covariance @ derivatives.T, misfit, jacobian, converged)
+    return Update(after, innovation, derivatives, misfit, jacobian, converged)
 
 
 def _newton(
@@ -183,6 +194,9 @@ def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
 
 
 def _factor(jacobian: Floats, covariance: Floats) -> Floats:
-    """Lower Cholesky factor of the covariance of whitened rows."""
-    spread = jacobian @ covariance @ jacobian.T
-    return np.linalg.cholesky(spread + np.eye(len(jacobian)))
+    """Lower Cholesky factor of the covariance of whitened rows, by LAPACK itself: rows are often few."""
+    spread = jacobian @ covariance @ jacobian.T + identity(len(jacobian))
+    factor, failed = lapack.dpotrf(spread, lower=True, clean=True)
+    if failed:
+        raise np.linalg.LinAlgError("the covariance of the rows is not positive definite")
+    return np.asarray(factor)

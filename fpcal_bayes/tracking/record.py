@@ -19,7 +19,7 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.measurement import SweepMeasurement
+from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
@@ -30,6 +30,9 @@ from fpcal_bayes.tracking.tracker import Track, calibration_measurement
 _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_likelihood", "converged")
 _ONSET = ("session", "hours", "age", "squared", "dof")
 
+#: The calibration's rows that were found last, for who follows one campaign again and again; they come from a fit.
+_found_rows: dict[tuple[Cell, DriftModel, str], Measurement | None] = {}
+
 
 def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:
     """Hash of what a track depends on beside cell and sweeps: drift sizes, limits of the tests, error motions."""
@@ -37,11 +40,10 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
     return content_sha256([[size.content() for size in drift.sizes], asdict(limits), *motions])
 
 
-def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
+def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
     """A track as a campaign file holds it.
 
-    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
-    decided meanwhile, one JSON object each, in order of time.
+    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
     """
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
@@ -54,7 +56,6 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         "solutions": track.solutions,
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
-        "decisions": list(decisions),
         "trust": track.trust.content(),
     } | _motions_content(track.outcomes[0])
     return TrackRecord(
@@ -71,22 +72,13 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     )
 
 
-def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
-    """Decisions that were saved with a track; none where the record cannot be understood."""
-    try:
-        found = json.loads(record.summary).get("decisions", [])
-    except (ValueError, AttributeError, RecursionError):
-        return []
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
-
-
 def resume(
     record: TrackRecord, cell: Cell, drift: DriftModel, limits: Limits, parts: list[Sweeps], file: str
 ) -> tuple[Track | None, str]:
     """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    The track is taken up before the first session that is new, was changed, or came in between late. `parts` are the
-    sweeps of each session in order of time. `InputError` if the track is of another cell, or cannot be understood.
+    It ends before the first of the sessions `parts` that is new, was changed, or came in between late. `InputError` if
+    the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(
@@ -120,8 +112,11 @@ def resume(
     if from_prior and machine:
         outcomes = (_with_rows(track, parts[0], json.loads(record.summary)["motions"]["rows"]), *outcomes[1:])
     elif from_prior:
-        measurement = calibration_measurement(cell, drift, parts[0])
-        outcomes = (replace(outcomes[0], measurement=measurement), *outcomes[1:])
+        key = (cell, drift, hashes[0][1])
+        if key not in _found_rows:
+            _found_rows.clear()
+            _found_rows[key] = calibration_measurement(cell, drift, parts[0])
+        outcomes = (replace(outcomes[0], measurement=_found_rows[key]), *outcomes[1:])
     return replace(track, outcomes=outcomes, resumed=kept), reason
 
 

@@ -18,6 +18,7 @@ lead (see `smoother`).
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,7 +28,9 @@ from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.tracking.drift import DriftModel, State
 
 #: Random sweeps that stand for what will be asked of the model, and the weight of each, as its sigma in um.
@@ -67,22 +70,33 @@ def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> Dr
     `drift` and `model` are of the same parameters. Where the cell leaves no room for sweeps the drift stays as it was.
     """
     n = drift.n_parameters
+    known = (state.mean[:n].tobytes(), state.covariance[:n, :n].tobytes())
     try:
-        asked = seen_by_all(candidate_sweeps(model.cell, n=N_SWEEPS, rng=np.random.default_rng(0)), model.cell)
+        turns = _turns(model.cell, model.free, model.held.tobytes(), (model.side, model.sides), *known)
     except InputError:
         return drift
-    rows = asked.laid_out(model)
-
-    def seen(mean: Floats) -> Floats:
-        return model.predict_with_jacobian(drift.values(mean), rows)[1] * drift.scale / SIGMA
-
-    # What no row tells keeps its direction: one row each, of its prior's size.
-    to_state = np.linalg.pinv(np.vstack([np.eye(n), seen(state.mean)]))[:, n:]
-    variances, directions = np.linalg.eigh(state.covariance[:n, :n])
     hidden = np.zeros((n, n))
-    for i in np.flatnonzero(variances > _LEAST_SD**2):
-        away = np.zeros(drift.n_states)
-        away[:n] = np.sqrt(variances[i]) * directions[:, i]
-        turned = to_state @ ((seen(state.mean + away) - seen(state.mean - away)) / 2.0) * drift.walk
+    for turn in turns:
+        turned = turn * drift.walk
         hidden += turned @ turned.T
     return replace(drift, hidden=hidden)
+
+
+@lru_cache(maxsize=8)
+def _turns(
+    cell: Cell, free: ParameterSet, held: bytes, sides: tuple[int, tuple[int, ...]], mean: bytes, covariance: bytes
+) -> list[Floats]:
+    """B(s) for each column s that matters, shape (n, n) each; arrays come as bytes, since each round asks again."""
+    model, n = CavityModel(cell, free, np.frombuffer(held).copy(), *sides), len(free)
+    at, known = np.frombuffer(mean).copy(), np.frombuffer(covariance).reshape(n, n)
+    asked = seen_by_all(candidate_sweeps(cell, n=N_SWEEPS, rng=np.random.default_rng(0)), cell)
+    rows = asked.laid_out(model)
+
+    def seen(state: Floats) -> Floats:
+        return model.predict_with_jacobian(free.nominal + free.prior_sd * state, rows)[1] * free.prior_sd / SIGMA
+
+    # What no row tells keeps its direction: one row each, of its prior's size.
+    to_state = np.linalg.pinv(np.vstack([np.eye(n), seen(at)]))[:, n:]
+    variances, directions = np.linalg.eigh(known)
+    aways = [np.sqrt(variances[i]) * directions[:, i] for i in np.flatnonzero(variances > _LEAST_SD**2)]
+    return [to_state @ ((seen(at + away) - seen(at - away)) / 2.0) for away in aways]

@@ -49,7 +49,7 @@ COMMANDS = {
     "sample": "sample sweeps.csv -o posterior.nc --draws 200",
     "ingest": "ingest index.h5 -o read.csv",
     "check": "check driven.csv --estimate estimate.json",
-    "study": "study policy --policies never --hours 2 --replicates 3 --anew -o study.h5",
+    "study": "study coverage --replicates 2 --workers 2 --anew -o study.jsonl",
 }
 
 

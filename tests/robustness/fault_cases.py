@@ -16,8 +16,7 @@ from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.study.coverage import Coverage
-from fpcal_bayes.study.runner import run_alone
-from fpcal_bayes.study.store import StudyStore
+from fpcal_bayes.study.run import run_study
 
 
 @dataclass(frozen=True)
@@ -79,10 +78,9 @@ SLOW = (
     Case.of("ingest index.mat -o out.csv", "index.mat", "out.csv"),
     Case.of("check driven.csv --estimate estimate.json --json out.json", "driven.csv estimate.json", "out.json"),
     Case.of("week --no-page --cell cell.toml -o out", "cell.toml", "out/campaign.h5 out/posterior.nc out/report.txt"),
-    Case.of(f"{COVERAGE} -o out.h5", "sweeps.csv", "out.h5"),
+    Case.of(f"{COVERAGE} -o out.jsonl", "sweeps.csv", "out.jsonl"),
     # Half of the replicates are there.
-    Case.of(f"{COVERAGE} -o store.h5", "store.h5 sweeps.csv", "store.h5"),
-    Case.of("study plan --replicates 2 --workers 1 --plan plan.csv -o out.h5", "plan.csv", "out.h5"),
+    Case.of(f"{COVERAGE} -o store.jsonl", "store.jsonl sweeps.csv", "store.jsonl"),
 )
 
 
@@ -128,7 +126,7 @@ def make_inputs(folder: Path, *, quick: bool) -> None:
             ):
                 in_process(line.split())
             make_matlab_index(Path("index.csv"), Path("index.mat"))
-            make_store(Path("store.h5"), 2)
+            make_store(Path("store.jsonl"), 2)
 
 
 def make_matlab_index(index: Path, output: Path) -> None:
@@ -150,8 +148,7 @@ def make_store(path: Path, replicates: int) -> None:
     """The first replicates of the study of coverage."""
     cell = load_cell(mechanics="none")
     plan = read_sweeps("sweeps.csv", cell, plan=True)
-    study = Coverage(cell=cell, plan=plan)
-    run_alone(study, StudyStore(path, study), replicates)
+    run_study(Coverage(cell=cell, plan=plan), path, replicates, workers=0)
 
 
 def in_process(arguments: list[str]) -> None:

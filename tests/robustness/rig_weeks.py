@@ -4,9 +4,10 @@
 
 Each week has a geometry drawn from the prior, which drifts as the cell says, and with mechanics a machine of its own
 behind emulated controllers and an emulated interferometer. Day 0 is measured by `fpcal measure`; from then on
-`fpcal keep --rig --once` runs every quarter of an hour in which it has something to do, and measures its tickets. A
-controller, a process of its own, reads the estimate that stands in the file and drives the circle over the wire. The
-circle's true error at its stops is what counts; the promise is the forecast of the same moment.
+`fpcal keep --rig` looks every quarter of an hour in which it has something to do, and measures its tickets; it is ended
+and started anew each day. A controller, a process of its own, reads the estimate that stands in the file and drives the
+circle over the wire. The circle's true error at its stops is what counts; the promise is the forecast of the same
+moment.
 
 The clock of the cell stands still while a program works and goes on while it waits, so that no number depends on how
 busy the computer is.
@@ -21,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -41,7 +42,6 @@ from fpcal_bayes.infer.tasks.error import task_rows  # noqa: E402
 from fpcal_bayes.infer.tasks.machine import PATH_POINTS  # noqa: E402
 from fpcal_bayes.io.cell import load_cell  # noqa: E402
 from fpcal_bayes.io.estimate import read_estimate  # noqa: E402
-from fpcal_bayes.measure.sweeps import Sweeps  # noqa: E402
 from fpcal_bayes.measure.truth import Truth  # noqa: E402
 from fpcal_bayes.model.cavity import CavityModel  # noqa: E402
 from fpcal_bayes.model.cell.cell import Cell  # noqa: E402
@@ -53,9 +53,7 @@ from fpcal_bayes.rig.drivers.interface import CommandLog  # noqa: E402
 from fpcal_bayes.rig.emulate.bench import EmulatedBench  # noqa: E402
 from fpcal_bayes.rig.route import Guard  # noqa: E402
 from fpcal_bayes.simulator.sweeps import machine_of  # noqa: E402
-from fpcal_bayes.tracking import DriftModel, record  # noqa: E402
-from fpcal_bayes.tracking.measurement import SweepMeasurement  # noqa: E402
-from fpcal_bayes.tracking.tracker import calibration_measurement  # noqa: E402
+from fpcal_bayes.tracking import DriftModel  # noqa: E402
 
 #: Hours between two epochs of the truth: drift is smooth while a session lasts, a few minutes.
 EPOCH_H = 1.0
@@ -65,7 +63,7 @@ LOOK_H, CIRCLE_H = 0.25, 2.0
 HOURS = 168.0
 #: Looks in which nothing can have changed are left out, but never for longer than this.
 MOST_H = 4.0
-START = 1.8e9
+START, DAY_S = 1.8e9, 86400.0
 
 
 def controller(cell: Cell, folder: Path, orders: Connection) -> None:
@@ -115,9 +113,7 @@ class Week:
         self.found: list[Round] = []
         self.actions: Counter[str] = Counter()
         self.rounds = self.sessions = 0
-        # Every round takes up the same first session again: its rows are worked out once.
-        self.first: SweepMeasurement | None = None
-        record.calibration_measurement = self.measurement_of_first
+        self.began = self.next_circle = 0.0
         # What the command tells a person is told the judge.
         keep._Teller.tell = lambda _, found: self.tell(found)
 
@@ -125,11 +121,6 @@ class Week:
         """Take note of a round."""
         self.found = [found]
         self.actions["none" if found.decision is None else found.decision.action] += 1
-
-    def measurement_of_first(self, cell: Cell, drift: DriftModel, sweeps: Sweeps) -> SweepMeasurement:
-        """As `calibration_measurement`."""
-        self.first = self.first or calibration_measurement(cell, drift, sweeps)
-        return replace(self.first, drift=drift)
 
     def geometry(self) -> np.ndarray:
         """Drawn from the prior such that the circle can be driven; the gap is as the cell's envelope states it."""
@@ -146,40 +137,53 @@ class Week:
 
     def run(self, circle: Connection) -> None:
         """Day 0, then rounds and circles until the week is over."""
-        campaign, clock = self.folder / "campaign.h5", self.clock
-        began = clock.now()
+        campaign, live = self.folder / "campaign.h5", str(self.folder / "live.toml")
+        self.began = self.next_circle = self.clock.now()
         plan = self.folder / "day0.csv"
         write_ticket(plan, self.cell, session="full-0")
         head, *rows = plan.read_text().splitlines()
         plan.write_text("\n".join([f"{head},readings", *(f"{row},2" for row in rows)]) + "\n")
-        live = str(self.folder / "live.toml")
         self.command("measure", str(plan), "--rig", live, "-o", str(campaign))
-        line = ["keep", str(campaign), "--ticket", str(self.folder / "ticket.csv"), "--rig", live, "--once"]
+        line = ["keep", str(campaign), "--ticket", str(self.folder / "ticket.csv"), "--rig", live]
         line += ["--estimate", str(self.folder / "now.json"), "--tolerance-nm", str(self.options.tolerance_nm)]
-        next_circle = began
-        while clock.now() < began + 24.0 * 3600.0 * self.options.days:
+        end = self.began + DAY_S * self.options.days
+
+        def day(_file: object, _look_s: float, take_in: Callable[[bool], None], *_: object, **__: object) -> None:
+            """In the place of `watch`: rounds as the cell's clock says."""
+            over = min(end, self.clock.now() + DAY_S)
+            while self.clock.now() < over:
+                take_in(False)
+                self.after_round(circle)
+            raise SystemExit
+
+        keep.watch = day
+        while self.clock.now() < end:
             self.command(*line)
-            self.rounds += 1
-            found = self.found[-1]
-            track, last = found.followed.track, found.followed.track.last
-            self.sessions = len(track.outcomes)
-            if found.ticket.plan is not None:
-                # What has just been measured is published in the next round, which follows at once.
-                continue
-            held_h = 0.0 if found.decision is None else found.decision.hold_hours
-            until = clock.now() + 3600.0 * LOOK_H * max(1.0, min(held_h, MOST_H) // LOOK_H)
-            forecast = None
-            if found.valid_until_h is not None:
-                model = CavityModel.of(self.cell, track.drift.parameters)
-                forecast = Forecaster.of(track.drift, model, self.goal, last.state.mean)
-            while next_circle < until:
-                self.clock.pass_until(next_circle)
-                if forecast is not None:
-                    hours = (clock.now() - began) / 3600.0 - last.time_h
-                    self.promised.append(1.0 - forecast.exceeds(last.state, hours))
-                    self.inside.append(self.error_nm(circle) <= self.goal.tolerance_nm)
-                next_circle += 3600.0 * CIRCLE_H * float(self.rng.uniform(0.5, 1.5))
-            self.clock.pass_until(until)
+
+    def after_round(self, circle: Connection) -> None:
+        """Let the controller drive circles until the next round."""
+        self.rounds += 1
+        found, clock = self.found[-1], self.clock
+        track, last = found.followed.track, found.followed.track.last
+        self.sessions = len(track.outcomes)
+        if found.ticket.plan is not None:
+            # What has just been measured is published in the next round, which follows at once.
+            return
+        decision = found.decision
+        held_h = 0.0 if decision is None else decision.now_h + decision.hold_hours - found.now_h
+        until = clock.now() + 3600.0 * LOOK_H * max(1.0, min(held_h, MOST_H) // LOOK_H)
+        forecast = None
+        if found.valid_until_h is not None:
+            model = CavityModel.of(self.cell, track.drift.parameters)
+            forecast = Forecaster.of(track.drift, model, self.goal, last.state.mean)
+        while self.next_circle < until:
+            clock.pass_until(self.next_circle)
+            if forecast is not None:
+                hours = (clock.now() - self.began) / 3600.0 - last.time_h
+                self.promised.append(1.0 - forecast.exceeds(last.state, hours))
+                self.inside.append(self.error_nm(circle) <= self.goal.tolerance_nm)
+            self.next_circle += 3600.0 * CIRCLE_H * float(self.rng.uniform(0.5, 1.5))
+        clock.pass_until(until)
 
     def error_nm(self, circle: Connection) -> float:
         """Have the circle driven; its true error, peak to peak."""

@@ -98,10 +98,6 @@ def track(commands: Commands) -> None:
         "and fpcal_fk.m beside it"
     )  # fmt: skip
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
-    add(
-        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again; with --mechanics none"
-    )  # fmt: skip
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
@@ -117,7 +113,7 @@ error of the tasks; full: calibrate in full, since the robot itself moved or no 
 
 The error of a task is what the controller does not know of the cavity length along its path, peak to peak. LEVEL is the
 probability of being out of tolerance that is accepted before the next measurement; the share of time spent outside is
-about a third of it. With --cost-out the level is the one at which measuring and errors together cost least.
+about a third of it.
 """
 
 
@@ -279,16 +275,10 @@ def week(commands: Commands) -> None:
 _STUDY = """\
 coverage  does the truth lie in the predicted bands of each task?
 sbc       simulation-based calibration: are the truths uniformly ranked among posterior draws?
-policy    weeks of drift under several policies: share of time in tolerance against sweeps spent
-plan      does a plan do as well as the paper's sweeps?
 
-Replicate K is the same whenever and wherever it runs. Each is put into STORE as soon as it is there. A study that was
-stopped, or killed, goes on when the command is given again, and leaves the same file byte for byte; a larger
---replicates adds to it. Workers that die lose nothing: what they had is given to others.
-
-Without --scheduler the workers are processes of this machine. A cluster is started with `dask scheduler` and, wherever
-fpcal_bayes of the same version is installed, `dask worker tcp://HOST:PORT --nthreads 1`. Dask hands pickles on: name
-a scheduler that you trust only.
+Replicate K is the same whenever it runs. Each is put into STORE, a line of JSON, as soon as it is there. A study that
+was stopped, or killed, goes on when the command is given again, and leaves the same file byte for byte; a larger
+--replicates adds to it.
 """
 
 
@@ -296,25 +286,16 @@ def study(commands: Commands) -> None:
     """Add ``fpcal study``."""
     parser = add_command(commands, "study", "run many independent replicates of a question", _STUDY)
     add = parser.add_argument
-    add("study", metavar="NAME", choices=("coverage", "sbc", "policy", "plan"), help="coverage, sbc, policy or plan")
+    add("study", metavar="NAME", choices=("coverage", "sbc"), help="coverage or sbc")
     add("--replicates", type=count, required=True, metavar="N", help="how many in all")
-    add("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.h5)")
+    add("-o", dest="output", metavar="STORE", type=Path, help="store (default: study-NAME.jsonl)")
     add("--anew", action="store_true", help="forget what the store holds")
-    add("--scheduler", metavar="tcp://HOST:PORT", help="of a Dask cluster that runs already")
-    add("--workers", type=count, metavar="N", help="processes on this machine (default: its cores)")
+    add("--workers", type=count, metavar="N", help="processes of this machine (default: its cores)")
     add("--seed", type=seed, default=0, help="of the study (default: 0)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add(
-        "--protocol",
-        default="paper",
-        metavar="paper|paper-mid|SWEEPS",
-        help="coverage, sbc: sweeps of each calibration (default: paper); sbc also: random",
-    )
+        "--protocol", default="paper", metavar="paper|paper-mid|SWEEPS",
+        help="sweeps of each calibration (default: paper); sbc also: random"
+    )  # fmt: skip
     add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
-    add("--plan", metavar="SWEEPS", help="plan: whole sweeps, as fpcal plan writes them")
-    add("--readings", type=count, default=2, metavar="K", help="plan: of each sweep (default: 2)")
-    add("--policies", metavar="NAME;..", help="policy: which (a wrong name lists all)")
-    add("--hours", type=positive, default=192.0, help="policy: length of a week (default: 192)")
-    add("--harder", action="store_true", help="policy: weeks that drift otherwise than modelled too")
-    add_goal(parser)
     add_json(parser)

@@ -244,10 +244,7 @@ class Cell:
 
 
 class ParameterEntry(NamedTuple):
-    """What a cell says of a parameter: nominal value, prior standard deviation, whether optional, prior if not normal.
-
-    In internal units.
-    """
+    """What a cell says of a parameter, in internal units; `prior` where it is not normal."""
 
     nominal: float
     prior_sd: float
@@ -292,11 +289,7 @@ _MOST_TURNS = 2
 def check_joints(
     cell: Cell, q: NDArray[np.float64], file: object, rows: Sequence[int] | None, columns: Sequence[str]
 ) -> None:
-    """Raise `InputError` at the first joint value outside the cell's limits.
-
-    q: joint vectors in internal units, shape (n, n_joints).
-    file, rows, columns: for the message: the source, the line of each row, the column of each joint.
-    """
+    """Raise `InputError` at the first of joint vectors (n, n_joints), in um and rad, outside the cell's limits."""
     # The tolerance lets a limit written in degrees survive its conversion to radians.
     slack = 1e-9 * (1.0 + np.abs(q))
     outside = (q < cell.low - slack) | (q > cell.high + slack)

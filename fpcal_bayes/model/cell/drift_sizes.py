@@ -6,10 +6,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class DriftSize:
-    """Drift of one parameter: a sum of independent parts, each of which may be absent (zero).
-
-    Lengths in um, angles in rad, times in days unless a name says otherwise.
-    """
+    """Drift of one parameter: a sum of independent parts, each zero where it is absent; in um, rad and days."""
 
     name: str  # of the parameter
     walk: float = 0.0  # standard deviation of a random walk after one day; it grows with the square root of time

@@ -5,10 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Envelope:
-    """Bounds of every motion of a cell; lengths in um, angles in rad.
-
-    None of it changes a cavity length, so it is no part of the cell's hash.
-    """
+    """Bounds of every motion of a cell, in um and rad; no part of its hash, for they change no cavity length."""
 
     least_gap: float  # between mirror and fibre, where the edges of both come nearest
     fibre_radius: float  # radius of the fibre's end, with its ferrule where that reaches as far

@@ -15,9 +15,8 @@ JOINT_UNITS: dict[JointKind, str] = {"prismatic": "um", "revolute": "deg"}
 
 @dataclass(frozen=True)
 class ControllerAxis:
-    """How a motion controller names and counts one joint.
+    """How a motion controller names and counts one joint: it shows ``zero + sign * q`` in its own `unit`.
 
-    The controller shows ``zero + sign * q`` in its own `unit`, q being the joint variable of the model.
     `per_unit` is the length of that unit in um or its angle in rad.
     """
 

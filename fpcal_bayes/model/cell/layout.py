@@ -64,10 +64,7 @@ class Layout:
 
 
 def read_axes(text: str) -> tuple[AxisWord, ...]:
-    """Axes from words such as ``x y z rx rz -ry``, from base to mirror.
-
-    Raises InputError if a word is none, or there is none or more than twelve.
-    """
+    """Axes from words such as ``x y z rx rz -ry``, from base to mirror; `InputError` if a word is none."""
     words = text.replace(",", " ").split()
     axes = []
     for word in words:
@@ -99,11 +96,7 @@ def read_side(text: str) -> Floats:
 
 
 def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout:
-    """The layout of axes that meet at the mirror, with the fibre on one side of it.
-
-    side: direction from the mirror to the fibre, along a world axis, shape (3,).
-    gap: in um.
-    """
+    """The layout of axes that meet at the mirror, with the fibre `gap` um away in the direction `side` (3,)."""
     links, frame = np.zeros((len(axes), 5)), np.eye(3)
     for i, axis in enumerate(axes):
         if i > 0:

@@ -8,10 +8,9 @@ Beams = Literal["two-beam", "airy"]
 
 @dataclass(frozen=True)
 class Interferometer:
-    """What stands between the cavity length and a voltage.
+    """What stands between the cavity length and a voltage; no part of the cell's hash.
 
-    None of it changes a cavity length, so it is no part of the cell's hash. The paper prints none of these numbers; the
-    defaults are those of common parts.
+    The paper prints none of these numbers; the defaults are those of common parts.
     """
 
     wavelength: float  # of the laser in vacuum, in um

@@ -10,10 +10,7 @@ import numba
 
 
 def compiled[F: Callable[..., Any]](function: F) -> F:
-    """Compile a kernel with numba; the machine code is kept on disk for the next process.
-
-    Products and sums may be fused; nothing else that changes results is allowed.
-    """
+    """Compile a kernel and keep its machine code on disk; products and sums may be fused, nothing else is allowed."""
     kernel = numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
     drop_outdated(kernel)
     return cast(F, kernel)
@@ -31,10 +28,7 @@ def _stored(kernel: Any) -> list[Path]:
 
 
 def drop_outdated(kernel: Any) -> None:
-    """Forget machine code older than the source of any kernel.
-
-    numba looks at the kernel's own file only, not at those of the kernels that it calls.
-    """
+    """Forget machine code older than any kernel; numba looks at the kernel's own file only."""
     for index in _stored(kernel):
         with contextlib.suppress(OSError):
             if index.stat().st_mtime < _newest_source():

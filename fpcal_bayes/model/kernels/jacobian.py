@@ -43,12 +43,7 @@ TURN, SHIFT, TRAVEL, FIBRE, OPTICAL, TURN_GAIN, RUNOUT_AS_COS, RUNOUT_AS_SIN = r
 
 
 def derivative_columns(revolute: Bools, slots: Ints) -> Ints:
-    """Say for each parameter what it does: mode, link, axis and point in `chain_axes`, prismatic joints before it.
-
-    revolute: shape (n_links,).
-    slots: positions in the model vector, shape (n,).
-    Returns shape (n, 5).
-    """
+    """What each parameter does, (n, 5): mode, link, axis and point in `chain_axes`, prismatic joints before it."""
     n_links = len(revolute)
     by_extrinsic = {
         BETA_ET: (TURN, n_links, 0, 4),
@@ -173,12 +168,7 @@ def group_changes(
     prismatic_axes: Floats,
     changes: Floats,
 ) -> None:
-    """Derivatives of N, D and the prismatic slopes of one group.
-
-    columns: from `derivative_columns`.
-    changes: written, shape (2 + n_prismatic, n_columns): parameters side by side, so that one instruction serves
-    several.
-    """
+    """Derivatives of N, D and the prismatic slopes of one group; writes `changes` (2 + n_prismatic, n_columns)."""
     n_links, n_prismatic = axes.shape[0] - 1, prismatic_axes.shape[0]
     nx, ny, nz = axes[n_links, 3, 0], axes[n_links, 3, 1], axes[n_links, 3, 2]
     for j in range(columns.shape[0]):

@@ -36,10 +36,7 @@ def is_angle(slot: int, n_links: int) -> bool:
 
 @compiled
 def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> tuple[Floats, Floats, Floats]:
-    """Model vectors of a block of equal lanes, with cosines and sines.
-
-    Each has shape (model size, width), of which the first `n_lanes` columns are set.
-    """
+    """Model vectors of a block of equal lanes, with cosines and sines, shape (model size, width) each."""
     vector, cosine, sine = np.empty((base.size, width)), np.empty((base.size, width)), np.empty((base.size, width))
     for slot in range(base.size):
         c, s = 1.0, 0.0
@@ -52,10 +49,7 @@ def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> tuple[F
 
 @compiled
 def fill_block(slots: Ints, values: Floats, n_links: int, vector: Floats, cosine: Floats, sine: Floats) -> None:
-    """Put parameter vectors `values` (n_lanes, n) into the model vectors of a block, with cosines and sines.
-
-    `vector`, `cosine` and `sine` have shape (model size, at least n_lanes).
-    """
+    """Put parameter vectors `values` (n_lanes, n) into the model vectors of a block, with cosines and sines."""
     for j in range(slots.size):
         slot = slots[j]
         for lane in range(values.shape[0]):

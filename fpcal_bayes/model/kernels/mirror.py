@@ -26,12 +26,7 @@ from fpcal_bayes.model.kernels.lengths import (
 
 @compiled
 def batch_mirrors(base: Floats, slots: Ints, values: Floats, revolute: Bools, q: Floats) -> tuple[Floats, Floats]:
-    """Mirror normals and origins in the world frame, columns three and four of wTt (paper equation (19)).
-
-    base, slots, values, revolute: as in `fpcal_bayes.model.kernels.lengths.batch_lengths`.
-    q: joint vectors, shape (n_poses, n_joints), in um and rad.
-    Returns normals and origins, each of shape (n_vectors, n_poses, 3).
-    """
+    """Mirror normals and origins, columns three and four of wTt (paper equation (19)), (n_vectors, n_poses, 3) each."""
     n_links, n_poses = revolute.size, q.shape[0]
     first = STRIDE * n_links
     normals, origins = np.empty((values.shape[0], n_poses, 3)), np.empty((values.shape[0], n_poses, 3))

@@ -45,12 +45,9 @@ def constant_rotations(cosine: Floats, sine: Floats, revolute: Bools, between: F
 
 @compiled
 def three_turns(between: Floats, target: Floats, turns: Floats) -> int:
-    """Turns of three revolute joints that give the target's orientation.
+    """Turns of three revolute joints that give the orientation of `target`, wTe; `between` by `constant_rotations`.
 
-    between: from `constant_rotations`, shape (4, 3, 3).
-    target: wTe that is wanted, shape (4, 4).
-    turns: written, shape (2, 3), in rad: the two solutions, equal where they meet.
-    Returns number of solutions: 2, or 0 where the orientation is out of reach.
+    Writes `turns` (2, 3), in rad, equal where the two solutions meet. Returns 2, or 0 if it is out of reach.
     """
     m, half_way = np.empty((3, 3)), np.empty((3, 3))
     first, last = between[0], between[3]
@@ -84,10 +81,7 @@ def three_turns(between: Floats, target: Floats, turns: Floats) -> int:
 
 @compiled
 def wind(q: float, period: float, near: float, low: float, high: float) -> float:
-    """The joint value that differs from `q` by whole periods and lies nearest to `near`, inside the limits if one does.
-
-    `low` and `high` may be infinite.
-    """
+    """The joint value whole periods from `q` that lies nearest to `near`, inside the limits if one does."""
     slack = 1e-9 * (1.0 + abs(q))
     q += period * math.floor((near - q) / period + 0.5)
     if q < low - slack:

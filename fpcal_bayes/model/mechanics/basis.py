@@ -34,20 +34,14 @@ def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
 
 
 def harmonics(q: Floats) -> Floats:
-    """Cosine and sine of one to four turns per turn, shape (n, 8): cos q, sin q, cos 2q, ...; of (n, m), (n, m, 8).
-
-    There is no linear term: a full turn closes.
-    """
+    """Cosine and sine of one to four turns per turn, cos q, sin q, cos 2q, ..., shape (..., 8): a full turn closes."""
     angles = q[..., None] * np.arange(1, HARMONICS + 1)
     values: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * HARMONICS)
     return values
 
 
 def weight_sd(size: float, shape: Shape) -> Floats:
-    """Standard deviations of the weights of one function of peak to valley `size`.
-
-    Returns by k, shape (5,) or (4,); zero for a fundamental that is not there.
-    """
+    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,) or (4,)."""
     count = LEGENDRE if shape.startswith("legendre") else HARMONICS
     sd: Floats = size / PEAK_TO_VALLEY[shape] / np.arange(1, count + 1)
     if shape == "fourier-beyond-first":

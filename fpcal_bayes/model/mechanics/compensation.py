@@ -36,14 +36,10 @@ def compensated_path(
 ) -> tuple[Floats, Floats]:
     """A path that makes up for the mean of the error motions, or the path itself where that gains nothing.
 
-    vector: model vector that the controller holds, shape (model size,).
-    weights: posterior mean of the weights in units of their stated sizes, shape (n_weights,).
-    start, q: the path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints), in um and rad.
-    before: where the joints stand before the first point, shape (n_joints,); by default at `start`.
+    It is driven from `start` (n_joints,) along `q` (n_points, n_joints), the joints standing at `before` until then.
+    weights: posterior mean in units of their stated sizes, shape (n_weights,); `return_factor` is on return errors.
     geometry: what the geometry is expected to add beyond `vector`, shape (n_points,), in um.
-    return_factor: on the stated return errors.
-    Returns the joint path (n_points, n_joints), and what it adds to the change of cavity length that the geometry
-    expects of `q`, in um, shape (n_points,).
+    Returns the joint path, and what it adds to the change of length that the geometry expects of `q`, (n_points,).
     """
     cell, as_it_is = terms.cell, (q, np.zeros(len(q)))
     if not len(q):

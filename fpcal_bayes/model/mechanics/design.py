@@ -81,10 +81,7 @@ def _columns(terms: Terms, q: Floats, at: Responses) -> Floats:
 
 
 def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
-    """Of endless joints: the part of the fundamental radial motion that runs against the turn, (n, 2) each.
-
-    The part that runs with the turn carries the mirror round as an eccentricity does: geometry.
-    """
+    """Of endless joints: the part of the fundamental radial motion that runs against the turn, (n, 2) each."""
     made = []
     for motion in terms.elliptic:
         i = motion.joint
@@ -244,10 +241,7 @@ def _unknown_encoder(terms: Terms) -> Floats:
 
 
 def _shared(effects: Floats, places: Ints, users: Ints, sigma: Floats) -> tuple[list[tuple[int, Floats]], Floats]:
-    """Errors of positions (`places`) that several `users`, one per row, share: joint and column of each, and the rest.
-
-    The `effects` are those of unit errors at the start and end of each row; all but users are (2, n, n_joints).
-    """
+    """Errors of `places` that several `users`, one per row, share: joint and column of each, and the rest."""
     left, found = effects.copy(), []
     least = _FELT * float(np.median(sigma)) if 0 < len(sigma) <= _LONG else np.inf
     for i in np.flatnonzero(np.abs(effects).max(axis=(0, 1), initial=0.0) > least).tolist():

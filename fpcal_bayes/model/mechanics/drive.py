@@ -96,10 +96,7 @@ def drive_of(
 
 
 def path_sides(start: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Directions of approach along a path that is driven point by point from `start`.
-
-    Returns the sides at the start, not known, shape (n_joints,), and at the points, shape (n_points, n_joints).
-    """
+    """Directions of approach along a path driven from `start`: there, not known, (n_joints,), and at its points."""
     poses = np.vstack([start, q])
     return np.zeros(len(start)), _follow(np.sign(np.diff(poses, axis=0)), np.zeros(len(start)))
 

@@ -41,13 +41,10 @@ class MechanicsTaskErrors:
 def known_task_errors(
     estimate: Estimate, start: Floats, q: Floats, *, added: Floats | None = None, draws: int = 10_000, seed: int = 0
 ) -> tuple[MechanicsTaskErrors, Floats, dict[str, Floats]]:
-    """Draw the error along a path with what an estimate knows of geometry and error motions.
+    """Draw the error along a path `q` (n_points, n_joints), driven from `start`, with what an estimate knows.
 
-    start, q: the path is driven point by point from `start` (n_joints,) along `q` (n_points, n_joints).
-    added: what `q` adds on purpose to the change of cavity length that is wanted (see `compensated_path`), shape
-    (n_points,).
-    Returns the errors; the deviations of the estimate's parameters, shape (n_draws, n_parameters); and by its name what
-    each cause adds along the path, shape (n_draws, n_points) each.
+    added: what `q` adds on purpose to the change of length (see `compensated_path`), shape (n_points,).
+    Returns the errors; the deviations of the parameters, (n_draws, n_parameters); and what each cause adds, by name.
     """
     drawn = _Drawn.of(estimate, draws, seed)
     rng = drawn.rng()
@@ -77,8 +74,8 @@ def known_pose_errors(
 ) -> tuple[Floats, Floats]:
     """What error motions and return add to place and direction of the mirror; as `known_task_errors`.
 
-    Returns the deviations of the estimate's parameters, shape (n_draws, n_parameters), and what is added, in the order
-    of `pose_responses`, shape (n_draws, n_points, 5). Weights that no length feels are drawn as the cell states them.
+    Returns the deviations of the parameters and what is added, in the order of `pose_responses`, shape (n_draws,
+    n_points, 5). Weights that no length feels are drawn as the cell states them.
     """
     drawn, total = _Drawn.of(estimate, draws, seed), []
     paths = pose_designs(drawn.terms, estimate.vector(), start, q)
@@ -148,10 +145,7 @@ class _Drawn:
 
 
 def known_task_sd(estimate: Estimate, start: Floats, q: Floats, added: Floats | None = None) -> Floats:
-    """Root mean square of the error along a path, shape (n_points,), in um; arguments as in `known_task_errors`.
-
-    What the draws of an estimate leave to chance is summed in closed form, so that many points cost little.
-    """
+    """Root mean square of the error along a path, shape (n_points,), in um, in closed form; as `known_task_errors`."""
     knowledge = estimate.mechanics
     if knowledge is None:
         raise InputError("the estimate knows nothing of the cell's mechanics")

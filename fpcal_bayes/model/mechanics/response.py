@@ -38,10 +38,7 @@ class Directions:
 
 
 def directions(cell: Cell, levers_mm: Floats) -> Directions:
-    """Directions of each joint's error motions, at joint zero of the nominal cell.
-
-    levers_mm: in world axes, shape (n_joints, 3).
-    """
+    """Directions of each joint's error motions at joint zero of the nominal cell; levers in world axes."""
     vector = cell.parameters.nominal
     beam = chain.optical_axis(cell, vector).real
     bases = _frames(cell, vector, np.zeros((1, len(cell.joints)))).base[0]
@@ -71,10 +68,7 @@ class Responses:
 
 
 def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Ints | None = None) -> Responses:
-    """Derivatives of the cavity length by small motions at poses `q` (n_poses, n_joints), in um and rad.
-
-    `beam` (n_poses,) is the number of the beam that sees each pose, by default the first.
-    """
+    """Derivatives of the cavity length by small motions at poses (n_poses, n_joints) seen by beams (n_poses,)."""
     if cell.further:
         whole = [np.empty((len(q), *shape)) for shape in ((q.shape[1], 6), (q.shape[1],), (3,), ())]
         for number, (view, index) in enumerate(cell.views):
@@ -150,7 +144,7 @@ def _of_point(cell: Cell, vector: Floats, told: Directions, frames: "_Frames", a
 def pose_responses(cell: Cell, vector: Floats, told: Directions, q: Floats) -> list[Responses]:
     """Derivatives of place and direction of the mirror point in the fibre frame: x, z, then turns about x, y, z.
 
-    As `responses`, in um and rad; the mirror point is the one that reflects at joint zero. They have no length.
+    The mirror point is the one that reflects at joint zero.
     """
     zero = np.zeros(len(cell.joints))
     in_mirror = np.append(chain.reflection_point(cell, vector, zero)[1].real, 1.0)

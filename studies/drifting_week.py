@@ -6,18 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.decision.closed_loop import Plan, Sessions, run_rule, task_peaks
-from fpcal_bayes.measure.protocol import paper_protocol
-from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.measure.truth import Truth, paper_truth
-from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.simulator.sweeps import simulate_um
-from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.drift import DriftModel, likely_terms
-from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
-from fpcal_bayes.tracking.tracker import calibrate
+from fpcal_bayes.decision import Sessions, run_rule, task_peaks
+from fpcal_bayes.measure import Sweeps, Truth, paper_protocol, paper_truth
+from fpcal_bayes.model import CavityModel, Cell
+from fpcal_bayes.simulator import simulate_um
+from fpcal_bayes.tracking import DriftModel, Limits, SessionOutcome, calibrate, followed_drift, likely_terms
+
+Floats = np.ndarray
 
 #: Length of a simulated campaign, and the steps of the truth and of the looks at the error, in hours.
 HOURS = 192.0
@@ -128,7 +123,7 @@ def follow(setting: Setting, week: DriftingWeek, rule: Rule, tasks: Sequence[str
     """Let a rule say when to measure, take in what it measures, and note the errors of the tasks."""
     model, times, spent = setting.model, [0.0], 0.0
 
-    def next_session(done: Sessions, now: float) -> tuple[float, Plan]:
+    def next_session(done: Sessions, now: float) -> tuple[float, Callable[[float], Sweeps | None]]:
         nonlocal spent
         began = time.perf_counter()
         wait, plan = rule(done.outcomes[-1], now, week)

@@ -37,6 +37,7 @@ from fpcal_bayes.infer import (
     fit_mechanics,
     identify,
     in_short_order,
+    measured_ground,
     mechanics_task_errors,
     prior_ground,
     task_errors,
@@ -216,7 +217,6 @@ def accuracy(options: argparse.Namespace) -> None:
     if options.adaptive:
         for n in options.numbers:
             sd, reference = adaptive(cell, grounds, n, options)
-            show(f"{n} adaptive, {options.adaptive} truths", sd, reference)
             scale = {task: np.sqrt((sd[task] ** 2).mean() / (reference[task] ** 2).mean()) for task in sd}
             # Few truths: their ratio to the paper's sweeps is carried over to all of them.
             level = levels["paper, 69 with midpoints" if options.against == "midpoints" else "paper, 69 end points"]
@@ -275,26 +275,32 @@ def draw_accuracy(found: Found, levels: Levels) -> Figure:
 def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> tuple[ByTask, ByTask]:
     """Half of the sweeps are planned before the cell is known, the others on what the first half told."""
     settings = settings_of(options)
-    planner = Planner(grounds.made, settings, grounds.reference)
-    first, at_once = planner.best(n // 2).sweeps, planner.best(n).sweeps
+    at_once = Planner(grounds.made, settings, grounds.reference).best(n).sweeps
+    first, rest = at_once.take(np.arange(n // 2)), at_once.take(np.arange(n // 2, n))
+    theirs = {task: sd[: options.adaptive] for task, sd in grounds.paper.items()}
+    same = grounds.judged.at_draws(np.arange(options.adaptive))
+    show(f"{n} at once, same truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
-    for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
+    for number, values in enumerate(same.goals.values):
         truth = Truth(cell.free, np.zeros(1), values[None])
         measured = simulate_um(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
-        now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
+        second = rest
         try:
-            second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
+            now = measured_ground(identify(cell, measured).estimate, measured, tasks=tuple(grounds.paper), draws=64)
+            planner = Planner(now, replace(settings, seed=number), grounds.reference)
+            found = planner.best(n - n // 2).sweeps
+            if planner.judge(found).value(range(len(found))) < planner.judge(rest).value(range(len(rest))):
+                second = found
         except InputError as error:
             print(f"truth {number + 1}: {error}; planned at once", flush=True)
-            second = at_once.take(np.arange(n // 2, n))
         # Judged at the truth, under the cell's own prior.
         there = grounds.judged.at_draws(np.array([number]))
         for task, sd in there.expected_sd(join([first, second]), readings=options.readings).items():
             ours[task].append(sd)
-    return (
-        {task: np.array(sd) for task, sd in ours.items()},
-        {task: sd[: options.adaptive] for task, sd in grounds.paper.items()},
-    )
+        if (number + 1) % 10 == 0:
+            so_far = {task: np.array(sd) for task, sd in ours.items()}
+            show(f"{n} adaptive, {number + 1} truths", so_far, {t: sd[: number + 1] for t, sd in theirs.items()})
+    return {task: np.array(sd) for task, sd in ours.items()}, theirs
 
 
 def extrinsic(options: argparse.Namespace) -> None:

@@ -26,6 +26,7 @@ from fpcal_bayes.infer.design.problem import (
     Ground,
     estimate_ground,
     measured_estimate,
+    measured_ground,
     prior_ground,
     shortfalls,
 )
@@ -257,12 +258,13 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     elif options.estimate is not None or options.hours is not None:
         raise InputError("--estimate and --hours: expected beside --for extrinsic only; --after takes measured sweeps")
     warm_up_inverse(cell)
-    if estimate is None and first is not None and first.measured:
-        estimate, first = measured_estimate(cell, first), None
+    draws = [(options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)]
     if estimate is not None:
         grounds = [estimate_ground(estimate, **common)] * 2
+    elif first is not None and first.measured:
+        estimate, measured, first = measured_estimate(cell, first), first, None
+        grounds = [measured_ground(estimate, measured, draws=n, seed=number, **common) for n, number in draws]
     else:
-        draws = (options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:

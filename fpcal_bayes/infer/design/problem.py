@@ -235,14 +235,19 @@ def prior_ground(
     draws: int = 64,
     points: int = POINTS,
     seed: int = 0,
+    values: Floats | None = None,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967)."""
+    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967).
+
+    With `values` (n_draws, n_free) it is linearised there.
+    """
     model, free = CavityModel.of(cell), cell.free
-    engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
-    with warnings.catch_warnings():
-        # Balance asks for a power of two; any number of draws serves here.
-        warnings.simplefilter("ignore", UserWarning)
-        values = Prior.of(free).values(engine.random(draws))
+    if values is None:
+        engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
+        with warnings.catch_warnings():
+            # Balance asks for a power of two; any number of draws serves here.
+            warnings.simplefilter("ignore", UserWarning)
+            values = Prior.of(free).values(engine.random(draws))
     terms = None if cell.mechanics is None else Terms.of(cell, cell.mechanics, free.names)
     goals = goals_of(model, values, tasks, radius=radius, points=points, terms=terms)
     made = Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
@@ -276,11 +281,32 @@ def estimate_ground(
 
 
 def measured_estimate(cell: Cell, sweeps: Sweeps) -> Estimate:
-    """What measured sweeps tell of a cell: the ground for the best next ones."""
+    """What measured sweeps tell of a cell: where the best next ones are planned."""
     found = identify(cell, sweeps)
     if not found.converged:
         raise InputError(f"{sweeps.file}: the identification did not converge, expected sweeps that can be fitted")
     return found.estimate
+
+
+def measured_ground(
+    estimate: Estimate,
+    sweeps: Sweeps,
+    *,
+    tasks: Sequence[str] = DEFAULT_TASKS,
+    radius: float | None = None,
+    draws: int = 64,
+    seed: int = 0,
+) -> Ground:
+    """A cell after measured sweeps, which an estimate was made of: the prior and these sweeps, where it may be.
+
+    Few sweeps leave the cell so uncertain that what they and others tell differs from one place to the next: both are
+    linearised at draws of the estimate. With mechanics the estimate itself counts, for it knows the sizes.
+    """
+    if estimate.mechanics is not None:
+        return estimate_ground(estimate, tasks=tasks, radius=radius)
+    values = normal_draws(estimate.values, estimate.covariance, draws, seed)
+    made = prior_ground(estimate.cell, tasks=tasks, radius=radius, values=values)
+    return replace(made, centre=estimate.values).with_known(sweeps, 0.0)
 
 
 def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:

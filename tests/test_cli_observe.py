@@ -33,7 +33,7 @@ def refused(arguments, capsys) -> str:
 
 def test_json_of_measured_sweeps(tmp_path, capsys):
     out = tmp_path / "out.json"
-    assert main(["observe", CASE_A, "--json", str(out), "--profile", "theta_wf,y_wf"]) == 0
+    assert main(["observe", CASE_A, "--json", str(out)]) == 0
     content = json.loads(out.read_text())
     assert (content["schema"], content["command"]) == ("fpcal/1", "observe")
     found = content["observability"]
@@ -57,7 +57,6 @@ def test_json_of_measured_sweeps(tmp_path, capsys):
     assert content["fit"]["n_sweeps"] == 69
     assert content["fit"]["converged"] is True
     assert content["covariance"]["names"] == list(content["parameters"])
-    assert [(p["name"], p["shape"]) for p in content["profiles"]] == [("theta_wf", "finite"), ("y_wf", "flat")]
     assert found["bounds"]["full"]["y_wf"]["unbiased"] is None
     captured = capsys.readouterr()
     assert "16 of 21 combinations are seen" in captured.out
@@ -106,8 +105,6 @@ def test_bad_input_is_one_line(plan, tmp_path, capsys):
     missing = str(tmp_path / "none.csv")
     assert "no such file" in refused([missing], capsys)
     assert "no session 'x'" in refused([CASE_A, "--session", "x"], capsys)
-    assert "unknown parameter 'theta_9'" in refused([CASE_A, "--profile", "theta_9"], capsys)
-    assert "profiles need measured sweeps" in refused([plan, "--profile", "theta_2"], capsys)
     assert "does not exist" in refused([CASE_A, "--html", str(tmp_path / "no" / "page.html")], capsys)
     assert "does not exist" in refused([CASE_A, "--json", str(tmp_path / "no" / "out.json")], capsys)
     assert "is an input of this command" in refused([plan, "--html", plan], capsys)
@@ -122,7 +119,7 @@ def test_bad_input_is_one_line(plan, tmp_path, capsys):
 
 def test_an_html_file_is_not_left_half_written(tmp_path, capsys):
     page = tmp_path / "page.html"
-    refused([CASE_A, "--html", str(page), "--profile", "theta_9"], capsys)
+    refused([CASE_A, "--html", str(page), "--session", "x"], capsys)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -162,7 +162,7 @@ def test_too_little_data_is_a_report(few, with_data, tmp_path):
         "one": paper_protocol(CELL).take(np.array([0])),
         "alike": _alike(),
     }[few]
-    result = observe(CELL, measured(CELL, plan) if with_data else plan, profiles=["alpha_2"] if with_data else [])
+    result = observe(CELL, measured(CELL, plan) if with_data else plan)
     assert result.spectrum.rank == {"five": 5, "one": 1, "alike": 1}[few]
     assert len(result.gauges) == 21 - result.spectrum.rank
     assert len(result.base) == result.spectrum.rank
@@ -196,10 +196,6 @@ def test_default_candidates_are_midpoints_and_one_absolute_length():
 
 def test_bad_arguments_are_refused():
     plan = paper_protocol(CELL)
-    with pytest.raises(InputError, match="profiles need measured sweeps"):
-        observe(CELL, plan, profiles=["alpha_2"])
-    with pytest.raises(InputError, match="unknown parameter 'alpha_9'"):
-        observe(CELL, measured(CELL, plan), profiles=["alpha_9"])
     with pytest.raises(InputError, match="weak share 2"):
         observe(CELL, plan, weak_share=2.0)
     with pytest.raises(InputError, match="every row is of kind path"):

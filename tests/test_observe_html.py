@@ -28,7 +28,7 @@ def found() -> Observability:
     protocol, model = paper_protocol(CELL), CavityModel.of(CELL)
     exact = model.predict(paper_truth(CELL).at(0.0), model.rows(protocol.q_start, protocol.q_end))
     noise = 0.005 * np.random.default_rng(0).standard_normal(69)
-    return observe(CELL, protocol.with_measurement(exact + noise, 0.005), profiles=["theta_wf", "y_wf", "z_et"])
+    return observe(CELL, protocol.with_measurement(exact + noise, 0.005))
 
 
 @pytest.fixture(scope="module")
@@ -50,21 +50,15 @@ def test_nothing_is_fetched(page):
     assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", page))
 
 
-def test_five_figures_with_labels(page):
+def test_four_figures_with_labels(page):
     reader = Reader(page)
-    assert [tag for tag, _ in reader.tags].count("svg") == 5
+    assert [tag for tag, _ in reader.tags].count("svg") == 4
     named = [a["aria-label"] for _, a in reader.tags if a.get("role") == "img"]
-    assert len(named) == len(set(named)) == 5
+    assert len(named) == len(set(named)) == 4
     assert ("meta", {"charset": "utf-8"}) in reader.tags
     assert "16 of 21 combinations are seen" in reader.text
     for name in CELL.free.names:
         assert name in reader.text
-
-
-def test_without_profiles_there_are_four_figures(found):
-    reader = Reader(observe_html(replace(found, profiles=()), "x"))
-    assert [tag for tag, _ in reader.tags].count("svg") == 4
-    assert "Profile likelihoods" not in reader.text
 
 
 def test_everything_users_give_is_escaped(found):
@@ -92,7 +86,7 @@ def test_the_same_analysis_gives_the_same_bytes(found, page, tmp_path):
 
 def test_a_missing_folder_is_refused(found, tmp_path):
     with pytest.raises(InputError, match="does not exist"):
-        write_observe_html(replace(found, profiles=()), "x", tmp_path / "none" / "a.html")
+        write_observe_html(found, "x", tmp_path / "none" / "a.html")
 
 
 def test_many_sweeps_stay_light(found):

@@ -9,7 +9,6 @@ import pytest
 from rich.console import Console
 
 from fpcal_bayes.infer.observability.observe import Observability, observe
-from fpcal_bayes.infer.observability.profile import Profile
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
@@ -30,7 +29,7 @@ def found() -> Observability:
     protocol, model = paper_protocol(CELL), CavityModel.of(CELL)
     exact = model.predict(paper_truth(CELL).at(0.0), model.rows(protocol.q_start, protocol.q_end))
     noise = 0.005 * np.random.default_rng(0).standard_normal(69)
-    return observe(CELL, protocol.with_measurement(exact + noise, 0.005), profiles=["theta_wf", "y_wf"])
+    return observe(CELL, protocol.with_measurement(exact + noise, 0.005))
 
 
 def text_of(result: Observability, title: str = "file.csv", **console: object) -> str:
@@ -50,7 +49,6 @@ def test_a_plan_in_words(plan):
     assert "Remedy: the absolute cavity length of one pose (a wavelength scan) shows it." in text
     for base in plan.base:
         assert f"- {base}\n" in text
-    assert "Profile likelihoods" not in text
 
 
 def test_a_measurement_in_words(found):
@@ -102,20 +100,6 @@ def test_all_seen_and_no_clear_gap_are_said(plan):
     vague = replace(plan.spectrum, gap=12.0)
     assert "NO clear gap of 10^1" in words.headline(replace(plan, spectrum=vague))[0]
     assert "The rank differs between the draws: 15 to 16." in words.headline(replace(plan, ranks=(15, 16)))[2]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "shape", "expected"),
-    [
-        (-np.inf, 921.5, "one-sided", "y_wf: one-sided; 95 % bound: at most 921.5 um"),
-        (919.0, np.inf, "one-sided", "y_wf: one-sided; 95 % bound: at least 919 um"),
-        (919.0, 921.5, "finite", "y_wf: finite; 95 % interval 919.0 to 921.5 um"),
-        (-np.inf, np.inf, "flat", "y_wf: flat; the data bound it on neither side"),
-    ],
-)
-def test_profiles_in_words(plan, low, high, shape, expected):
-    profile = Profile("y_wf", np.zeros(1), np.zeros(1), low, high, shape, 0.95)
-    assert words.profile_sentence(profile, plan) == expected
 
 
 def test_percentages():

@@ -15,14 +15,7 @@ def run(options: argparse.Namespace) -> int:
     sweeps = read_sweeps(options.file, cell, plan=True).of_session(options.session)
     candidates = None if options.candidates is None else read_sweeps(options.candidates, cell, plan=True)
     warm_up(cell)
-    result = observe(
-        cell,
-        sweeps,
-        sigma=options.sigma_nm * 1e-3,
-        weak_share=options.weak_share,
-        profiles=[name for name in options.profile.split(",") if name],
-        candidates=candidates,
-    )
+    result = observe(cell, sweeps, sigma=options.sigma_nm * 1e-3, weak_share=options.weak_share, candidates=candidates)
     title = f"{options.file}, session {','.join(sweeps.sessions)}"
     write_result(options.json, "observe", result.content(), result.trust)
     if options.html is not None:

@@ -13,7 +13,6 @@ from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE
 from fpcal_bayes.infer.observability.gauges import Gauge
 from fpcal_bayes.infer.observability.information import REDUNDANT_BITS
 from fpcal_bayes.infer.observability.observe import Observability
-from fpcal_bayes.infer.observability.profile import Profile
 from fpcal_bayes.report import observe_figures as figures
 from fpcal_bayes.report.pages import ENVIRONMENT
 from fpcal_bayes.report.table import Table, TableCell, number, plain_table
@@ -179,22 +178,6 @@ def bounds_table(result: Observability) -> Table:
     return table
 
 
-def profile_sentence(profile: Profile, result: Observability) -> str:
-    """Shape and interval of one profile."""
-    parameter = result.parameters[profile.name]
-    low, high = parameter.shown(profile.low), parameter.shown(profile.high)
-    width = high - low if profile.shape == "finite" else np.nan
-    level = f"{100 * profile.level:g} %"
-    if profile.shape == "flat":
-        return f"{profile.name}: flat; the data bound it on neither side"
-    if profile.shape == "finite":
-        return (
-            f"{profile.name}: finite; {level} interval {number(low, width)} to {number(high, width)} {parameter.unit}"
-        )
-    side = f"at least {low:.6g}" if np.isfinite(low) else f"at most {high:.6g}"
-    return f"{profile.name}: one-sided; {level} bound: {side} {parameter.unit}"
-
-
 def shortened(names: Sequence[str], most: int) -> str:
     """Names in a row, the first `most` of them."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
@@ -247,9 +230,6 @@ def print_observability(result: Observability, title: str, out: Console) -> None
     out.print(sweep_table(result))
     lines(*information_sentences(result), "")
     out.print(bounds_table(result))
-    if result.profiles:
-        lines("Profile likelihoods")
-        lines(*(f"- {profile_sentence(profile, result)}" for profile in result.profiles), "")
 
 
 def write_observe_html(result: Observability, title: str, path: Path) -> None:
@@ -264,7 +244,6 @@ def observe_html(result: Observability, title: str) -> str:
         "contraction": figures.contraction_figure(result),
         "correlation": figures.correlation_figure(result),
         "information": figures.information_figure(result),
-        "profiles": figures.profile_figure(result) if result.profiles else "",
     }
     return ENVIRONMENT.get_template("observe.html").render(
         title=title,
@@ -280,7 +259,6 @@ def observe_html(result: Observability, title: str) -> str:
         sweeps=sweep_table(result),
         information=information_sentences(result),
         bounds=bounds_table(result),
-        profiles=[profile_sentence(profile, result) for profile in result.profiles],
         # Drawn here, and their texts escaped by the SVG writer.
         figures={name: Markup(svg) for name, svg in drawn.items()},
     )

@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
-from scipy import special
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Status
@@ -115,30 +114,6 @@ def information_figure(result: Observability) -> str:
         grown.set_ylabel("information together [bits]")
         single.grid(axis="y", alpha=0.3)
         grown.grid(alpha=0.3)
-    return svg[0]
-
-
-def profile_figure(result: Observability) -> str:
-    """Profiles with the threshold of their interval."""
-    n = len(result.profiles)
-    n_rows = -(-n // 2)
-    with svg_figure(8.4, 0.5 + 2.6 * n_rows) as (figure, svg):
-        axes = figure.subplots(n_rows, 2, squeeze=False).ravel()
-        for axis in axes[n:]:
-            axis.remove()
-        for axis, found in zip(axes, result.profiles, strict=False):
-            parameter = result.parameters[found.name]
-            threshold = 2.0 * float(special.gammaincinv(0.5, found.level))
-            axis.plot(found.values / parameter.scale, found.excess, ".-", color=BLUE)
-            axis.axhline(threshold, color="black", linestyle="--", linewidth=1, label=f"{100 * found.level:g} %")
-            for end in (found.low, found.high):
-                if np.isfinite(end):
-                    axis.axvline(parameter.shown(end), color=VERMILION, linewidth=1)
-            axis.set_ylim(-0.05 * threshold, 2.5 * threshold)
-            axis.set_xlabel(f"{found.name} [{parameter.unit}] ({found.shape})")
-            axis.set_ylabel("growth of the data's\nsum of squares [1]")
-            axis.grid(alpha=0.3)
-            axis.legend(frameon=False, loc="upper center")
     return svg[0]
 
 

@@ -189,7 +189,6 @@ def observe(commands: Commands) -> None:
         metavar="SHARE",
         help="a parameter is weak if more than this share of its prior variance is left (default: 0.5)",
     )
-    add("--profile", default="", metavar="NAME,..", help="parameters whose likelihood is profiled")
     add("--candidates", metavar="SWEEPS", help="further sweeps, not measured yet, whose worth is wanted")
     add("--html", metavar="OUT", type=Path, help="write a page with figures")
     add_json(parser)

@@ -1,6 +1,6 @@
 """Everything that a set of sweeps, measured or planned, can tell about a cell, in one report."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,7 +25,6 @@ from fpcal_bayes.infer.observability.measures import (
     bounds_of,
     indices_of,
 )
-from fpcal_bayes.infer.observability.profile import Profile, profile
 from fpcal_bayes.measure.protocol import add_midpoints
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
@@ -83,7 +82,6 @@ class Observability(Result):
     # cramer-Rao bounds by what is free: ``full``, ``extrinsic``, ``intrinsic``; with the parameters they are for
     bounds: dict[str, tuple[ParameterSet, Bounds]]
     candidates: tuple[tuple[str, float], ...]  # worth in bits of one more row: (label, bits), best first
-    profiles: tuple[Profile, ...]  # of the parameters that were asked for
     warnings: tuple[str, ...]  # sentences about what is not to be trusted
 
     def __repr__(self) -> str:
@@ -184,7 +182,6 @@ class Observability(Result):
                 },
                 "candidates": [{"label": label, "bits": bits} for label, bits in self.candidates],
             },
-            "profiles": [_profile_content(p, self.parameters) for p in self.profiles],
             "warnings": list(self.warnings),
         }
 
@@ -195,7 +192,6 @@ def observe(
     *,
     sigma: float = 0.005,
     weak_share: float = WEAK_SHARE,
-    profiles: Sequence[str] = (),
     candidates: Sweeps | None = None,
     seed: int = 0,
 ) -> Observability:
@@ -212,8 +208,6 @@ def observe(
         Standard deviation supposed for a plan's rows that have none, in um.
     weak_share
         A parameter is weak if the data leave more than this share of its prior variance.
-    profiles
-        Names of parameters to profile; measured sweeps only.
     candidates
         Further sweeps whose worth is wanted; by default the midpoints of the sweeps and one absolute length.
     seed
@@ -222,13 +216,10 @@ def observe(
     Raises
     ------
     InputError
-        If a name is unknown, or profiles are wanted of a plan.
+        If the share is not between 0 and 1, or there is no sweep.
     """
     if not 0.0 < weak_share < 1.0:
         raise InputError(f"weak share {weak_share:g}: expected a number between 0 and 1")
-    if profiles and not sweeps.measured:
-        raise InputError(f"{sweeps.file}: profiles need measured sweeps, expected dl_um and sigma_um")
-    cell.select(profiles)
     used = sweeps.take(sweeps.kind != "path")
     if len(used) == 0:
         raise InputError(f"{sweeps.file}: every row is of kind path, expected at least one sweep")
@@ -275,7 +266,6 @@ def observe(
         information=information_of(jacobian, used),
         bounds=_bounds(cell, jacobian),
         candidates=_worth(model, used, values, jacobian, candidates, sigma),
-        profiles=_profiles(identification, profiles),
         warnings=tuple(warnings),
     )
 
@@ -363,26 +353,6 @@ def _worth(
     gains = gain_of(jacobian, whitened_jacobian(model, alone, values))
     order = np.argsort(-gains, kind="stable")
     return tuple((str(alone.label[i]), float(gains[i])) for i in order)
-
-
-def _profiles(identification: Identification | None, names: Sequence[str]) -> tuple[Profile, ...]:
-    if identification is None:
-        return ()
-    return tuple(profile(identification.problem, identification.solution, name) for name in names)
-
-
-def _profile_content(found: Profile, parameters: ParameterSet) -> dict[str, Any]:
-    scale = parameters[found.name].scale
-    return {
-        "name": found.name,
-        "unit": parameters[found.name].unit,
-        "shape": found.shape,
-        "level": found.level,
-        "low": finite(found.low / scale),
-        "high": finite(found.high / scale),
-        "values": (found.values / scale).tolist(),
-        "excess": found.excess.tolist(),
-    }
 
 
 def finite(value: float) -> float | None:

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from fpcal_bayes import report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
@@ -42,8 +43,7 @@ from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
 from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
-from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import accuracy_table, draw_frontier, frontier_content, plan_content, sweeps_table
+from fpcal_bayes.report.plan import accuracy_table, frontier_content, plan_content, sweeps_table
 from fpcal_bayes.tracking.drift import propagated
 
 #: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
@@ -140,7 +140,7 @@ def _plan(
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
     plan_validation.write_planned(options, planned, cell)
     if frontier is not None:
-        save_figure(draw_frontier(frontier, points), options.frontier)
+        report.save_figure(report.draw_frontier(frontier, points), options.frontier)
     warnings += [reason.text for reason in trust.reasons]
     content = plan_content(
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings

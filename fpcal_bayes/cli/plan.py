@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from fpcal_bayes import report
+import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result

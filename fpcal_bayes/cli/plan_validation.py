@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes import report
+import fpcal_bayes.report as report
 from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError

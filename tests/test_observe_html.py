@@ -100,7 +100,7 @@ def test_many_sweeps_stay_light(found):
     )
     page = observe_html(replace(found, information=many), "x")
     assert len(page) < 2_000_000
-    assert page.count("<svg") == 5
+    assert page.count("<svg") == 4
 
 
 def test_bins_keep_the_largest():

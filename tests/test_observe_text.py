@@ -1,6 +1,5 @@
 """The text of an observability analysis."""
 
-import re
 from dataclasses import replace
 from io import StringIO
 
@@ -57,8 +56,6 @@ def test_a_measurement_in_words(found):
     i = CELL.free.position("theta_wf")
     value, sd = np.degrees(found.values[i]), np.degrees(np.sqrt(found.covariance[i, i]) * CELL.free.prior_sd[i])
     assert row.split()[:5] == ["theta_wf", "deg", "identified", f"{value:.4f}", f"{sd:.4f}"]
-    assert "y_wf: flat; the data bound it on neither side" in text
-    assert re.search(r"theta_wf: finite; 95 % interval -0\.5\d+ to -0\.5\d+ deg", text)
     rows = [line.split() for line in text.splitlines() if line.split()[:2] == ["y_wf", "um"]]
     assert rows[-1][2:] == ["unbounded", "200", "unbounded", "200"]
 

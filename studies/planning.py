@@ -1,4 +1,4 @@
-"""Accuracy against the number of sweeps: the paper's order, random, greedy, exchange, best found, adaptive.
+"""Accuracy against the number of sweeps: the paper's order, random, greedy, best found, adaptive.
 
     python studies/planning.py accuracy --numbers 10,12,14 --simulate    each way; simulated, too
     python studies/planning.py extrinsic                                 the best 1 to 6 sweeps a day after
@@ -37,6 +37,7 @@ from fpcal_bayes.infer import (
     fit_mechanics,
     identify,
     in_short_order,
+    measured_ground,
     predict_from_covariance,
     prior_ground,
     task_errors,
@@ -164,8 +165,7 @@ def ways_of(cell: Cell, grounds: Grounds, options: argparse.Namespace) -> dict[s
     ways = {
         "paper's order": lambda: lambda n: paper.take(np.arange(n)),
         "random": lambda: lambda n: candidate_sweeps(cell, n=n, rng=np.random.default_rng(options.seed), limits=limits),
-        "greedy": lambda: planned(starts=1, passes=0, iterations=0),
-        "exchange": lambda: planned(starts=1, passes=5, iterations=0),
+        "greedy": lambda: planned(starts=1, iterations=0),
         "best": lambda: planned(),
     }
     return {name: make() for name, make in ways.items() if name in options.ways}
@@ -201,7 +201,7 @@ def accuracy(options: argparse.Namespace) -> None:
             began = time.process_time()
             plan = choose(n)
             spent = time.process_time() - began
-            if name in ("random", "greedy", "exchange"):
+            if name in ("random", "greedy"):
                 plan = in_short_order(cell, plan)
             each = grounds.judged.sd_at_draws(plan, readings=options.readings)
             show(f"{n} {name} ({spent:.0f} s)", each, grounds.paper)
@@ -217,7 +217,6 @@ def accuracy(options: argparse.Namespace) -> None:
     if options.adaptive:
         for n in options.numbers:
             sd, reference = adaptive(cell, grounds, n, options)
-            show(f"{n} adaptive, {options.adaptive} truths", sd, reference)
             scale = {task: np.sqrt((sd[task] ** 2).mean() / (reference[task] ** 2).mean()) for task in sd}
             # Few truths: their ratio to the paper's sweeps is carried over to all of them.
             level = levels["paper, 69 with midpoints" if options.against == "midpoints" else "paper, 69 end points"]
@@ -276,26 +275,32 @@ def draw_accuracy(found: Found, levels: Levels) -> Figure:
 def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) -> tuple[ByTask, ByTask]:
     """Half of the sweeps are planned before the cell is known, the others on what the first half told."""
     settings = settings_of(options)
-    planner = Planner(grounds.made, settings, grounds.reference)
-    first, at_once = planner.best(n // 2).sweeps, planner.best(n).sweeps
+    at_once = Planner(grounds.made, settings, grounds.reference).best(n).sweeps
+    first, rest = at_once.take(np.arange(n // 2)), at_once.take(np.arange(n // 2, n))
+    theirs = {task: sd[: options.adaptive] for task, sd in grounds.paper.items()}
+    same = grounds.judged.at_draws(np.arange(options.adaptive))
+    show(f"{n} at once, same truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
-    for number, values in enumerate(grounds.judged.goals.values[: options.adaptive]):
+    for number, values in enumerate(same.goals.values):
         truth = Truth(cell.free, np.zeros(1), values[None])
         measured = simulate_um(cell, truth, read_often(first, options.readings), sigma=SIGMA, seed=number)
-        now = estimate_ground(identify(cell, measured).estimate, tasks=tuple(grounds.paper))
+        second = rest
         try:
-            second = Planner(now, replace(settings, seed=number), grounds.reference).best(n - n // 2).sweeps
+            now = measured_ground(identify(cell, measured).estimate, measured, tasks=tuple(grounds.paper), draws=64)
+            planner = Planner(now, replace(settings, seed=number), grounds.reference)
+            found = planner.best(n - n // 2).sweeps
+            if planner.judge(found).value(range(len(found))) < planner.judge(rest).value(range(len(rest))):
+                second = found
         except InputError as error:
             print(f"truth {number + 1}: {error}; planned at once", flush=True)
-            second = at_once.take(np.arange(n // 2, n))
         # Judged at the truth, under the cell's own prior.
         there = grounds.judged.at_draws(np.array([number]))
         for task, sd in there.expected_sd(join([first, second]), readings=options.readings).items():
             ours[task].append(sd)
-    return (
-        {task: np.array(sd) for task, sd in ours.items()},
-        {task: sd[: options.adaptive] for task, sd in grounds.paper.items()},
-    )
+        if (number + 1) % 10 == 0:
+            so_far = {task: np.array(sd) for task, sd in ours.items()}
+            show(f"{n} adaptive, {number + 1} truths", so_far, {t: sd[: number + 1] for t, sd in theirs.items()})
+    return {task: np.array(sd) for task, sd in ours.items()}, theirs
 
 
 def extrinsic(options: argparse.Namespace) -> None:
@@ -327,7 +332,7 @@ def machine(options: argparse.Namespace) -> None:
     ground = prior_ground(cell, tasks=tuple(options.tasks), draws=options.draws, seed=options.seed)
     paper = paper_protocol(cell)
     reference = ground.expected_sd(paper, readings=2)
-    planner = Planner(ground, replace(settings_of(options), starts=4, finalists=1), reference)
+    planner = Planner(ground, replace(settings_of(options), starts=3, trials=6), reference)
     plans = {"paper, midpoints": paper}
     plans |= {str(n): planner.in_order(planner.best(n).sweeps) for n in options.numbers}
     for name, plan in plans.items():
@@ -375,7 +380,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("what", choices=("accuracy", "extrinsic", "machine", "figure"))
     made.add_argument("files", nargs="*", type=Path, help="figure: what accuracy --json wrote")
     made.add_argument("--numbers", type=lambda text: [int(n) for n in text.split(",")], default=[10, 12, 14])
-    made.add_argument("--ways", type=names, default=["paper's order", "random", "greedy", "exchange", "best"])
+    made.add_argument("--ways", type=names, default=["paper's order", "random", "greedy", "best"])
     made.add_argument("--tasks", type=names, default=list(DEFAULT_TASKS))
     made.add_argument(
         "--against", choices=("endpoints", "midpoints"), default="endpoints", help="of the paper's sweeps"

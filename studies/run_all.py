@@ -31,7 +31,7 @@ STUDIES = (
     ("fpcal", "study", "coverage", "--replicates", "100", "--anew", "-o", str(OUTPUT / "coverage.h5")),
     ("compare_models.py", "--truths", "1", "--paths", "axis"),
     ("posterior_sbc.py", "--replicates", "4", "-o", str(OUTPUT / "posterior_sbc.json")),
-    ("planning.py", "accuracy", "--numbers", "12", "--draws", "16", "--truths", "20", "--variations", "5"),
+    ("planning.py", "accuracy", "--numbers", "12", "--draws", "16", "--truths", "20"),
     ("tracking.py", "--weeks", "10"),
     ("policies.py", "--weeks", "20", "--levels", "0.13"),
 )

@@ -105,12 +105,6 @@ def test_reidentification(capsys: pytest.CaptureFixture[str]) -> None:
     assert sooner["circle"] < expected["before"]["circle"]
 
 
-@pytest.mark.parametrize("criterion", ["I", "A", "D", "E", "O1"])
-def test_criteria(criterion: str, femto: Cell) -> None:
-    run("plan", "--n", 2, "--draws", 2, "--candidates", 20, "--criterion", criterion, "-o", "p.csv", "--quiet")
-    assert len(read_sweeps("p.csv", femto, plan=True, whole=True)) == 2
-
-
 def test_a_mirror_that_no_task_can_turn(capsys: pytest.CaptureFixture[str]) -> None:
     """The mirror's x axis stands the other way round, beyond the limits of q5."""
     assert "aligned pose cannot be reached" in refusal(

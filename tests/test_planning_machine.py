@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import DATA
 
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
-from fpcal_bayes.infer.design.criteria import criterion_by_name
+from fpcal_bayes.infer.design.information import Criterion
 from fpcal_bayes.infer.design.plan import Planner, PlanSettings
 from fpcal_bayes.infer.design.problem import Ground, prior_ground
 from fpcal_bayes.infer.design.rows import TRACE_READINGS, plan_rows, sweep_rows
@@ -68,7 +69,7 @@ def test_slopes_of_the_ends_against_differences(ground: Ground, mechanics: str |
 
     def judge(start: np.ndarray, end: np.ndarray):
         design = used.design(replace(sweeps, q_start=start, q_end=end), readings=2, sigma=0.005)
-        return criterion_by_name("I", design, reference)
+        return Criterion(design, reference)
 
     by_rows = judge(sweeps.q_start, sweeps.q_end).slope(range(16))[..., : made.root.shape[1]]
     step = 1e-4 * np.where(used.cell.revolute, 0.01, 1.0)
@@ -107,7 +108,7 @@ def test_a_whole_trace_tells_as_much_as_many_readings() -> None:
 
 def test_a_plan_on_a_machine_covers_the_spin_and_turns_round(cell: Cell, ground: Ground) -> None:
     """Spin needs q6 where the paper's sweeps do not go; lost motion shows only if joints come from both sides."""
-    planner = Planner(ground, PlanSettings(n_candidates=100, starts=1, finalists=1, share=3, iterations=2))
+    planner = Planner(ground, PlanSettings(n_candidates=100, starts=1, trials=1, share=3, iterations=2))
     found = planner.best(8)
     ordered = planner.in_order(found.sweeps)
     assert planner.value(ordered) <= planner.value(found.sweeps) * 1.05
@@ -127,3 +128,12 @@ def test_without_mechanics_rows_in_order_are_those_of_the_plan() -> None:
         jacobian = ground.goals.jacobians[name] * cell.free.prior_sd
         variance = np.einsum("dpi,dij,dpj->dp", jacobian, left, jacobian)
         np.testing.assert_allclose(sd, np.sqrt(variance.max(axis=1)), rtol=1e-4)
+
+
+def test_a_machine_that_only_misses_what_it_returns_to(femto: Cell) -> None:
+    """No error motion is shared between sweep and task, as where a cell states repeatability alone."""
+    ground = prior_ground(load_cell(DATA / "lab7.toml"), tasks=TASKS, draws=2)
+    assert ground.machine is not None
+    assert ground.machine.basis.shape[0] == 0
+    before, after = ground.expected_sd(None), ground.expected_sd(paper_protocol(femto).take(np.arange(40)))
+    assert all(after[task] < before[task] for task in TASKS)

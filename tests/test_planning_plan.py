@@ -9,8 +9,8 @@ from task_fixtures import paper_estimate
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
 from fpcal_bayes.infer.design.exchange import choose_sweeps
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, shortfalls
-from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings
+from fpcal_bayes.infer.design.problem import Ground, estimate_ground, goals_of, prior_ground, shortfalls
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_errors, task_jacobian
@@ -23,7 +23,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate_um
 
-SMALL = PlanSettings(n_candidates=150, starts=2, iterations=10, share=4, several=True)
+SMALL = PlanSettings(n_candidates=150, starts=2, trials=2, iterations=10, share=4, several=True)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_better_than_random_and_than_greedy(cell: Cell, ground: Ground, planner:
     found = planner.best(8)
     plain = Planner(
         ground,
-        replace(SMALL, passes=0, iterations=0, starts=1),
+        replace(SMALL, iterations=0, starts=1),
         dict(zip(ground.goals.jacobians, planner.reference, strict=True)),
     )
     excess = planner.excess({name: sd[-1] for name, sd in found.sd.items()})

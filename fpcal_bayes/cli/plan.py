@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments.common import positive
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
@@ -21,8 +22,16 @@ from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
 from fpcal_bayes.infer.design.order import duration
-from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point, shortfalls
-from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, measured_estimate, prior_ground
+from fpcal_bayes.infer.design.plan import Planner, PlanSettings, Point
+from fpcal_bayes.infer.design.problem import (
+    DEFAULT_TASKS,
+    Ground,
+    estimate_ground,
+    measured_estimate,
+    measured_ground,
+    prior_ground,
+    shortfalls,
+)
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps
@@ -35,8 +44,7 @@ from fpcal_bayes.model.envelope import no_envelope_text, require_within_envelope
 from fpcal_bayes.model.margin import prior_draws
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.tasks import possible_tasks
-from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import accuracy_table, draw_frontier, frontier_content, plan_content, sweeps_table
+from fpcal_bayes.report.plan import accuracy_table, frontier_content, plan_content, sweeps_table
 from fpcal_bayes.tracking.drift import propagated
 
 #: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
@@ -133,7 +141,7 @@ def _plan(
     planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
     plan_validation.write_planned(options, planned, cell)
     if frontier is not None:
-        save_figure(draw_frontier(frontier, points), options.frontier)
+        report.save_figure(report.draw_frontier(frontier, points), options.frontier)
     warnings += [reason.text for reason in trust.reasons]
     content = plan_content(
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
@@ -154,7 +162,8 @@ def _plan(
                 of, other = "paper", max(expected["plan"][task] / sd for task, sd in expected["paper"].items())
             out.say(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
     if frontier is not None:
-        out.say(f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps")
+        knee = frontier.points[frontier.knee].sweeps
+        out.say(f"knee of the frontier: {knee} sweeps, farthest from the straight line between its ends in logarithms")
     times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
     out.say(f"time: {times}")
     warn(warnings)
@@ -250,12 +259,13 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
     elif options.estimate is not None or options.hours is not None:
         raise InputError("--estimate and --hours: expected beside --for extrinsic only; --after takes measured sweeps")
     warm_up_inverse(cell)
-    if estimate is None and first is not None and first.measured:
-        estimate, first = measured_estimate(cell, first), None
+    draws = [(options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)]
     if estimate is not None:
         grounds = [estimate_ground(estimate, **common)] * 2
+    elif first is not None and first.measured:
+        estimate, measured, first = measured_estimate(cell, first), first, None
+        grounds = [measured_ground(estimate, measured, draws=n, seed=number, **common) for n, number in draws]
     else:
-        draws = (options.draws, options.seed), (min(options.draws, _CHECKED), options.seed + 1_000_003)
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
@@ -317,10 +327,9 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
     return PlanSettings(
         readings=readings,
         sigma=options.sigma_nm * 1e-3,
-        criterion=options.criterion,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,
-        **({} if cell.mechanics is None else {"starts": 4, "finalists": 1}),
+        **({} if cell.mechanics is None else {"starts": 3, "trials": 6}),
         seed=options.seed,
         limits=_limits(options),
     )
@@ -341,10 +350,10 @@ def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, ob
         "reach": options.reach,
         "readings": settings.readings,
         "sigma_nm": options.sigma_nm,
-        "criterion": settings.criterion,
         "candidates": settings.n_candidates,
         "coordinated": settings.several,
         "starts": settings.starts,
+        "exchanges": settings.trials,
         "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,

@@ -4,6 +4,7 @@ import argparse
 
 import numpy as np
 
+import fpcal_bayes.report as report
 from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
@@ -17,8 +18,7 @@ from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
 from fpcal_bayes.io.tickets import write_plan
 from fpcal_bayes.measure.ticket import Ticket
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.pages import save_figure
-from fpcal_bayes.report.plan import draw_plan, sweeps_table
+from fpcal_bayes.report.plan import sweeps_table
 
 
 def write_planned(options: argparse.Namespace, planned: Ticket, cell: Cell) -> None:
@@ -27,7 +27,7 @@ def write_planned(options: argparse.Namespace, planned: Ticket, cell: Cell) -> N
     if options.rows is not None:
         write_sweeps(options.rows, planned.rows(), cell)
     if options.figure is not None and planned.plan is not None:
-        save_figure(draw_plan(cell, planned.plan), options.figure)
+        report.save_figure(report.draw_plan(cell, planned.plan), options.figure)
 
 
 def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:

@@ -79,7 +79,7 @@ class _Pool:
         # The mean variance along the paths: the worst point alone would leave the slower directions to drift. Without
         # exchange each sweep is the best after those before it, as a session may end after any.
         chosen = choose_sweeps(
-            self.candidates, self.rows, goals, count, covariance=covariance, criterion="I", passes=passes
+            self.candidates, self.rows, goals, count, covariance=covariance, mean=True, passes=passes
         )  # fmt: skip
         return chosen.sweeps
 

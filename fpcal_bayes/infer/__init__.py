@@ -35,6 +35,7 @@ _PLACES = {
     "knowledge_of_fit": "mechanics.known",
     "linear_task_sd": "tasks.error",
     "make_target": "posterior.draws",
+    "measured_ground": "design.problem",
     "minimise": "fit.minimise",
     "observe": "observability.observe",
     "parse_models": "posterior.compare",

@@ -101,8 +101,9 @@ class InverseModel:
         far = np.where(self.cell.revolute, _FAR_TURN, _FAR_TRAVEL)
         low = np.where(np.isfinite(self.cell.low), self.cell.low, -far)
         high = np.where(np.isfinite(self.cell.high), self.cell.high, far)
-        n_starts = 0 if self.closed_form else _STARTS
-        return np.random.default_rng(0).uniform(low, high, (n_starts, len(low)))
+        if self.closed_form:
+            return np.empty((0, len(low)))
+        return np.random.default_rng(0).uniform(low, high, (_STARTS, len(low)))
 
     def tool_poses(self, vectors: Floats, q: Floats) -> Floats:
         """DGM: tool frames wTe (n_poses, 4, 4) of joint vectors, with an axis n_vectors in front as in `vectors`."""

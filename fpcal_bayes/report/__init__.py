@@ -4,7 +4,8 @@ from fpcal_bayes.core.lazy import lazy
 
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
-    "draw_plan": "plan",
+    "draw_frontier": "plan_figures",
+    "draw_plan": "plan_figures",
     "plain_table": "table",
     "save_figure": "pages",
     "write_campaign_report": "campaign.page",

@@ -1,6 +1,5 @@
 """A track and a decision as sentences, as tables and as JSON."""
 
-from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
 
@@ -11,6 +10,7 @@ from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.report.plan import add_sweeps
 from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.report.table import TableCell as Entry
 from fpcal_bayes.tracking.alarms import ROBOT_MOVED
@@ -123,15 +123,6 @@ def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
     table = plain_table("sweeps, the most useful first", ["sweep", "moves", *cell.joint_columns])
     add_sweeps(table, sweeps, cell, [str(i) for i in range(1, len(sweeps) + 1)])
     return table
-
-
-def add_sweeps(table: Table, sweeps: Sweeps, cell: Cell, names: Sequence[str]) -> None:
-    """Add a row per sweep: which joints move, and where each stands or where it begins and ends; um and deg."""
-    starts, ends = sweeps.q_start / cell.joint_scales, sweeps.q_end / cell.joint_scales
-    for name, start, end in zip(names, starts.tolist(), ends.tolist(), strict=True):
-        moving = [f"q{i}" for i, (a, b) in enumerate(zip(start, end, strict=True), 1) if a != b]
-        shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]
-        table.add_row(name, " ".join(moving), *shown)
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:

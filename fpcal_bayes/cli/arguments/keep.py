@@ -35,7 +35,6 @@ the cell from its mirror images.
 
 SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
 readings of each as rows of one group, for other programs.
-Criteria: worst (task), I (mean over tasks), A, D, E (of the parameters), O1 (observability index).
 """
 
 
@@ -60,7 +59,6 @@ def plan(commands: Commands) -> None:
     add("--readings", type=seed, metavar="K", help="of a sweep after its start, evenly spaced; 0: the whole trace")
     add("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
-    add("--criterion", choices=("worst", "I", "A", "D", "E", "O1"), default="worst", help="see below (default: worst)")
     add("--candidates", type=count, default=2000, metavar="N", help="to choose from (default: 2000)")
     add("--draws", type=count, metavar="N", help="of the prior (default: 192; with mechanics 24)")
     add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")

@@ -16,7 +16,7 @@ from fpcal_bayes.infer.design.candidates import (
     tilts,
     visible_ranges,
 )
-from fpcal_bayes.infer.design.criteria import Criterion
+from fpcal_bayes.infer.design.information import Criterion
 from fpcal_bayes.infer.design.rows import SweepRows
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cavity import CavityModel
@@ -27,7 +27,7 @@ _STEP = 1e-6
 _MARGIN = 1e-4
 #: Where the optimiser left the limits after all, an end goes back this share of its way.
 _BACK = (0.0, 1e-3, 1e-2, 0.1, 0.5)
-_LEAST_GAIN = 1e-6
+_LEAST_GAIN = 1e-4
 #: Sweeps that descend together.
 _TOGETHER = 20
 
@@ -106,7 +106,7 @@ def _part_descended(
 
     def slope(x: Floats) -> Floats:
         criterion = at(x)
-        by_rows = criterion.scale * criterion.slope(chosen)[:, :n, :, : made.root.shape[1]]
+        by_rows = criterion.slope(chosen)[:, :n, :, : made.root.shape[1]]
         return space.slope(made.slope(space.sweeps(x), by_rows, space.steps)) / abs(first)
 
     visible = optimize.NonlinearConstraint(

@@ -7,8 +7,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
-from fpcal_bayes.infer.design.information import Design
+from fpcal_bayes.infer.design.information import Criterion, Design
 from fpcal_bayes.measure.sweeps import Sweeps
 
 #: An exchange must make the criterion smaller by this share.
@@ -77,7 +76,7 @@ def choose_sweeps(
     *,
     covariance: Floats | None = None,
     tolerances: Mapping[str, float] | None = None,
-    criterion: str = "worst",
+    mean: bool = False,
     passes: int = 5,
 ) -> ChosenSweeps:
     """Choose sweeps that leave least unknown of the tasks; the same for the same arguments, for nothing is drawn.
@@ -87,15 +86,15 @@ def choose_sweeps(
     each task's points by the state in um, shape (n_draws or 1, n_points, n). `covariance` (n, n) is that of the state
     as it is known now, in the units that the derivatives are by, by default the identity.
 
-    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike. Without
-    `passes` of the exchange sweeps are taken greedily. `InputError` if there are fewer candidates than the `n` wanted,
-    no task, or a criterion or tolerance that is unknown.
+    Each task is judged by its standard deviation over that in `tolerances`, in um, by default all alike, at the worst
+    task's worst point or with `mean` averaged. Without `passes` of the exchange sweeps are taken greedily. `InputError`
+    if there are fewer candidates than the `n` wanted, no task, or a tolerance of an unknown one.
     """
     if not 1 <= n <= len(candidates):
         raise InputError(f"{n} sweeps out of {len(candidates)} candidates: expected 1 to {len(candidates)}")
     reference = reference_of(tuple(tasks), tolerances)
     design = Design.of(rows, tasks, covariance)
-    judge = criterion_by_name(criterion, design, reference)
+    judge = Criterion(design, reference, mean)
     chosen = greedy(judge, n)
     if passes:
         chosen = most_useful_first(judge, exchange(judge, chosen, passes=passes))

@@ -1,4 +1,4 @@
-"""The design problem: candidate rows and task derivatives over draws, and what a choice of candidates leaves."""
+"""The design problem: candidate rows and task derivatives over draws, what a choice leaves, how good that is."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,12 @@ from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
-from fpcal_bayes.infer.design.kernels import add_gains, worst_points
+from fpcal_bayes.infer.design.kernels import add_left, worst_points
+
+#: Power of the sum over tasks that stands for the worst of them: smooth enough to be climbed down, close to the worst.
+_POWER = 6.0
+#: Rows, as a share of the unknowns, up to which a system of the size of the rows is solved sooner.
+_FEW = 0.6
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,8 @@ class Design:
     # names, task_of_point: the tasks, and which one each point belongs to, shape (n_points,)
     names: tuple[str, ...]
     task_of_point: Ints
-    base: Floats  # upper triangular root of the information before any candidate, shape (n_draws, n, n)
+    # upper triangular root of the information before any candidate, shape (n_draws, n, n); None: the identity
+    base: Floats | None = None
 
     @classmethod
     def of(
@@ -42,9 +48,10 @@ class Design:
             root = covariance_root(covariance, eigh=linalg.eigh)
             rows, points, known = rows @ root, points @ root, None if known is None else known @ root
             n = root.shape[1]
-        base = np.broadcast_to(np.eye(n), (n_draws, n, n))
+        base = None
         if known is not None:
-            base = np.linalg.qr(np.concatenate([base, known], axis=1), mode="r")
+            identity = np.broadcast_to(np.eye(n), (n_draws, n, n))
+            base = np.linalg.qr(np.concatenate([identity, known], axis=1), mode="r")
         return cls(np.ascontiguousarray(rows), np.ascontiguousarray(points), tuple(tasks), of_point, base)
 
     @property
@@ -59,12 +66,10 @@ class Design:
 
     def roots(self, chosen: Sequence[int]) -> Floats:
         """Roots of the covariance after the chosen candidates: C = root root', shape (n_draws, n, n)."""
-        triangle = self.base
-        if len(chosen):
-            n_draws, n = len(self.rows), self.n_parameters
-            added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
-            triangle = np.linalg.qr(np.concatenate([self.base, added], axis=1), mode="r")
-        return np.linalg.inv(triangle)
+        n_draws, n = len(self.rows), self.n_parameters
+        base = np.broadcast_to(np.eye(n), (n_draws, n, n)) if self.base is None else self.base
+        added = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
+        return np.linalg.inv(np.linalg.qr(np.concatenate([base, added], axis=1), mode="r"))
 
     def task_variance(self, chosen: Sequence[int]) -> Floats:
         """Variance at every task point after the chosen candidates, in um^2, shape (n_draws, n_points)."""
@@ -79,12 +84,33 @@ class Design:
         n_draws, n, n_tasks = len(self.rows), self.n_parameters, len(self.names)
         variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
         rows = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
+        if rows.shape[1] < _FEW * n:
+            return self._worst_points_of_few(rows)
         worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
         return variance, directions
+
+    def _worst_points_of_few(self, rows: Floats) -> tuple[Floats, Floats]:
+        """As `worst_points` after few rows (n_draws, n_rows, n), by a system of their number (Woodbury)."""
+        tasks = self.tasks
+        root = None if self.base is None else np.linalg.inv(self.base)
+        if root is not None:
+            rows, tasks = rows @ root, tasks @ root
+        factor = np.linalg.cholesky(np.eye(rows.shape[1]) + rows @ rows.transpose(0, 2, 1))
+        seen = np.linalg.solve(factor, rows @ tasks.transpose(0, 2, 1))
+        variance = (tasks**2).sum(axis=-1) - (seen**2).sum(axis=1)
+        parts = np.split(variance, self.task_start[1:-1], axis=1)
+        worst = np.stack([part.argmax(axis=1) for part in parts], axis=1) + self.task_start[:-1]
+        told = np.linalg.solve(factor.transpose(0, 2, 1), np.take_along_axis(seen, worst[:, None], axis=2))
+        directions = np.take_along_axis(tasks, worst[..., None], axis=1) - told.transpose(0, 2, 1) @ rows
+        if root is not None:
+            directions = directions @ root.transpose(0, 2, 1)
+        return np.take_along_axis(variance, worst, axis=1), directions
 
     @cached_property
     def information(self) -> Floats:
         """Information before any candidate, shape (n_draws, n, n)."""
+        if self.base is None:
+            return np.broadcast_to(np.eye(self.n_parameters), (len(self.rows), self.n_parameters, self.n_parameters))
         return np.ascontiguousarray(self.base.transpose(0, 2, 1) @ self.base)
 
     @property
@@ -98,24 +124,62 @@ class Design:
         of_task = [variance[:, self.task_of_point == task] for task in range(len(self.names))]
         return np.array([(part.max(axis=1) if worst else part.mean(axis=1)).mean() for part in of_task])
 
-    def if_added(
-        self, chosen: Sequence[int], among: Ints | None = None, *, worst: bool = True, whole_state: bool = False
-    ) -> tuple[Floats, Floats]:
-        """What each candidate would leave if it were added to those chosen.
+    def if_added(self, chosen: Sequence[int], among: Ints | None = None, *, worst: bool = True) -> Floats:
+        """Expected task variances if each candidate were added to those chosen, in um^2, shape (n_candidates, n_tasks).
 
         Candidates are those at the positions `among`, by default all. The `worst` point of each task counts, else the
-        mean over its points; with `whole_state` the parameters themselves, in their units here, stand in place of the
-        tasks, as one task. Expected task variances, shape (n_candidates, n_tasks), and expected gain in the logarithm
-        of the determinant of the information, shape (n_candidates,).
+        mean over its points.
         """
         rows = self.rows if among is None else self.rows[:, among]
         n_draws, n_candidates, k, n = rows.shape
-        task_start = np.array([0, n]) if whole_state else self.task_start
-        left, gain = np.zeros((n_candidates, len(task_start) - 1)), np.zeros(n_candidates)
+        left = np.zeros((n_candidates, len(self.names)))
         for draw, root in enumerate(self.roots(chosen)):
-            points = root if whole_state else self.tasks[draw] @ root
+            points = self.tasks[draw] @ root
             scaled = rows[draw].reshape(-1, n) @ root
             products = (scaled @ points.T).reshape(n_candidates, k, -1)
-            variances = (points**2).sum(axis=1)
-            add_gains(scaled.reshape(n_candidates, k, n), products, variances, task_start, worst, left, gain)
-        return left / n_draws, gain / n_draws
+            add_left(
+                scaled.reshape(n_candidates, k, n), products, (points**2).sum(axis=1), self.task_start, worst, left
+            )
+        return np.asarray(left / n_draws)
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Expected variance of the worst task at its worst point, or with `mean` averaged over points and tasks.
+
+    The first is that of each task that G-optimal plans make small, the second that of I-optimal ones.
+    """
+
+    design: Design
+    reference: Floats  # standard deviation in um that each task is judged by, shape (n_tasks,)
+    mean: bool = False
+
+    def value(self, chosen: Sequence[int]) -> float:
+        """The criterion after those chosen."""
+        if self.mean:
+            return float(self._merit(self.design.expected_variance(chosen, worst=False)))
+        return float(self._merit(self.design.worst_points(chosen)[0].mean(axis=0)))
+
+    def if_added(self, chosen: Sequence[int], among: Ints | None = None) -> Floats:
+        """The criterion if each candidate, of all or those at given positions, were added to those chosen, (n,)."""
+        return np.asarray(self._merit(self.design.if_added(chosen, among, worst=not self.mean)))
+
+    def slope(self, chosen: Sequence[int]) -> Floats:
+        """Derivative of the worst task's value by the rows of those chosen, shape (n_draws, len(chosen), k, n)."""
+        # Of each task the worst point alone counts, at each draw another one: a change dW of the rows W changes its
+        # variance by -2 (W u)'(dW u), u the covariance times its derivatives.
+        variance, directions = self.design.worst_points(chosen)
+        expected = variance.mean(axis=0)
+        weights = (expected / self.reference**2 / self._merit(expected)) ** (_POWER - 1.0)
+        weights = weights / self.reference**2 / len(variance)
+        rows = self.design.rows[:, list(chosen)]
+        seen = rows.reshape(len(rows), -1, rows.shape[-1]) @ directions.transpose(0, 2, 1) * weights
+        return np.asarray((-2.0 * seen @ directions).reshape(rows.shape))
+
+    def _merit(self, variances: Floats) -> Floats:
+        """One number for variances of the tasks, shape (.., n_tasks)."""
+        ratio = variances / self.reference**2
+        if self.mean:
+            return np.asarray(ratio.mean(axis=-1))
+        largest = ratio.max(axis=-1, keepdims=True)
+        return np.asarray((((ratio / largest) ** _POWER).sum(axis=-1) ** (1.0 / _POWER)) * largest[..., 0])

@@ -14,27 +14,14 @@ from fpcal_bayes.model.kernels.compile import compiled
 
 
 @compiled
-def add_gains(
-    rows: Floats, products: Floats, variances: Floats, task_start: Ints, worst: bool, left: Floats, gain: Floats
-) -> None:
-    """Add up, over the draws, the task variances that each candidate would leave and the information it would add.
+def add_left(rows: Floats, products: Floats, variances: Floats, task_start: Ints, worst: bool, left: Floats) -> None:
+    """Add up, over the draws, the task variances that each candidate would leave, in `left` (n_candidates, n_tasks).
 
-    Parameters
-    ----------
-    rows
-        Rows of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
-    products
-        Rows times derivatives of the tasks, shape (n_candidates, k, n_points); overwritten.
-    variances
-        Present variances of the points, shape (n_points,).
-    task_start
-        Where the points of each task start, and where the last ends, shape (n_tasks + 1,).
-    worst
-        Take the worst point of a task, else the mean over its points.
-    left
-        Added to: variance of each task, shape (n_candidates, n_tasks).
-    gain
-        Added to: natural logarithm of the determinant of S, shape (n_candidates,).
+    rows: of the candidates in units of the present uncertainty, shape (n_candidates, k, n).
+    products: rows times derivatives of the tasks, shape (n_candidates, k, n_points); overwritten.
+    variances: present variances of the points, shape (n_points,).
+    task_start: where the points of each task start, and where the last ends, shape (n_tasks + 1,).
+    worst: take the worst point of a task, else the mean over its points.
     """
     n_candidates, k, n = rows.shape
     n_points = variances.size
@@ -49,7 +36,6 @@ def add_gains(
                 for m in range(j):
                     total -= factor[i, m] * factor[j, m]
                 factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
-            gain[c] += 2.0 * math.log(factor[i, i])
             for j in range(i):
                 share = factor[i, j]
                 for p in range(n_points):
@@ -72,16 +58,9 @@ def worst_points(
 ) -> None:
     """Worst point of each task at each draw after rows, by the Cholesky factor of the information.
 
-    Parameters
-    ----------
-    information
-        Before the rows, shape (n_draws, n, n).
-    rows, tasks
-        Shapes (n_draws, n_rows, n), (n_draws, n_points, n).
-    task_start
-        Where the points of each task start, and where the last ends, shape (n_tasks + 1,).
-    variance, directions
-        Written: variance of the worst point (n_draws, n_tasks), covariance times its derivatives (.., n_tasks, n).
+    information: before the rows, shape (n_draws, n, n).
+    rows, tasks, task_start: shapes (n_draws, n_rows, n), (n_draws, n_points, n), and as of `add_left`.
+    variance, directions: written, the worst point's (n_draws, n_tasks), and covariance times its derivatives (.., n).
     """
     n_draws, n_rows, n = rows.shape
     n_points = tasks.shape[1]

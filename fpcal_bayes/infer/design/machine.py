@@ -4,7 +4,7 @@ They act linearly on the cavity length (see `model.mechanics`), at the sizes tha
 taken at one point, since they hardly depend on where the geometry stands.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -30,6 +30,7 @@ class Machine:
     terms: Terms
     vector: Floats  # where responses are taken, shape (model size,)
     basis: Floats  # from the state to the weights that a task shares, shape (n_weights, n)
+    _last: dict[bytes, list[tuple[Floats, Floats]]] = field(default_factory=dict, compare=False)  # columns at poses
 
     @property
     def reversing(self) -> Ints:
@@ -95,14 +96,20 @@ class Machine:
         return whitening.apply(geometry + made.matrix[:, :shared] @ self.basis)
 
     def _columns(self, poses: Floats) -> list[tuple[Floats, Floats]]:
-        """Of each beam: columns of the error motions at poses (..., n_joints), responses to the joints' own travel."""
-        flat, cell = poses.reshape(-1, poses.shape[-1]), self.terms.cell
-        found = []
-        for beam in range(len(cell.beams)):
-            at = responses(cell, self.vector, self.terms.told, flat, np.full(len(flat), beam))
-            columns = at_poses(self.terms, flat, at)
-            found.append((columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)))
-        return found
+        """Of each beam: columns of the error motions at poses (..., n_joints), responses to the joints' own travel.
+
+        Rows, noise and slope of a plan ask for them one after the other: the last ones are kept.
+        """
+        key = poses.tobytes()
+        if key not in self._last:
+            flat, cell, found = poses.reshape(-1, poses.shape[-1]), self.terms.cell, []
+            for beam in range(len(cell.beams)):
+                at = responses(cell, self.vector, self.terms.told, flat, np.full(len(flat), beam))
+                columns = at_poses(self.terms, flat, at)
+                found.append((columns.reshape(*poses.shape[:-1], -1), at.drive.reshape(poses.shape)))
+            self._last.clear()
+            self._last[key] = found
+        return self._last[key]
 
 
 def felt_alike(felt: Floats) -> Floats:
@@ -132,7 +139,7 @@ def prior_machine(terms: Terms, vector: Floats, poses: Floats, tasks: Floats, n_
     weights add to tasks.
     """
     every = Machine(terms, vector, np.eye(tasks.shape[1]))
-    effects = np.concatenate([every.rows(poses).reshape(-1, tasks.shape[1]), tasks])
+    effects = np.concatenate([*every.rows(poses), tasks])
     values, vectors = linalg.eigh(effects.T @ effects / len(effects))
     felt = vectors[:, values > _NEGLIGIBLE**2][:, ::-1]
     return replace(every, basis=np.hstack([np.zeros((len(felt), n_parameters)), felt]))

@@ -8,63 +8,26 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
-from fpcal_bayes.infer.design.criteria import Criterion, criterion_by_name
 from fpcal_bayes.infer.design.descend import descend
-from fpcal_bayes.infer.design.exchange import (
-    ChosenSweeps,
-    chosen_sweeps,
-    exchange,
-    greedy,
-    most_useful_first,
-    reference_of,
-)
-from fpcal_bayes.infer.design.information import Design
+from fpcal_bayes.infer.design.exchange import ChosenSweeps, chosen_sweeps, greedy, most_useful_first, reference_of
+from fpcal_bayes.infer.design.information import Criterion, Design
 from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
-from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
 
-#: A task is left undetermined if more than this share of its standard deviation is left.
-LEFT_SHARE = 0.1
-_NAMED = 3
-#: Share of the work until every start has its candidates.
-_BEGUN = 0.15
-#: Steps of a descent on few draws, least candidates of a start, and by how much more draws finalists descend on.
-_SHORT, _FEW, _WIDER = 30, 300, 4
+#: Least candidates of a start; steps of its descent and of that after an exchange; by how much more draws these count.
+_FEW, _STARTED, _TRIED, _WIDER = 300, 20, 12, 4
+#: An exchange must make the criterion smaller by this share; exchanges of a short search.
+_LEAST_GAIN, _SHORT_TRIALS = 1e-3, 4
 #: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
 _TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
 #: Numbers of sweeps on the frontier.
 _NUMBERS = (4, 6, 8, 10, 12, 14, 16, 20, 24, 30)
 #: Sweeps of the first plan when time is given.
 _FIRST = 12
-
-
-def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:
-    """A sentence for each task that the sweeps leave undetermined, with the parameters that make it so."""
-    first, last = (ground.driven(part, readings=readings, sigma=sigma) for part in (None, sweeps))
-    before, after = first.expected_variance(()), last.expected_variance(())
-    variance, roots = last.task_variance(()), last.roots(())
-    own = np.sqrt(np.diag(ground.covariance))
-    safe = np.where(own > 0, own, 1.0)
-    sentences = []
-    for task, name in enumerate(last.names):
-        if after[task] <= LEFT_SHARE**2 * before[task]:
-            continue
-        of_task = np.flatnonzero(last.task_of_point == task)
-        draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
-        # The way the parameters move when the error at this point is one standard deviation.
-        point = last.tasks[draw, of_task[place]] @ roots[draw]
-        moved = (roots[draw] @ point)[: ground.root.shape[1]]
-        direction = (ground.root @ moved) / safe / np.linalg.norm(point)
-        names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
-        plural = "s leave" if len(sweeps) > 1 else " leaves"
-        sentences.append(
-            f"{len(sweeps)} sweep{plural} task {name} undetermined: {1e3 * np.sqrt(after[task]):.3g} nm expected, "
-            f"{1e3 * np.sqrt(before[task]):.3g} nm before; what is missing moves {', '.join(names)}"
-        )
-    return sentences
 
 
 @dataclass(frozen=True)
@@ -74,15 +37,13 @@ class PlanSettings:
     # readings of each sweep after its start: 1 end point, 2 midpoint and end point, and so on; 0 the whole trace
     readings: int = 2
     sigma: float = 0.005  # standard deviation of a row in um
-    criterion: str = "worst"  # one of `CRITERIA`
     n_candidates: int = 2000  # random sweeps to choose from
-    # starts of the search, draws that each is averaged over, and how many of them descend over four times as many; the
-    # best of these descends over all draws at the end
-    starts: int = 8
+    # starts of the search on `share` draws each, exchanges that are tried on four times as many, and steps of the
+    # descent over all draws at the end; without these the search keeps to the candidates
+    starts: int = 4
     share: int = 16
-    finalists: int = 2
-    passes: int = 1  # passes of the exchange
-    iterations: int = 100  # steps of the descent at the end; 0 keeps to the candidates
+    trials: int = 12
+    iterations: int = 60
     several: bool = False  # also move several joints of one controller at once
     seed: int = 0
     limits: SweepLimits = field(default_factory=SweepLimits)  # the planner holds them to the cell's envelope
@@ -106,13 +67,12 @@ class Frontier:
 
     @property
     def knee(self) -> int:
-        """Position of the plan after which more sweeps gain least: farthest below the line between the ends.
+        """Position of the plan farthest below the straight line between the ends (Satopaa et al. 2011).
 
-        Accuracy counts by its logarithm: along the line every sweep gains the same share (Satopaa et al. 2011).
+        Both axes are logarithmic: before it sweeps gain more than on the average of the frontier, after it less.
         """
-        x, y = np.array([float(point.sweeps) for point in self.points]), np.log(self.excess)
-        line = np.interp(x, x[[0, -1]], y[[0, -1]])
-        return int(np.argmax(line - y))
+        x, y = np.log([[float(point.sweeps) for point in self.points], self.excess])
+        return int(np.argmax(np.interp(x, x[[0, -1]], y[[0, -1]]) - y))
 
 
 class Planner:
@@ -152,12 +112,12 @@ class Planner:
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""
-        return criterion_by_name(self.settings.criterion, self._design(sweeps, ground or self.ground), self.reference)
+        return Criterion(self._design(sweeps, ground or self.ground), self.reference)
 
     def value(self, sweeps: Sweeps, ground: Ground | None = None) -> float:
         """The criterion after sweeps in their order."""
         design = (ground or self.ground).driven(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
-        return criterion_by_name(self.settings.criterion, design, self.reference).value(())
+        return Criterion(design, self.reference).value(())
 
     def best(self, n: int) -> ChosenSweeps:
         """The best n sweeps that are found: many starts on few draws each, the best of them on more, then on all."""
@@ -166,35 +126,60 @@ class Planner:
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
             )
-        stages = (settings.share, settings.share * _WIDER, n_draws)
-        counts = (settings.starts, settings.finalists, 1)
-        work = np.cumsum([n * min(share, n_draws) for n, share in zip(counts, stages, strict=True)])
+        wider = self._part(0, _WIDER * settings.share)
+        work = np.cumsum(
+            [0, settings.starts, _WIDER * settings.trials, settings.iterations / _TRIED * n_draws / settings.share]
+        )
+
+        def begun(stage: int, share: float) -> None:
+            self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
+
         found = []
         for number in range(settings.starts):
-            found.append(self._start(n, number))
-            self.tell(_BEGUN * (number + 1) / settings.starts)
-        for stage, (count, share) in enumerate(zip(counts, stages, strict=True)):
-            values = [self.judge(plan).value(range(n)) for plan in found]
-            kept = [found[i] for i in np.argsort(values)[:count].tolist()]
-            done, found = 0 if stage == 0 else work[stage - 1], []
-            each = (work[stage] - done) / count
-            for number, plan in enumerate(kept):
-
-                def tell(share: float, begun: float = done + number * each, each: float = each) -> None:
-                    self.tell(_BEGUN + (1.0 - _BEGUN) * float((begun + each * share) / work[-1]))
-
-                length = _SHORT if stage < 2 else settings.iterations
-                found.append(self._descended(plan, self._part(number, share), length, tell))
-        return self._finished(found[0])
+            found.append(self._descended(self._start(n, number), self._part(number, settings.share), _STARTED))
+            begun(0, (number + 1) / settings.starts)
+        values = [self.judge(plan, wider).value(range(n)) for plan in found]
+        best = self._varied(found[int(np.argmin(values))], wider, lambda share: begun(1, share))
+        return self._finished(self._descended(best, self.ground, settings.iterations, lambda share: begun(2, share)))
 
     def _start(self, n: int, number: int) -> Sweeps:
-        """The best of a part of the candidates, one by one, then exchanged, over a few draws."""
-        settings = self.settings
-        random = np.random.default_rng([settings.seed, number])
-        count = min(len(self.candidates), max(n, len(self.candidates) // settings.starts, _FEW))
-        some = self.candidates.take(random.choice(len(self.candidates), count, replace=False))
-        criterion = self.judge(some, self._part(number, settings.share))
-        return some.take(np.array(exchange(criterion, greedy(criterion, n), passes=settings.passes)))
+        """The best of a part of the candidates, one by one, over a few draws."""
+        some = self._some([self.settings.seed, number], max(n, len(self.candidates) // self.settings.starts, _FEW))
+        return some.take(np.array(greedy(self.judge(some, self._part(number, self.settings.share)), n)))
+
+    def _some(self, seed: list[int], count: int) -> Sweeps:
+        """Some of the candidates at random."""
+        random, most = np.random.default_rng(seed), len(self.candidates)
+        return self.candidates.take(random.choice(most, min(count, most), replace=False))
+
+    def _varied(self, plan: Sweeps, ground: Ground, tell: Callable[[float], None]) -> Sweeps:
+        """A plan whose sweeps are exchanged one by one, each for a candidate that moves other joints.
+
+        After each exchange all sweeps descend; what is better then stays. The sweep that is missed least goes first: a
+        descent finds the best places for the joints that move, not which joints should.
+        """
+        settings, n = self.settings, len(plan)
+        few, since = self._part(0, settings.share), 0
+        plan = self._descended(plan, ground, _TRIED)
+        value = self.judge(plan, ground).value(range(n))
+        for trial in range(settings.trials if settings.iterations else 0):
+            judge = self.judge(plan, few)
+            missed = [judge.value([other for other in range(n) if other != i]) for i in range(n)]
+            out = int(np.argsort(missed, kind="stable")[since % n])
+            some = self._some([settings.seed, settings.starts + trial], 2 * _FEW)
+            others = ((some.q_start != some.q_end) != (plan.q_start[out] != plan.q_end[out])).any(axis=1)
+            if not others.any():
+                break
+            both = join([plan.take(np.delete(np.arange(n), out)), some.take(np.flatnonzero(others))], "exchange")
+            added = self.judge(both, few).if_added(range(n - 1), np.arange(n - 1, len(both)))
+            tried = both.take(np.append(np.arange(n - 1), n - 1 + np.argmin(added)))
+            tried = self._descended(tried, ground, _TRIED)
+            found = self.judge(tried, ground).value(range(n))
+            since += 1
+            if found < value * (1.0 - _LEAST_GAIN):
+                plan, value, since = tried, found, 0
+            tell((trial + 1) / settings.trials)
+        return plan
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""
@@ -208,7 +193,7 @@ class Planner:
         return self._finished(self._descended(sweeps, self.ground, self.settings.iterations))
 
     def _descended(
-        self, sweeps: Sweeps, ground: Ground, iterations: int, tell: Callable[[float], None] = lambda _: None
+        self, sweeps: Sweeps, ground: Ground, steps: int, tell: Callable[[float], None] = lambda _: None
     ) -> Sweeps:
         settings = self.settings
         return descend(
@@ -218,7 +203,7 @@ class Planner:
             self._centre,
             settings.limits,
             several=settings.several,
-            iterations=min(iterations, settings.iterations),
+            iterations=min(steps, settings.iterations),
             tell=tell,
         )
 
@@ -270,8 +255,8 @@ class Planner:
 
     def short(self, several: bool) -> "Planner":
         """A planner that searches less, on fewer draws, for a comparison."""
-        less = replace(self.settings, starts=2, finalists=1, several=several)
-        return Planner(self._part(0, less.share * _WIDER), less, self._tolerances)
+        less = replace(self.settings, starts=2, trials=_SHORT_TRIALS, several=several)
+        return Planner(self._part(0, _WIDER * less.share), less, self._tolerances)
 
     def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
         """What plans of several numbers of sweeps, up to `most`, are expected to leave, with a short search for each.

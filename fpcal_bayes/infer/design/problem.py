@@ -1,7 +1,7 @@
 """What a plan starts from: what is known of the cell, where that is linearised, and the tasks that count."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,6 @@ from fpcal_bayes.infer.design.machine import Machine, motions_of_path, prior_mac
 from fpcal_bayes.infer.design.rows import TRACE_PLACES, TRACE_READINGS, SweepRows, plan_rows
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.prior import Prior
-from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -26,12 +25,14 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.margin import normal_draws
 from fpcal_bayes.model.mechanics import Terms
-from fpcal_bayes.motion.tasks import Task, find_task
+from fpcal_bayes.motion.tasks import Task, default_radius, find_task
 
 #: Tasks that a plan serves unless others are named.
 DEFAULT_TASKS = ("circle", "tilt-x", "tilt-z", "spin")
 #: Points of a task's path at which plans are compared.
 POINTS = 9
+#: A task is left undetermined if more than this share of its standard deviation is left; parameters that are named.
+_LEFT_SHARE, _NAMED = 0.1, 3
 #: Sweeps that tell which combinations of error motions are felt at all.
 _FELT = 400
 
@@ -67,17 +68,18 @@ def goals_of(
     """
     if not tasks:
         raise InputError("no task to plan for: expected one at least")
+    radius = default_radius(model.cell) if radius is None else radius
     kept: list[int] = []
     found: dict[str, list[tuple[Floats, Floats, Floats]]] = {task: [] for task in tasks}
     reason = ""
     for number, point in enumerate(values):
         try:
-            parts = [_at(model, point, find_points(model, point, task, radius, points), terms) for task in tasks]
+            paths = [find_points(model, point, task, radius, points) for task in tasks]
         except UnreachableError as error:
             reason = str(error)
             continue
         kept.append(number)
-        for task, part in zip(tasks, parts, strict=True):
+        for task, part in zip(tasks, _at(model, point, paths, terms), strict=True):
             found[task].append(part)
     if not kept:
         raise InputError(f"{reason}: expected tasks that the cell can drive")
@@ -87,7 +89,7 @@ def goals_of(
     return Goals(values[kept], jacobians, len(values) - len(kept), motions, np.median(ends, axis=1))
 
 
-def find_points(model: CavityModel, values: Floats, name: str, radius: float | None, points: int) -> Task:
+def find_points(model: CavityModel, values: Floats, name: str, radius: float, points: int) -> Task:
     """A task's points that can be driven to, the nearest in place of those that cannot."""
     task = find_task(model.cell, model.vector(values), name, radius=radius, n_points=points)
     if not task.ok.any() or not np.isfinite(task.start).all():
@@ -96,14 +98,19 @@ def find_points(model: CavityModel, values: Floats, name: str, radius: float | N
     return task.take(good[np.abs(np.arange(len(task))[:, None] - good).argmin(axis=1)])
 
 
-def _at(model: CavityModel, values: Floats, task: Task, terms: Terms | None) -> tuple[Floats, Floats, Floats]:
-    """Derivatives of a task's points by the free parameters, what error motions add, and the joints' reach."""
-    reach = np.stack([task.q.min(axis=0), task.q.max(axis=0)])
-    motions = np.zeros((len(task), 0))
-    if terms is not None:
-        told, untold = motions_of_path(terms, model.vector(values), task.start, task.q)
-        motions = np.hstack([told, untold[:, None]])
-    return task_jacobian(model, values, task), motions, reach
+def _at(
+    model: CavityModel, values: Floats, paths: Sequence[Task], terms: Terms | None
+) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Derivatives of each task's points by the free parameters, what error motions add, and the joints' reach."""
+    starts = np.concatenate([np.repeat(task.start[None], len(task), axis=0) for task in paths])
+    rows = model.rows(starts, np.concatenate([task.q for task in paths]))
+    _, jacobian = model.predict_with_jacobian(values, rows)
+    for task, part in zip(paths, np.split(jacobian, np.cumsum([len(task) for task in paths])[:-1]), strict=True):
+        motions = np.zeros((len(task), 0))
+        if terms is not None:
+            told, untold = motions_of_path(terms, model.vector(values), task.start, task.q)
+            motions = np.hstack([told, untold[:, None]])
+        yield part, motions, np.stack([task.q.min(axis=0), task.q.max(axis=0)])
 
 
 @dataclass(frozen=True)
@@ -228,14 +235,19 @@ def prior_ground(
     draws: int = 64,
     points: int = POINTS,
     seed: int = 0,
+    values: Floats | None = None,
 ) -> Ground:
-    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967)."""
+    """A cell before its first calibration: its prior, averaged over `draws` quasi-random draws of it (Sobol 1967).
+
+    With `values` (n_draws, n_free) it is linearised there.
+    """
     model, free = CavityModel.of(cell), cell.free
-    engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
-    with warnings.catch_warnings():
-        # Balance asks for a power of two; any number of draws serves here.
-        warnings.simplefilter("ignore", UserWarning)
-        values = Prior.of(free).values(engine.random(draws))
+    if values is None:
+        engine = qmc.MultivariateNormalQMC(np.zeros(len(free)), seed=np.random.default_rng(seed))
+        with warnings.catch_warnings():
+            # Balance asks for a power of two; any number of draws serves here.
+            warnings.simplefilter("ignore", UserWarning)
+            values = Prior.of(free).values(engine.random(draws))
     terms = None if cell.mechanics is None else Terms.of(cell, cell.mechanics, free.names)
     goals = goals_of(model, values, tasks, radius=radius, points=points, terms=terms)
     made = Ground(model, free.nominal, np.diag(free.prior_sd**2), goals)
@@ -244,7 +256,7 @@ def prior_ground(
     limits = SweepLimits().within_envelope(model, made.draws)
     some = candidate_sweeps(cell, n=_FELT, rng=np.random.default_rng(0), limits=limits)
     poses = np.stack([some.q_start, 0.5 * (some.q_start + some.q_end), some.q_end], axis=1)
-    told = np.concatenate([part[..., :-1].reshape(-1, part.shape[-1] - 1) for part in goals.motions.values()])
+    told = np.concatenate([np.concatenate(part[..., :-1]) for part in goals.motions.values()])
     return replace(made, machine=prior_machine(terms, cell.parameters.nominal, poses, told, len(free)))
 
 
@@ -269,8 +281,55 @@ def estimate_ground(
 
 
 def measured_estimate(cell: Cell, sweeps: Sweeps) -> Estimate:
-    """What measured sweeps tell of a cell: the ground for the best next ones."""
+    """What measured sweeps tell of a cell: where the best next ones are planned."""
     found = identify(cell, sweeps)
     if not found.converged:
         raise InputError(f"{sweeps.file}: the identification did not converge, expected sweeps that can be fitted")
     return found.estimate
+
+
+def measured_ground(
+    estimate: Estimate,
+    sweeps: Sweeps,
+    *,
+    tasks: Sequence[str] = DEFAULT_TASKS,
+    radius: float | None = None,
+    draws: int = 64,
+    seed: int = 0,
+) -> Ground:
+    """A cell after measured sweeps, which an estimate was made of: the prior and these sweeps, where it may be.
+
+    Few sweeps leave the cell so uncertain that what they and others tell differs from one place to the next: both are
+    linearised at draws of the estimate. With mechanics the estimate itself counts, for it knows the sizes.
+    """
+    if estimate.mechanics is not None:
+        return estimate_ground(estimate, tasks=tasks, radius=radius)
+    values = normal_draws(estimate.values, estimate.covariance, draws, seed)
+    made = prior_ground(estimate.cell, tasks=tasks, radius=radius, values=values)
+    return replace(made, centre=estimate.values).with_known(sweeps, 0.0)
+
+
+def shortfalls(ground: Ground, sweeps: Sweeps, *, readings: int = 2, sigma: float = 0.005) -> list[str]:
+    """A sentence for each task that the sweeps leave undetermined, with the parameters that make it so."""
+    first, last = (ground.driven(part, readings=readings, sigma=sigma) for part in (None, sweeps))
+    before, after = first.expected_variance(()), last.expected_variance(())
+    variance, roots = last.task_variance(()), last.roots(())
+    own = np.sqrt(np.diag(ground.covariance))
+    safe = np.where(own > 0, own, 1.0)
+    sentences = []
+    for task, name in enumerate(last.names):
+        if after[task] <= _LEFT_SHARE**2 * before[task]:
+            continue
+        of_task = np.flatnonzero(last.task_of_point == task)
+        draw, place = np.unravel_index(np.argmax(variance[:, of_task]), (len(variance), len(of_task)))
+        # The way the parameters move when the error at this point is one standard deviation.
+        point = last.tasks[draw, of_task[place]] @ roots[draw]
+        moved = (roots[draw] @ point)[: ground.root.shape[1]]
+        direction = (ground.root @ moved) / safe / np.linalg.norm(point)
+        names = [ground.model.free.names[i] for i in np.argsort(-np.abs(direction), kind="stable")[:_NAMED]]
+        plural = "s leave" if len(sweeps) > 1 else " leaves"
+        sentences.append(
+            f"{len(sweeps)} sweep{plural} task {name} undetermined: {1e3 * np.sqrt(after[task]):.3g} nm expected, "
+            f"{1e3 * np.sqrt(before[task]):.3g} nm before; what is missing moves {', '.join(names)}"
+        )
+    return sentences

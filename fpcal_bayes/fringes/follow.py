@@ -97,13 +97,9 @@ def follow(
     mirror_light: float = 0.0,
     errs: bool = False,
 ) -> Followed | None:
-    """The most likely course of a mirror, the smooth one among others.
+    """The most likely course of a mirror, the `smooth` one on the joint's course among others; None where no fringe is.
 
-    smooth: what was found on the joint's course, if anything.
-    nuisance: what the signal may do beside its fringes.
-    noise: standard deviation of one reading in V to begin with.
-    errs: whether the mirror is known to leave the joint's course.
-    Returns none where nothing resembles a fringe.
+    noise: standard deviation of one reading in V to begin with. errs: whether the mirror is known to leave that course.
     """
     start = smooth.best.profile if smooth else _searched(samples, profile, phase_per_um)
     if start is None:
@@ -344,7 +340,7 @@ def _hopped(best: Followed, whole: Samples, size: int, smooth: Followed, fit: _F
     after = np.arange(len(whole))
 
     def at(place: int) -> Fit:
-        return fit(used, held, slope=_chunked(replace(whole, s=1.0 * (after >= place)), size).s)
+        return fit(used, held, slope=_chunked(replace(whole, s=(after >= place).astype(float)), size).s)
 
     step = max(1, len(whole) // _HOPS)
     tried = {place: at(place) for place in range(step, len(whole), step)}

@@ -209,11 +209,7 @@ def _require_sweeps(index: TraceIndex) -> None:
 
 
 def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
-    """The rows of one sweep: its end, after `points` interior points that share a group with it.
-
-    sweeps, row: the plan and the position in it.
-    reading: a good one.
-    """
+    """The row of a sweep by a good reading, after `points` interior points that share a group with it."""
     one = sweeps.take(np.array([row]))
     if points == 0:
         one = one.with_measurement(np.array([reading.dl]), reading.sigma)
@@ -240,10 +236,7 @@ def rows_along(one: Sweeps, s: Floats) -> Sweeps:
 def absolute_rows(
     sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None, share: float = 0.0
 ) -> Sweeps:
-    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good.
-
-    share: relative standard deviation of wavelength over index.
-    """
+    """Absolute lengths at the ends of a sweep by its good scans; `share`: relative sd of wavelength over index."""
     one = sweeps.take(np.array([row]))
     here = one.q_start, one.q_end
     good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]

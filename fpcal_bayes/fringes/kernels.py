@@ -29,11 +29,8 @@ def legendre_table(s: Floats, degree: int) -> Floats:
 def turned_bins(
     signal: Floats, place: Ints, base: Floats, bend: Floats, bends: Floats, n_bins: int
 ) -> NDArray[np.complex128]:
-    """Signal turned back by the phase of each bend and summed into bins.
+    """Signal (n,) turned back by the phase base + bend of each of `bends` (m,) and summed into the bins `place` (n,).
 
-    signal, place: weighted signal and the bin of each sample, shape (n,).
-    base, bend: known phase, and phase a unit of bend, shape (n,).
-    bends: bends tried, shape (m,).
     Returns shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
     """
     bins = np.zeros((bends.size, n_bins), dtype=np.complex128)
@@ -102,15 +99,12 @@ def normal_equations(
     matrix: Floats,
     gradient: Floats,
 ) -> float:
-    """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
+    """Fill J'WJ + prior and J'W(signal - model) + prior at `unknowns`; returns the sum of squares.
 
-    over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (.., n).
-    damping: what averaging over a part of a fringe leaves of its height, shape (n,).
-    counts: coefficients of A, of log B over time, of log B over the place.
-    base, modes: known phase and derivatives of the phase, shapes (n,) and (n_modes, n).
-    signal, root: signal and its inverse standard deviations, shape (n,).
-    prior_mean, prior_weight: of the unknowns, and the inverse of its covariance, shapes (p,) and (p, p).
-    matrix, gradient: filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
+    over_time, over_place: Legendre polynomials from P_0 on, (.., n). counts: coefficients of A, of log B over time, of
+    log B over the place. base (n,), modes (n_modes, n): known phase and derivatives of the phase. damping: what
+    averages leave of the height; root: inverse standard deviations of the signal. prior_weight: inverse of a covariance
+    (p, p).
     """
     n_modes, n = modes.shape
     n_offset, n_gain, n_fade = counts[0], counts[1], counts[2]
@@ -256,18 +250,11 @@ def fit_signal(
 
 @compiled
 def follow_phase(height: Floats, sd: Floats, expected: Floats, start_sd: float, speed_sd: float, jerk: float) -> Floats:
-    """Excess of a phase over the expected one, by an extended Kalman filter.
+    """Excess (n,) in rad of a phase over the `expected` one, by an extended Kalman filter.
 
-    State are the excess and its speed per sample, driven by white noise; each sample measures cos(expected + excess).
-    Near an extreme, where a sample says nothing about the phase, the speed carries it over.
-
-    height: measured cosines, shape (n,).
-    sd: their standard deviations, shape (n,).
-    expected: expected phase in rad, shape (n,).
-    start_sd, speed_sd: standard deviations of the excess and its speed (per sample) at the start; the excess starts at
-    zero.
-    jerk: spectral density of the acceleration, in rad^2 per sample^3.
-    Returns excess in rad, shape (n,), each from the samples up to it.
+    State are the excess, zero to begin with, and its speed per sample, of standard deviations start_sd and speed_sd,
+    driven by white noise of spectral density `jerk` (rad^2 per sample^3); each sample measures cos(expected + excess)
+    with `sd`. Near an extreme, where a sample says nothing about the phase, the speed carries it over.
     """
     result = np.empty(height.size)
     excess, speed = 0.0, 0.0

@@ -79,12 +79,10 @@ def read_traces(
     full_scale: float | None = None,
     mirror_light: float = 0.0,
 ) -> list[Reading]:
-    """Read the traces of a campaign.
+    """One reading for each trace of a campaign.
 
-    noise: standard deviation of one reading in V to begin with; the traces' residuals correct it.
-    full_scale: voltage at which the converter is at its end.
+    noise: standard deviation of one sample in V to begin with. full_scale: volts at which the converter is at its end.
     mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
-    Returns one a trace.
     """
     faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
     solutions = [

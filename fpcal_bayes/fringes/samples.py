@@ -60,11 +60,10 @@ class Samples:
 
 
 def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:
-    """Lay a trace along its sweep.
+    """Lay a trace along its sweep from `start` to `end` of the joint that moves, in um or rad.
 
-    start, end: of the joint that moves, in um or rad, as the index says.
-    unit, scale: of that joint as a person reads it, and internal units per shown unit; for messages.
-    place: what the message begins with where the trace has no file.
+    unit, scale: of that joint as a person reads it, and internal units per shown unit. place: begins a message without
+    file.
     """
     travel = end - start
     s = (2.0 * trace.joint - start - end) / travel
@@ -92,10 +91,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
 
 
 def fault(samples: Samples, full_scale: float | None = None) -> str:
-    """Why a trace cannot be read at all, as a phrase; empty if it can.
-
-    full_scale: voltage at which the converter is at its end; None: unknown.
-    """
+    """Why a trace cannot be read at all, as a phrase; empty if it can. full_scale: volts at the converter's end."""
     n = len(samples)
     if n < FEWEST:
         return f"{n} samples, expected {FEWEST} or more"

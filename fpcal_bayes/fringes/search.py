@@ -55,13 +55,9 @@ def split_profile(profile: DisplacementProfile) -> Split:
 
 
 def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: float, most: int = 8) -> Floats:
-    """Coefficients of courses that may have made the signal, best first.
+    """Coefficients (m, DEGREE) in um of courses that may have made the signal, best first.
 
-    samples: of one sweep.
-    profile: what is known of its profile.
-    phase_per_um: 4 pi n / wavelength.
-    most: how many are returned at most.
-    Returns shape (m, DEGREE), in um; a profile and its mirror image, which make the same signal, count as one.
+    A profile and its mirror image, which make the same signal, count as one.
     """
     split = split_profile(profile)
     used = samples.binned(_MOST_BINS)

@@ -41,12 +41,10 @@ def solve(
     mirror_light: float = 0.0,
     fading: Nuisance = LIVELY,
 ) -> FringeSolution | None:
-    """Find the profiles that explain a signal.
+    """Find the profiles that explain a signal; None where nothing resembles a fringe.
 
-    noise: standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
-    mirror_light: as in `fit_course`.
-    fading: what the signal may do beside its fringes where it does not stay calm.
-    Returns none where nothing resembles a fringe.
+    noise: sd of one reading in V to begin with; None takes a hundredth of half the signal's range. fading: what the
+    signal may do beside its fringes where it does not stay calm.
     """
     found = find_profiles(samples, profile, phase_per_um)
     if len(found) == 0:

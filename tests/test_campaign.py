@@ -1,7 +1,6 @@
 """Campaign files: round trip, layout for other programs, and every refusal."""
 
 import hashlib
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,31 +21,11 @@ from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 CASE_A = Path(__file__).parent / "data" / "case_a.csv"
-ESTIMATE = {
-    "schema": "fpcal/1",
-    "command": "identify",
-    "time_h": 0.5,
-    "n": 69,
-    "session": "not the key",
-    "parameters": {
-        "z_et": {"value": 1.5, "sd": 0.25, "unit": "um", "prior_sd": 20.0, "status": "weak"},
-        "beta_4": {"value": -0.26, "sd": None, "unit": "deg", "prior_sd": 1.0, "status": "fixed"},
-    },
-    "covariance": {"names": ["z_et"], "matrix": [[0.0625]]},
-    "warnings": ["a \u03c3 that is large"],
-}
 
 
 def campaign() -> Campaign:
     sweeps = simulate_um(CELL, paper_truth(CELL), paper_protocol(CELL, midpoints=True), sigma=0.005, seed=3)
-    return Campaign.of(
-        sweeps,
-        CELL,
-        command="fpcal simulate --seed 3",
-        seed=3,
-        truth=paper_truth(CELL).record(),
-        estimates={"full-T0": ESTIMATE, "../odd. n\u00e4me": {"command": "identify"}},
-    )
+    return Campaign.of(sweeps, CELL, command="fpcal simulate --seed 3", seed=3, truth=paper_truth(CELL).record())
 
 
 @pytest.fixture
@@ -69,7 +48,6 @@ def test_gives_back_what_was_written(written):
     wrote, read = campaign(), read_campaign(written, CELL)
     assert (read.cell_name, read.cell_sha256, read.opd) == ("femto-st", CELL.sha256, "axis")
     assert (read.command, read.seed, read.program_version) == (wrote.command, 3, fpcal_bayes.__version__)
-    assert read.estimates == wrote.estimates
     for name in ("session", "label", "group", "kind", "signed", "dl", "sigma", "time_h"):
         np.testing.assert_array_equal(getattr(read.sweeps, name), getattr(wrote.sweeps, name), err_msg=name)
     np.testing.assert_allclose(read.sweeps.q_end, wrote.sweeps.q_end, rtol=1e-15)
@@ -84,7 +62,7 @@ def test_without_truth_seed_and_estimates(tmp_path):
     path = tmp_path / "plain.hdf5"
     write_sweeps(path, read_csv(CASE_A, CELL), CELL, command="fpcal ingest")
     read = read_campaign(path, CELL)
-    assert (read.seed, read.truth, read.estimates, read.command) == (None, None, {}, "fpcal ingest")
+    assert (read.seed, read.truth, read.command) == (None, None, "fpcal ingest")
     np.testing.assert_array_equal(read.sweeps.dl, read_csv(CASE_A, CELL).dl)
 
 
@@ -106,12 +84,6 @@ def test_other_programs_can_read_it(written):
         assert sweeps["time_h"].attrs["unit"] == b"h"
         np.testing.assert_allclose(sweeps["q4_start_deg"][:2], -3.0)
         assert sweeps["label"].asstr()[1] == "node0-rx"
-        estimate = root["estimates/full-T0"]
-        assert estimate["names"].asstr()[:].tolist() == ["z_et", "beta_4"]
-        np.testing.assert_array_equal(estimate["sd"], [0.25, np.nan])
-        assert estimate["covariance"][:].tolist() == [[0.0625]]
-        assert json.loads(estimate["json"].asstr()[0]) == ESTIMATE
-        assert (estimate.attrs["time_h"], estimate.attrs["n"], estimate.attrs["session"]) == (0.5, 69, b"full-T0")
         assert root["truth/units"].asstr()[0] == "deg"
 
 
@@ -239,12 +211,6 @@ def _attribute(name, value):
         (_first("truth/units", b"um"), "/truth: parameter alpha_2: expected the unit deg"),
         (_first("truth/time_h", 30.0), "/truth: expected epochs in the order of time_h"),
         (_first("truth/values", np.nan), "/truth: expected finite numbers"),
-        (_set("estimates/full-T0/json", None), "/estimates/full-T0/json: the dataset is missing"),
-        (_set("estimates/full-T0/json", ["{", "{"]), "/estimates/full-T0/json: expected one text, found 2"),
-        (_set("estimates/full-T0/json", ["{"]), "estimate of session 'full-T0': not JSON"),
-        (_set("estimates/full-T0/json", ["[1]"]), "estimate of session 'full-T0': expected a JSON object"),
-        (_set("estimates/full-T0/json", ['{"a": NaN}']), "estimate of session 'full-T0': not JSON (NaN"),
-        (_set("estimates/full-T0/json", ["[" * 100_000]), "estimate of session 'full-T0': not JSON"),
     ],
 )
 def test_refuses_what_is_not_as_documented(written, edit, expected):
@@ -284,7 +250,6 @@ def test_a_damaged_byte_is_noticed_or_harmless(written, place):
         return
     np.testing.assert_array_equal(read.sweeps.dl, campaign().sweeps.dl)
     np.testing.assert_allclose(read.sweeps.q_end, campaign().sweeps.q_end, rtol=1e-15)
-    assert read.estimates == campaign().estimates
 
 
 def test_a_failed_write_leaves_the_old_file(written):
@@ -293,8 +258,6 @@ def test_a_failed_write_leaves_the_old_file(written):
     bad = replace(bad, sweeps=bad.sweeps.with_measurement(bad.sweeps.dl, -1.0))
     with pytest.raises(InputError, match="sigma_um"):
         write_campaign(written, bad, CELL)
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        write_campaign(written, replace(campaign(), estimates={"a": {"x": np.nan}}), CELL)
     with pytest.raises(InputError, match="seed"):
         write_campaign(written, replace(campaign(), seed=-1), CELL)
     assert written.read_bytes() == before

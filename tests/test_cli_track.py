@@ -228,26 +228,3 @@ def test_watching_waits_for_a_campaign_that_is_not_there_or_held(monkeypatch, ca
     assert read_estimate("now.json", CELL).time_h == 8.0
     assert out.count("week.h5: ") == 1
     assert read_campaign("week.h5", CELL).track is not None
-
-
-def test_posterior_draws_to_start_from(capsys):
-    from fpcal_bayes.infer.fit.identify import identify
-    from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
-    from fpcal_bayes.infer.posterior.sample import sample
-
-    file = written("week.csv", "s1")
-    posterior = sample(identify(CELL, SWEEPS.of_session("day0")), draws=100, seed=0, max_steps=30)
-    assert not posterior.converged
-    posterior = replace(posterior, failures=())
-    write_netcdf(data_tree(posterior, seed=0, command=""), Path("posterior.nc"))
-    assert main(["track", file, "--json", "own.json", "--quiet"]) == 0
-    assert main(["track", file, "--posterior", "posterior.nc", "--json", "given.json", "--quiet"]) == 0
-    own, given = (json.loads(Path(name).read_text())["parameters"] for name in ("own.json", "given.json"))
-    assert own != given
-    for name, entry in own.items():
-        assert given[name]["value"] == pytest.approx(entry["value"], abs=0.5 * entry["sd"])
-        assert given[name]["sd"] == pytest.approx(entry["sd"], rel=0.25)
-    capsys.readouterr()
-    assert "week.csv: not a netCDF file" in refused(capsys, file, "--posterior", file)
-    line = refused(capsys, file, "--posterior", "posterior.nc", "--mechanics", "stated")
-    assert "posterior.nc: holds draws of the geometry" in line

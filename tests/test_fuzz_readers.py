@@ -20,7 +20,6 @@ from fpcal_bayes.simulator.sweeps import simulate_um
 
 CELL = load_cell(mechanics="none")
 EXAMPLES = settings(max_examples=150, deadline=None)
-ESTIMATE = {"parameters": {"z_et": {"value": 1.0, "sd": 0.1, "unit": "um"}}, "covariance": {"names": [], "matrix": []}}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +34,7 @@ def valid(folder) -> dict[str, bytes]:
     plan = plan.take(plan.rows < 8)
     sweeps = simulate_um(CELL, paper_truth(CELL), plan, sigma=0.005, seed=1)
     write_csv(folder / "valid.csv", sweeps, CELL)
-    campaign = Campaign.of(sweeps, CELL, seed=1, truth=paper_truth(CELL).record(), estimates={"full-T0": ESTIMATE})
+    campaign = Campaign.of(sweeps, CELL, seed=1, truth=paper_truth(CELL).record())
     write_campaign(folder / "valid.h5", campaign, CELL)
     return {name: (folder / f"valid.{name}").read_bytes() for name in ("csv", "h5")}
 

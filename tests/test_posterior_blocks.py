@@ -59,9 +59,17 @@ class TestStore:
 
     def test_a_failed_write_leaves_what_was_there(self, store):
         store.append(0, a_block(0))
-        with pytest.raises((TypeError, ValueError)):
-            store.append(1, replace(a_block(1), points="no numbers"))
-        assert [path.name for path in store.folder.iterdir()] == ["block-000000.h5"]
+        with pytest.raises(AttributeError):
+            store.append(1, replace(a_block(1), points=lambda: "no numbers"))
+        assert [path.name for path in store.folder.iterdir()] == ["block-000000.npz"]
+
+    @pytest.mark.parametrize("content", [b"", b"no block", b"PK\x03\x04 half"])
+    def test_a_damaged_block_is_refused(self, store, content):
+        store.append(0, a_block(0))
+        (whole,) = store.folder.iterdir()
+        whole.write_bytes(content)
+        with pytest.raises(InputError, match=r"block-000000\.npz: not a block of draws .* without --resume"):
+            store.read()
 
     def test_another_run_is_refused(self, store):
         store.append(0, a_block(0))

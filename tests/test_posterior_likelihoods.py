@@ -1,4 +1,4 @@
-"""Student-t rows and an unknown noise factor, against sums over a grid of the densities that scipy has."""
+"""Student-t rows, against sums over a grid of the densities that scipy has."""
 
 from dataclasses import replace
 
@@ -9,7 +9,6 @@ from scipy import special, stats
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, StudentTangent, bend, log_peak, robust_minimum
 from fpcal_bayes.infer.posterior.draws import make_target
-from fpcal_bayes.infer.posterior.noise_scale import LOG_SD
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import paper_protocol
@@ -33,61 +32,24 @@ def case():
     return sweeps, identify(CELL, sweeps, free=NAMES, start=known, hold="exact")
 
 
-def grid_moments(found, log_likelihood, w=(0.0,), reach=12.0):
-    """Mean and sd of parameters and w, summed over a grid around where the draws lie."""
-    problem = found.problem
-    axes = [np.linspace(-reach, reach, 81) * sd for sd in found.estimate.sd[found.estimate.sd > 0]]
-    best = robust_minimum(StudentProblem.like(problem, DOF), found.solution.unknowns)
-    centre = problem.values(best.unknowns)
-    shifts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    values = centre + shifts
-    standardised = (problem.model.predict(values, problem.rows) - problem.target) / problem.sweeps.sigma
-    prior = stats.norm.logpdf(values, CELL.select(NAMES).nominal, CELL.select(NAMES).prior_sd).sum(axis=1)
-    w = np.asarray(w)
-    log_density = np.stack(
-        [prior + log_likelihood(standardised / np.exp(LOG_SD * each), each) - 0.5 * each**2 for each in w]
-    )
-    weight = np.exp(log_density - log_density.max())
-    weight /= weight.sum()
-    points = np.concatenate(
-        [np.broadcast_to(values, (len(w), *values.shape)), np.broadcast_to(w[:, None, None], (len(w), len(values), 1))],
-        axis=2,
-    )
-    mean = np.einsum("wp,wpk->k", weight, points)
-    return mean, np.sqrt(np.einsum("wp,wpk->k", weight, (points - mean) ** 2))
-
-
-def check(posterior, mean, sd, count):
-    draws = posterior.values().reshape(-1, 2)
-    if count == 3:
-        draws = np.column_stack(
-            [draws, posterior.points.transpose(0, 2, 1, 3).reshape(-1, posterior.points.shape[-1])[:, 2]]
-        )
-    assert posterior.converged
-    assert (np.abs(draws.mean(axis=0) - mean[:count]) < 0.08 * sd[:count]).all()
-    np.testing.assert_allclose(draws.std(axis=0), sd[:count], rtol=0.05)
-
-
 def test_student_draws(case):
+    """Mean and sd are those of a sum over a grid around where the draws lie."""
     _, found = case
-    mean, sd = grid_moments(found, lambda s, w: stats.t.logpdf(s, DOF).sum(axis=1))
-    check(sample(found, draws=4000, likelihood="student", seed=2), mean, sd, 2)
-
-
-@pytest.mark.parametrize("likelihood", ["gaussian", "student"])
-def test_noise_factor(case, likelihood):
-    _, found = case
-    density = stats.norm.logpdf if likelihood == "gaussian" else lambda s: stats.t.logpdf(s, DOF)
-    n_rows = len(found.problem.target)
-    # Outliers make the Gaussian noise thirteen times as large.
-    centre, reach = (3.7, 80.0) if likelihood == "gaussian" else (0.8, 15.0)
-    mean, sd = grid_moments(
-        found,
-        lambda s, w: density(s).sum(axis=1) - n_rows * LOG_SD * w,
-        w=centre + np.linspace(-1.0, 1.0, 33) * (1.0 if likelihood == "gaussian" else 2.0),
-        reach=reach,
-    )
-    check(sample(found, draws=4000, likelihood=likelihood, noise_scale=True, seed=3), mean, sd, 3)
+    problem = found.problem
+    axes = [np.linspace(-12.0, 12.0, 81) * sd for sd in found.estimate.sd[found.estimate.sd > 0]]
+    best = robust_minimum(StudentProblem.like(problem, DOF), found.solution.unknowns)
+    shifts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    values = problem.values(best.unknowns) + shifts
+    standardised = (problem.model.predict(values, problem.rows) - problem.target) / problem.sweeps.sigma
+    log_density = stats.norm.logpdf(values, CELL.select(NAMES).nominal, CELL.select(NAMES).prior_sd).sum(axis=1)
+    log_density += stats.t.logpdf(standardised, DOF).sum(axis=1)
+    weight = special.softmax(log_density)
+    mean = weight @ values
+    posterior = sample(found, draws=4000, likelihood="student", seed=2)
+    draws, sd = posterior.values().reshape(-1, 2), np.sqrt(weight @ (values - mean) ** 2)
+    assert posterior.converged
+    assert (np.abs(draws.mean(axis=0) - mean) < 0.08 * sd).all()
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.05)
 
 
 class TestStudent:
@@ -126,13 +88,11 @@ class TestStudent:
         assert np.sqrt(np.mean(apart[kept] ** 2)) < 0.5
 
 
-@pytest.mark.parametrize(
-    ("likelihood", "noise_scale"), [("student", False), ("gaussian", True), ("student", True), ("slip", True)]
-)
-def test_rows_and_prior_make_up_the_density(case, likelihood, noise_scale):
+@pytest.mark.parametrize("likelihood", ["gaussian", "student", "slip"])
+def test_rows_and_prior_make_up_the_density(case, likelihood):
     """The density that is sampled is the product of the rows' likelihoods and the prior, also as a chart sees it."""
     _, found = case
-    target, references = make_target(found, likelihood, noise_scale)
+    target, references = make_target(found, likelihood)
     points = references[0] + 0.3 * np.random.default_rng(0).standard_normal((20, target.n_unknowns)) / 100
     expected = target.log_likelihoods(points).sum(axis=1) + stats.norm.logpdf(points).sum(axis=1)
     for seen in (target, target.centred(references[0]), target.centred(points[3])):
@@ -144,9 +104,9 @@ def test_rows_and_prior_make_up_the_density(case, likelihood, noise_scale):
 
 def test_drawn_errors_have_the_scatter_of_the_likelihood(case):
     _, found = case
-    target, references = make_target(found, "student", True)
+    target, references = make_target(found, "student")
     points = np.repeat(references[:1], 4000, axis=0)
-    errors = target.draw_noise(points, np.random.default_rng(0)) / target.noise_factors(points)[:, None]
+    errors = target.draw_noise(points, np.random.default_rng(0))
     assert stats.kstest(errors.ravel()[::7], stats.t(DOF).cdf).pvalue > 0.001
     slipped, references = make_target(found, "slip")
     errors = slipped.draw_noise(np.repeat(references[:1], 4000, axis=0), np.random.default_rng(0))

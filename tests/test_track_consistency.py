@@ -1,18 +1,20 @@
 """Verdicts on simulated campaigns; the rates over hundreds of weeks are in studies/tracking.py."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 from track_fixtures import CELL, DRIFT, campaign, knock, step_of_beta_4
 
+from fpcal_bayes.analysis.history import session_bounds
 from fpcal_bayes.simulator.sweeps import simulate_um
 from fpcal_bayes.tracking.alarms import Limits, Monitor, extend, findings
 from fpcal_bayes.tracking.drift import State
 from fpcal_bayes.tracking.filter import Innovation, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement
-from fpcal_bayes.tracking.tracker import innovation_bounds, track
+from fpcal_bayes.tracking.tracker import track
 
 
 def verdicts(seed: int, **settings) -> list[str]:
@@ -128,7 +130,8 @@ def test_the_response_of_the_filter_is_that_of_a_filter_that_jumped():
 
 
 def test_bounds_are_those_of_chi_square():
-    np.testing.assert_allclose(innovation_bounds(7, 0.9), stats.chi2.ppf([0.05, 0.95], 7))
+    outcome = SimpleNamespace(dof=7)
+    np.testing.assert_allclose(session_bounds(outcome), stats.chi2.ppf([0.025, 0.975], 7))
 
 
 def test_frequent_sessions_raise_no_more_false_alarms():

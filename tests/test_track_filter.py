@@ -14,7 +14,6 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.drift_sizes import DriftSize
 from fpcal_bayes.tracking import measurement as rows_taken_in
-from fpcal_bayes.tracking.alarms import Monitor
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import inflate, predict, update
 from fpcal_bayes.tracking.measurement import LinearMeasurement, SweepMeasurement, equivalent_rows
@@ -23,6 +22,13 @@ from fpcal_bayes.tracking.smoother import smooth
 
 EXTRINSIC = CELL.select("extrinsic")
 KNOWN = {"walk": 1.0, "rate_sd": 0.5, "bounded_sd": 0.7, "bounded_hours": 9.0, "temperature": 0.3}
+
+
+def whitened(z, h, covariance):
+    """Linear rows of any covariance."""
+    factor = np.linalg.cholesky(covariance)
+    rows = np.linalg.solve(factor, np.column_stack([z, h]))
+    return LinearMeasurement(rows[:, 0], rows[:, 1:], -np.log(np.diag(factor)).sum())
 
 
 def linear_case(seed: int, count: int = 7):
@@ -52,7 +58,7 @@ def run(drift, start, times, temperatures, rows):
     state = start
     for time, temperature, (z, h, r) in zip(times, temperatures, rows, strict=True):
         predicted = predict(drift, state, float(time), float(temperature))
-        measurement = LinearMeasurement.of(z, h, r)
+        measurement = whitened(z, h, r)
         taken = update(predicted, measurement)
         state, total = taken.state, total + taken.innovation.log_likelihood
         outcomes.append(replace(outcome_of(predicted, state, drift), measurement=measurement))
@@ -60,10 +66,7 @@ def run(drift, start, times, temperatures, rows):
 
 
 def outcome_of(predicted: State, state: State, drift: DriftModel) -> SessionOutcome:
-    none = np.zeros(drift.n_states)
-    return SessionOutcome(
-        "s", state.time_h, "", 1, 0.0, 1, "as-modelled", (), (), 0.0, True, none, predicted, state, Monitor()
-    )
+    return SessionOutcome("s", state.time_h, "", predicted, state, np.zeros(drift.n_states), n_sweeps=1, dof=1)
 
 
 def joint(drift, start, times, temperatures, rows):
@@ -173,10 +176,10 @@ def test_all_sweeps_at_once_or_one_by_one_is_the_same_where_rows_are_linear():
     _, start, _, _, rows = linear_case(5)
     z, h, r = rows[0]
     r = np.diag(np.diag(r))
-    once = update(start, LinearMeasurement.of(z, h, r))
+    once = update(start, whitened(z, h, r))
     state, total = start, 0.0
     for i in range(len(z)):
-        taken = update(state, LinearMeasurement.of(z[i : i + 1], h[i : i + 1], r[i : i + 1, i : i + 1]))
+        taken = update(state, whitened(z[i : i + 1], h[i : i + 1], r[i : i + 1, i : i + 1]))
         state, total = taken.state, total + taken.innovation.log_likelihood
     np.testing.assert_allclose(state.mean, once.state.mean, atol=1e-10)
     np.testing.assert_allclose(state.covariance, once.state.covariance, atol=1e-10)
@@ -209,7 +212,7 @@ def test_many_rows_are_taken_in_exactly():
     h[:, :8] = random.standard_normal((150, 8)) * 30.0
     z = h @ start.mean + random.standard_normal(150) * 40.0
     r = np.diag(random.uniform(0.5, 2.0, 150))
-    taken = update(start, LinearMeasurement.of(z, h, r))
+    taken = update(start, whitened(z, h, r))
     spread = h @ start.covariance @ h.T + r
     gain = np.linalg.solve(spread, h @ start.covariance).T
     misfit = z - h @ start.mean
@@ -222,7 +225,7 @@ def test_many_rows_are_taken_in_exactly():
     expected = stats.multivariate_normal(h @ start.mean, spread).logpdf(z)
     assert innovation.log_likelihood == pytest.approx(expected, rel=1e-9)
     wide = inflate(start, np.full(n, 0.5))
-    again = update(wide, LinearMeasurement.of(z, h, r)).innovation
+    again = update(wide, whitened(z, h, r)).innovation
     assert innovation.under(wide.covariance).log_likelihood == pytest.approx(again.log_likelihood, rel=1e-12)
 
 

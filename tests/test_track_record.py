@@ -11,7 +11,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.record import decisions_of, record_of, resume
+from fpcal_bayes.tracking.record import record_of, resume
 from fpcal_bayes.tracking.sessions import check_sessions
 from fpcal_bayes.tracking.smoother import smooth
 from fpcal_bayes.tracking.tracker import smooth_track, track
@@ -100,22 +100,6 @@ def test_a_resumed_track_is_smoothed_like_a_whole_one(saved, whole):
     for one, other in zip(found.states, expected.states, strict=True):
         np.testing.assert_array_equal(one.mean, other.mean)
         np.testing.assert_array_equal(one.covariance, other.covariance)
-
-
-def test_a_calibration_may_be_given(whole):
-    given = track(CELL, early("s1"), calibration=replace(whole, outcomes=whole.outcomes[:1]).estimate())
-    np.testing.assert_allclose(given.last.state.mean, whole.outcomes[1].state.mean, atol=1e-6)
-
-
-def test_decisions_are_saved_with_the_track():
-    _, sweeps = campaign(1, sessions=1)
-    found = track(CELL, sweeps)
-    log = [{"now_h": 8.0, "action": "extrinsic", "n_sweeps": 6}]
-    assert decisions_of(record_of(found, sweeps, LIMITS, log)) == log
-    plain = record_of(found, sweeps, LIMITS)
-    assert decisions_of(plain) == []
-    for damaged in ("[]", "not JSON", '{"decisions": 3}', '{"decisions": [3]}'):
-        assert decisions_of(replace(plain, summary=damaged)) == []
 
 
 def test_a_track_of_an_older_version_is_taken_in_anew(saved):

@@ -7,8 +7,6 @@ import pytest
 from track_fixtures import CELL, DRIFT, PROTOCOL, SIGMA, plan
 
 from fpcal_bayes.infer.design.candidates import candidate_sweeps
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.posterior.draws import independent_draws
 from fpcal_bayes.measure.sweeps import join
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
@@ -99,10 +97,3 @@ def test_a_slip_that_nobody_noticed_takes_over_no_solution():
     found = track(CELL, sweeps.with_measurement(dl, sweeps.sigma))
     assert found.solutions == 2
     assert not any("which one holds" in text for text in found.outcomes[0].warnings)
-
-
-def test_draws_that_are_given_are_followed_as_they_are(told):
-    draws = independent_draws(identify(CELL, told.of_session("day0")), 500)
-    found = track(CELL, told, draws=draws)
-    assert found.solutions == 1
-    assert found.outcomes[0].measurement is None

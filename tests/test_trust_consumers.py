@@ -51,7 +51,6 @@ TRIED = {
     ("identify", "start"): "identify good.csv --free extrinsic --start estimate.json",
     ("identify", "prior"): "identify good.csv --prior estimate.json",
     ("track", "campaign"): "track campaign.h5",
-    ("track", "posterior"): "track campaign.h5 --posterior posterior.nc",
     ("decide", "campaign"): "decide campaign.h5",
     ("report", "campaign"): "report campaign.h5 -o r.html",
     ("report", "posterior"): "report campaign.h5 --posterior posterior.nc -o r.html",

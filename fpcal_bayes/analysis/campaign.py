@@ -8,14 +8,13 @@ import numpy as np
 from fpcal_bayes.analysis.tasks import TaskNumbers, judged
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import decide_track
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import Observability, observe
-from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior, read_posterior_summary
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, read_posterior_summary
 from fpcal_bayes.infer.tasks.budget import Budget, budget_of
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction, predict_from_covariance
 from fpcal_bayes.infer.tasks.source import path_points
@@ -30,14 +29,12 @@ from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.motion.compensation import compensated
 from fpcal_bayes.motion.tasks import Task, find_task, possible_tasks
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.drift import DriftModel, likely_drift
+from fpcal_bayes.tracking.drift import likely_drift
 from fpcal_bayes.tracking.fit_sizes import with_learnt_pace
 from fpcal_bayes.tracking.record import resume
 from fpcal_bayes.tracking.sessions import check_sessions, hours_at, hours_now, hours_of
 from fpcal_bayes.tracking.tracker import Track, estimate_of, track
 
-#: Of a posterior file: more tell no more.
-_MOST_DRAWS = 2000
 #: Errors that are drawn of each task.
 _DRAWS = 4000
 #: Sessions of a campaign after which the pace of its drift is looked at first.
@@ -66,13 +63,12 @@ class _Measured:
         data = {"file": Path(file).name, "sha256": file_sha256(Path(file))}
         return cls(file, cell, sweeps, check_sessions(sweeps, now_h), campaign, now_h, data)
 
-    def follow(self, *, posterior: str | None = None, anew: bool = False) -> tuple[Track, list[str]]:
+    def follow(self, *, anew: bool = False) -> tuple[Track, list[str]]:
         """The track, from where a saved one ends, and sentences about the saved one; see `follow`."""
         cell, sweeps = self.cell, self.sweeps
         drift, limits = likely_drift(cell, sweeps), Limits()
-        draws = None if posterior is None else _draws(posterior, cell, drift)
         known, note = None, ""
-        if self.campaign is not None and self.campaign.track is not None and not anew and draws is None:
+        if self.campaign is not None and self.campaign.track is not None and not anew:
             known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
 
         # Where drift is not as stated, the first sessions say so, and the others cost less under what they say.
@@ -82,7 +78,7 @@ class _Measured:
 
             def taken(known: Track | None, rows: Sweeps = rows) -> Track:
                 paced = drift if known is None else replace(drift, pace=known.drift.pace)
-                return track(cell, rows, drift=paced, limits=limits, known=known, draws=draws, now_h=self.now_h)
+                return track(cell, rows, drift=paced, limits=limits, known=known, now_h=self.now_h)
 
             found = with_learnt_pace(taken(found), self.parts, taken)
         assert found is not None
@@ -102,9 +98,7 @@ class Followed:
     campaign: Campaign | None  # None if the file is a CSV
 
 
-def follow(
-    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
-) -> Followed:
+def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
     """Follow a campaign, from where a saved track ends.
 
     Parameters
@@ -112,34 +106,15 @@ def follow(
     now
         Hours since the campaign began, or a clock time, as text: sessions after it are refused. A number is a Unix
         time, which is held against rows with clock times only.
-    posterior
-        File of draws to start from, as ``fpcal sample`` writes it; all sessions are then taken in again.
     anew
         Take in all sessions again, whatever was saved.
     """
     measured = _Measured.read(file, cell, now)
     warm_up(cell)
-    found, notes = measured.follow(posterior=posterior, anew=anew)
+    found, notes = measured.follow(anew=anew)
     if found.last.utc:
         found = replace(found, data=found.data | {"utc": found.last.utc})
     return Followed(found, measured.sweeps, measured.now_h, notes, measured.campaign)
-
-
-def _draws(posterior: str, cell: Cell, drift: DriftModel) -> Floats:
-    """The draws of the parameters that are followed, shape (n_draws, n_parameters)."""
-    read = read_posterior(posterior, cell)
-    if cell.mechanics is not None:
-        raise InputError(
-            f"{posterior}: holds draws of the geometry, and a track of this cell starts from error motions too: "
-            "leave --posterior out, the first session tells both; or take a perfect mechanism by --mechanics none"
-        )
-    missing = [name for name in drift.parameters.names if name not in read.parameters]
-    if missing:
-        raise InputError(f"{posterior}: expected draws of all free parameters, {missing[0]} is missing")
-    drawn = read.thinned(_MOST_DRAWS)
-    if len(drawn.values) <= len(drift.parameters):
-        raise InputError(f"{posterior}: {len(drawn.values)} draws, expected more than parameters")
-    return drawn.values[:, drawn.parameters.positions(drift.parameters.names)]
 
 
 @dataclass(frozen=True)

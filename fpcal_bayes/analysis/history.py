@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.core.linalg import chi2_tail, covariance_root
@@ -16,9 +17,8 @@ from fpcal_bayes.model.parameters import Parameter, ParameterSet
 from fpcal_bayes.tracking.drift import DriftModel
 from fpcal_bayes.tracking.filter import predict
 from fpcal_bayes.tracking.measurement import SweepMeasurement
-from fpcal_bayes.tracking.record import decisions_of
 from fpcal_bayes.tracking.session import SessionOutcome
-from fpcal_bayes.tracking.tracker import Track, innovation_bounds, smooth_track
+from fpcal_bayes.tracking.tracker import Track, smooth_track
 
 #: Times of the grid at most, and at least so many between two sessions.
 _MOST_TIMES, _LEAST_BETWEEN, _LEAST_AHEAD = 480, 3, 24
@@ -41,8 +41,6 @@ class History:
     smooth_hours: Floats  # (s,), the sessions
     smooth_mean: Floats  # (s, n), given all of them
     truth: Floats | None  # (t, n), what a simulation was made from, NaN where unknown
-    #: Estimates that the file holds: session, hours, values and sds by name.
-    stored: tuple[tuple[str, float, dict[str, tuple[float, float]]], ...]
     #: Session, hours and verdict of each session that was not as modelled.
     alarms: tuple[tuple[str, float, str], ...]
 
@@ -102,8 +100,7 @@ class TaskChange:
 class SinceCalibration:
     """What changed between the last calibration and the last session, held against the stated drift.
 
-    Under that drift the change of the filter's mean is normal, with the covariance predicted from the calibration less
-    the one that is left: what the sessions since have told.
+    Under it the change of the filter's mean is normal, its covariance what the sessions since have told.
     """
 
     session: str  # the calibration
@@ -185,7 +182,6 @@ def history(facts: CampaignFacts) -> History | None:
         smooth_hours=np.array([state.time_h for state in smoothed]),
         smooth_mean=np.array([parameters.to_shown(drift.values(state.mean)) for state in smoothed]),
         truth=_truth(facts, hours, parameters.names),
-        stored=_stored(facts),
         alarms=tuple((o.session, o.time_h, o.verdict) for o in followed.outcomes if o.verdict != "as-modelled"),
     )
 
@@ -276,30 +272,12 @@ def _truth(facts: CampaignFacts, hours: Floats, names: tuple[str, ...]) -> Float
     return result
 
 
-def _stored(facts: CampaignFacts) -> tuple[tuple[str, float, dict[str, tuple[float, float]]], ...]:
-    """Estimates of the file that are of its sessions; entries that are not numbers are passed over."""
-    if facts.campaign is None:
-        return ()
-    found = []
-    for session, content in facts.campaign.estimates.items():
-        if session not in facts.sweeps.sessions:
-            continue
-        stated = content.get("parameters")
-        values = {}
-        for name, entry in stated.items() if isinstance(stated, dict) else ():
-            if not isinstance(entry, dict) or entry.get("status") == "fixed":
-                continue
-            value, sd = entry.get("value"), entry.get("sd")
-            if isinstance(value, (int, float)) and isinstance(sd, (int, float)) and np.isfinite([value, sd]).all():
-                values[str(name)] = (float(value), float(sd))
-        time_h = float(facts.sweeps.of_session(session).time_h.max())
-        found.append((session, time_h, values))
-    return tuple(sorted(found, key=lambda entry: entry[1]))
-
-
 def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
     """95 % bounds of the innovation of a session, or None where no rows of it are tested."""
-    return innovation_bounds(outcome.dof) if outcome.dof else None
+    if not outcome.dof:
+        return None
+    low, high = special.chdtri(outcome.dof, [0.975, 0.025]).tolist()
+    return low, high
 
 
 def session_numbers(facts: CampaignFacts) -> list[SessionNumbers]:
@@ -321,13 +299,3 @@ def session_log(facts: CampaignFacts) -> list[LogEntry] | None:
         held = facts.forecast.following(outcome.state.mean).hold_hours(outcome.state, horizon)
         entries.append(LogEntry(outcome, held, held >= horizon, gap - held, last))
     return entries
-
-
-def saved_decisions(facts: CampaignFacts) -> dict[str, tuple[str, str]]:
-    """Action and reason of the decisions that the file holds, by the session that followed."""
-    if facts.campaign is None or facts.campaign.track is None:
-        return {}
-    return {
-        str(entry.get("session", "")): (str(entry.get("action", "")), str(entry.get("reason", "")))
-        for entry in decisions_of(facts.campaign.track)
-    }

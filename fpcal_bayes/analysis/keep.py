@@ -25,14 +25,12 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import SCHEMA
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.tracking.alarms import Limits
-from fpcal_bayes.tracking.record import decisions_of, record_of
+from fpcal_bayes.tracking.record import record_of
 from fpcal_bayes.tracking.sessions import hours_of
 from fpcal_bayes.tracking.tracker import Track
 
 
-def follow_saved(
-    file: str | Path, cell: Cell, *, now: str | float | None = None, posterior: str | None = None, anew: bool = False
-) -> Followed:
+def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
     """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
 
     Arguments are those of `follow`.
@@ -41,14 +39,12 @@ def follow_saved(
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):
             alone.enter_context(exclusive(Path(file)))
-        followed = follow(file, cell, now=now, posterior=posterior, anew=anew)
+        followed = follow(file, cell, now=now, anew=anew)
         found, notes = followed.track, followed.notes
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed
         try:
-            before = followed.campaign.track
-            log = [] if before is None else decisions_of(before)
-            record = record_of(found, followed.sweeps, Limits(), log)
+            record = record_of(found, followed.sweeps, Limits())
             write_campaign(file, replace(followed.campaign, track=record), cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")

@@ -36,8 +36,8 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
     knowledge, cell = estimate.mechanics, estimate.cell
     if knowledge is None:
         return []
-    names, mean, factor = knowledge.weights(knowledge.n_parameters)
-    weights = mean + knowledge.draws @ factor.T
+    names, mean, root = knowledge.weights(knowledge.n_parameters)
+    weights = mean + knowledge.draws @ root.T
     scales = np.exp(knowledge.log_scales)
     curves, first = [], 0
     for motion in knowledge.terms(cell).motions:
@@ -49,37 +49,23 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
         low, high = (-np.pi, np.pi) if endless else (cell.low[i], cell.high[i])
         q = np.linspace(low, high, _POINTS)
         basis = (harmonics(q) if endless else polynomials(q, low, high)) * motion.sd
-        unit = 1e3 if motion.direction < ROLL else 1e6
-        values = unit * weights[:, own] @ basis[:, there].T
+        unit, factor = ("nm", 1e3) if motion.direction < ROLL else ("urad", 1e6)
+        values = factor * weights[:, own] @ basis[:, there].T
         size = scales[:, knowledge.scales.index(motion.scale)]
-        stated = unit * np.sqrt((basis[:, there] ** 2).sum(axis=1))
+        stated = factor * np.sqrt((basis[:, there] ** 2).sum(axis=1))
         prior = np.median(size) * stated
         shown = 1.0 - float((values.var(axis=0) / np.maximum(prior**2, 1e-30)).mean())
-        lower, middle, upper = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
-        curves.append(
-            MotionCurve(
-                motion.name,
-                "nm" if motion.direction < ROLL else "urad",
-                cell.joints[i].unit,
-                q / cell.joint_scales[i],
-                lower,
-                middle,
-                upper,
-                stated,
-                shown,
-                i,
-                motion.direction,
-            )
-        )
+        least, middle, most = np.quantile(values, [0.025, 0.5, 0.975], axis=0)
+        about = motion.name, unit, cell.joints[i].unit, q / cell.joint_scales[i]
+        curves.append(MotionCurve(*about, least, middle, most, stated, shown, i, motion.direction))
     return sorted(curves, key=lambda curve: -curve.shown)
 
 
 def axis_tables(estimate: Estimate) -> dict[int, dict[str, Floats]]:
     """Error motions by joint position, as columns over the joint's value, named after ISO 230-1.
 
-    E, the direction (X Y Z of a displacement, A B C of a turn about them, each the world axis that is nearest to it),
-    then the axis of motion: EYX is what a joint along X moves along Y. Each has its mean and the edges of its 95 %
-    band: what is added to where the joint should be, at the point of the data sheet; to compensate subtract it.
+    EYX is what a joint along X moves along Y: the nearest world axes, A B C for turns. Mean and edges of the 95 % band
+    of what is added at the point of the data sheet; to compensate subtract it.
     """
     knowledge, tables = estimate.mechanics, dict[int, dict[str, Floats]]()
     if knowledge is None:

@@ -73,42 +73,6 @@ def tree_draws(tree: Any, group: str = "posterior") -> tuple[list[str], Floats]:
     return names, np.array([tree[group][name].transpose("chain", "draw").to_numpy() for name in names])
 
 
-def most_correlated(tree: Any, n: int) -> list[str]:
-    """Names of `n` parameters that take part in the largest correlations, in the order of the tree."""
-    names, draws = tree_draws(tree)
-    if len(names) <= n:
-        return names
-    size = np.abs(np.corrcoef(draws.reshape(len(names), -1)))
-    first, second = np.triu_indices(len(names), 1)
-    chosen: list[int] = []
-    for k in np.argsort(-size[first, second], kind="stable"):
-        new = [int(i) for i in (first[k], second[k]) if i not in chosen]
-        chosen += new[: n - len(chosen)]
-        if len(chosen) == n:
-            break
-    return [names[i] for i in sorted(chosen)]
-
-
-def ensemble_draws(tree: Any, fewest: int, most: int) -> tuple[list[str], Floats]:
-    """Names, and as many draws of each ensemble as it is worth, shape (n, n_ensembles, n_draws)."""
-    # ArviZ takes seconds to import: only figures pay for it.
-    from arviz_stats.base import array_stats
-
-    names, draws = tree_draws(tree)
-    n_ensembles = int(tree.attrs["n_ensembles"])
-    # The walkers of an ensemble together are one chain, as in the nested R-hat.
-    ensembles = draws.reshape(len(names), n_ensembles, -1)
-    effective = float(np.min(array_stats.ess(draws, chain_axis=1, draw_axis=2))) / n_ensembles
-    return names, ensembles[:, :, :: -(-ensembles.shape[2] // int(np.clip(effective, fewest, most)))]
-
-
-def predictive_residuals(tree: Any) -> tuple[list[str], Floats]:
-    """Names of the rows, and measured less predicted in standard deviations of the prediction, shape (n_rows,)."""
-    observed, predicted = tree["observed_data"]["dl_um"], tree["posterior_predictive"]["dl_um"]
-    residuals = (observed - predicted.mean(("chain", "draw"))) / predicted.std(("chain", "draw"))
-    return [str(label) for label in observed["sweep"].to_numpy()], residuals.to_numpy()
-
-
 def reflection_points(
     estimate: Estimate, parameters: ParameterSet, truth: Floats
 ) -> dict[str, tuple[Floats, Floats, Floats]]:

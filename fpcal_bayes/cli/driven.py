@@ -34,7 +34,6 @@ def costs_of(options: argparse.Namespace, sweeps: Sweeps) -> Costs:
     return Costs(
         minutes_per_sweep=options.minutes_per_sweep,
         minutes_per_session=options.minutes_per_session or 0.0,
-        out_of_tolerance=options.cost_out,
         least_sweeps=options.least_sweeps,
         most_sweeps=most,
         sigma_nm=1e3 * float(np.median(sweeps.sigma)) if options.sigma_nm is None else options.sigma_nm,

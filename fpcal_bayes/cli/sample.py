@@ -14,11 +14,9 @@ from fpcal_bayes.core.files import exclusive, make_folder
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
-from fpcal_bayes.infer.posterior.leave_out import leave_one_out
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
-from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.posterior import posterior_table, write_posterior_figures
+from fpcal_bayes.report.posterior import posterior_table
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,7 +24,6 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     if options.output.suffix != ".nc":
         raise InputError(f"{options.output}: expected a file name that ends in .nc")
-    pairs = _pairs(options, cell)
     sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     warm_up(cell)
@@ -40,17 +37,17 @@ def run(options: argparse.Namespace) -> int:
         warn(["rows that share a reading keep the signs that were decided: where doubtful, the draws are too narrow"])
 
     folder = options.output.with_name(options.output.name + ".blocks")
-    store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood, options.noise_scale))
+    store = BlockStore(folder, identity(result.problem, options.seed, options.likelihood))
     make_folder(folder)
     with exclusive(folder):
         try:
-            return _sample(options, result, store, pairs)
+            return _sample(options, result, store)
         finally:
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
 
-def _sample(options: argparse.Namespace, result: Identification, store: BlockStore, pairs: list[str] | None) -> int:
+def _sample(options: argparse.Namespace, result: Identification, store: BlockStore) -> int:
     """Draw, and write what was drawn."""
     if not options.resume:
         store.clear()
@@ -70,13 +67,7 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
             bar.update(task, completed=share, effective=effective)
 
         posterior = sample(
-            result,
-            draws=options.draws,
-            likelihood=options.likelihood,
-            noise_scale=options.noise_scale,
-            seed=options.seed,
-            store=store,
-            progress=show,
+            result, draws=options.draws, likelihood=options.likelihood, seed=options.seed, store=store, progress=show
         )
 
     command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
@@ -102,25 +93,5 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
         out.say(f"slipped sweeps: {', '.join(likely) or 'none'}")
     warn([posterior.misfit] if posterior.misfit else [])
     warn(f"not converged: {text}; try fewer --draws or more informative sweeps" for text in posterior.failures)
-    if options.plots is not None:
-        loo = leave_one_out(posterior, options.likelihood, most_refits=0, seed=options.seed)
-        for path in write_posterior_figures(tree, loo, options.plots, pairs=pairs):
-            out.say(f"figure: {path}")
     store.clear()
     return 0 if posterior.converged else 1
-
-
-def _pairs(options: argparse.Namespace, cell: Cell) -> list[str] | None:
-    """Parameters of the pair plot, or None for the most correlated; the folder of figures is made."""
-    names = [name for name in options.pairs.split(",") if name]
-    if options.plots is None:
-        if names:
-            raise InputError("--pairs: expected --plots DIR with it")
-        return None
-    if names and len(set(names)) < 2:
-        raise InputError(f"--pairs {options.pairs!r:.60}: expected at least two parameters")
-    for name in names:
-        if name not in cell.free.names:
-            raise InputError(f"--pairs: {name!r:.60} is not a free parameter of cell {cell.name!r}")
-    make_folder(options.plots)
-    return list(dict.fromkeys(names)) or None

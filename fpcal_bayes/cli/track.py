@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     def take_in(again: bool) -> None:
         nonlocal status
         status = _take_in(options, cell, goal, again=again)
-        options.anew, options.posterior = False, None
+        options.anew = False
 
     try:
         watch(options.campaign, options.watch, take_in, lambda text: warn([text]))
@@ -47,7 +47,7 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
             raise InputError("-o CELL.toml: expected --fit-drift beside it, and a name that ends in .toml")
         if options.output.exists() and not options.force:
             raise InputError(f"{options.output}: is there already, expected another name for the cell, or --force")
-    followed = follow_saved(options.campaign, cell, now=options.now, posterior=options.posterior, anew=options.anew)
+    followed = follow_saved(options.campaign, cell, now=options.now, anew=options.anew)
     found, sweeps, notes = followed.track, followed.sweeps, followed.notes
     if again and found.resumed == len(found.outcomes):
         return 0 if found.converged else 1

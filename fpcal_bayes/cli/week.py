@@ -5,7 +5,6 @@ import io
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fpcal_bayes.cli.common import Output, cell_of, console, warn
 from fpcal_bayes.cli.driven import warm_up_inverse
@@ -35,7 +34,7 @@ from fpcal_bayes.report.week import (
     reflection_lines,
     truth_table,
 )
-from fpcal_bayes.study.paper_scenarios import Followed, decision_log, follow_week
+from fpcal_bayes.study.paper_scenarios import Followed, follow_week
 from fpcal_bayes.study.paper_week import (
     SESSIONS,
     Circle,
@@ -122,27 +121,20 @@ def _write_data(options: argparse.Namespace, cell: Cell, week: Week, followed: F
         name: {"schema": SCHEMA, "command": "identify", **found.content()}
         for name, found in week.identifications.items()
     }
-    # A second run gives the same campaign: how long an identification took is in its own file.
-    timeless = {
-        name: content | {"fit": {key: value for key, value in content["fit"].items() if key != "seconds"}}
-        for name, content in contents.items()
-    }
     truth = week.truth.record()
 
-    def save(file: str, sweeps: Sweeps, lived: Track, estimates: dict[str, Any], log: list[dict[str, Any]]) -> None:
-        made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth, estimates=estimates)
+    def save(file: str, sweeps: Sweeps, lived: Track) -> None:
+        made = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth)
         write_campaign(folder / file, made, cell)
         # The track is of the rows as the file holds them, in degrees.
         stored = read_campaign(folder / file, cell).sweeps
-        write_campaign(folder / file, replace(made, track=record_of(lived, stored, Limits(), log)), cell)
+        write_campaign(folder / file, replace(made, track=record_of(lived, stored, Limits())), cell)
 
-    save("campaign.h5", week.sweeps, followed.track, timeless, [])
+    save("campaign.h5", week.sweeps, followed.track)
     lived = replace(followed.policy_track, data={"file": "policy.h5", "session": followed.policy_track.last.session})
     estimate = lived.estimate(valid_until(lived, followed.goal)).content() | {"fit": {"converged": lived.converged}}
     last = {"schema": SCHEMA, "command": "track", **estimate}
-    first = lived.outcomes[0].session
-    log = decision_log(followed.loop.decisions, lived.outcomes[1:], followed.goal.tolerance_um)
-    save("policy.h5", followed.policy_sweeps, lived, {first: timeless[first], lived.last.session: last}, log)
+    save("policy.h5", followed.policy_sweeps, lived)
     write_json(folder / "estimate.json", last)
     for name, content in contents.items():
         write_json(folder / f"{name}.json", content)

@@ -35,7 +35,7 @@ def session_power(
 ) -> Floats:
     """Probability that sweeps at the time of a predicted `state` show a jump of each parameter, shape (n_parameters,).
 
-    The sweeps have their `sigma`; what they read is not looked at. `hours` have passed since the session before.
+    What they read is not looked at. `hours` have passed since the session before.
     """
     planned = sweeps.with_measurement(np.zeros(len(sweeps)), sweeps.sigma)
     misfit, jacobian = SweepMeasurement.of(drift, model, planned, state.mean).linearise(state.mean)

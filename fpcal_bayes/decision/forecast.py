@@ -8,7 +8,6 @@ with m(t) and P(t) carried forward by the drift model. The probability that the 
 is counted over draws; the same draws serve every time and every covariance, so that the probability is smooth in time.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -37,34 +36,17 @@ _MINUTE_H = 1.0 / 60.0
 
 @dataclass(frozen=True)
 class Goal:
-    """What the cell must hold.
+    """What the cell must hold; `InputError` if a number is out of its range or no task is named."""
 
-    Attributes
-    ----------
-    tolerance_nm
-        Largest peak to peak of the error of any of the tasks.
-    tasks
-        Names as in `TASKS`, of the cell's own, or path files. Tolerances that a task of the cell's own states for other
-        degrees of freedom hold too: their errors count as the same share of this tolerance.
-    level
-        Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as
-        modelled the time spent outside is about a third of it, as the probability grows from zero after each session.
-    radius_um
-        Radius of the circle; by default as far as the cell's limits let it be (`default_radius`).
-    compensate
-        Whether the controller makes up for the error motions that it knows of, where that gains.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range or no task is named.
-    """
-
-    tolerance_nm: float
+    tolerance_nm: float  # largest peak to peak of the error of any of the tasks
+    # Names as in `TASKS`, of the cell's own, or path files. Tolerances that a task of the cell's own states for other
+    # degrees of freedom hold too: their errors count as the same share of this tolerance.
     tasks: tuple[str, ...] = ("circle",)
+    # Probability of passing the tolerance that is accepted before the next measurement. In weeks that drift as modelled
+    # the time spent outside is about a third of it, as the probability grows from zero after each session.
     level: float = 0.1
-    radius_um: float | None = None
-    compensate: bool = True
+    radius_um: float | None = None  # of the circle; by default as far as the cell's limits let it be
+    compensate: bool = True  # whether the controller makes up for the error motions that it knows of, where that gains
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.tolerance_nm) and self.tolerance_nm > 0):
@@ -76,7 +58,7 @@ class Goal:
 
     @property
     def tolerance_um(self) -> float:
-        """The tolerance as the forecasts have it."""
+        """The tolerance in um."""
         return 1e-3 * self.tolerance_nm
 
 
@@ -185,12 +167,12 @@ class Forecaster:
         return self.outlook(self.ahead(state, hours)).exceeds(self.goal.tolerance_um)
 
     def hold_hours(self, state: State, horizon_h: float) -> float:
-        """Hours after `state` until the probability of being out of tolerance passes the level, at most `horizon_h`.
+        """Hours after `state` until the level is passed, to the minute below; zero if it is already.
 
-        To the minute below; zero if the level is passed already.
+        At most `horizon_h`.
         """
         inside = 0.0
-        for outside in self._times(horizon_h):
+        for outside in (0.0, *np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS).tolist()):
             if self.exceeds(state, outside) > self.goal.level:
                 break
             inside = outside
@@ -204,19 +186,13 @@ class Forecaster:
                 inside = middle
         return inside
 
-    @staticmethod
-    def _times(horizon_h: float) -> Iterator[float]:
-        yield 0.0
-        yield from (float(t) for t in np.geomspace(min(0.25, horizon_h / 2.0), horizon_h, _STEPS))
-
 
 def _held(
     drift: DriftModel, model: CavityModel, goal: Goal, name: str, task: Task, mean: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Errors of a task by the states, (n_rows, n_lengths), and of a machine what is new each time, (n_rows, n_draws).
+    """Errors of a task by the states (n_rows, n_lengths), and of a machine what is new each time (n_rows, n_draws).
 
-    Rows are the points along the beam, then those of each degree of freedom that the cell states a tolerance for, all
-    in um of the goal's tolerance.
+    Rows are the points along the beam, then those of each freedom with a tolerance, in um of the goal's tolerance.
     """
     own = {each.name: each.tolerances for each in model.cell.tasks}.get(name, {})
     shares = {freedom: goal.tolerance_um / limit for freedom, limit in own.items() if freedom != "beam"}

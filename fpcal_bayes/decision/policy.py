@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.decision.decision import Costs, Decision, decide, measure_instead
+from fpcal_bayes.decision.decision import Costs, Decision, decide, session_of
 from fpcal_bayes.decision.diagnosis import LEAST_POWER, last_diagnosis, most_power, session_power, watched
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.infer.design.candidates import (
@@ -36,11 +36,9 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def task_sweeps(model: CavityModel, values: Floats, poses: Floats, limits: SweepLimits | None = None) -> Sweeps:
-    """Sweeps of one joint through points of tasks, as a plan, labelled by their joint.
+    """Sweeps of one joint through `poses` (n_poses, n_joints) of tasks, as a plan, labelled by their joint.
 
-    Visibility is judged at the free parameters `values` (n_free,); `poses` (n_poses, n_joints) are in um and rad. Those
-    of the n_poses * n_joints sweeps that lose the fringes are left out. `InputError` if the mirror is out of sight at
-    zero.
+    Those that lose the fringes at `values` are left out; `InputError` if the mirror is out of sight at zero.
     """
     limits = SweepLimits() if limits is None else limits
     low, high = visible_ranges(model, values, limits)
@@ -111,10 +109,9 @@ class Policy:
         calibration: Sweeps,
         motion: Callable[[], SweepLimits] = SweepLimits,
     ) -> "Policy":
-        """A policy that chooses among random sweeps and those of a calibration, whatever these measured.
+        """A policy that chooses among random sweeps and those of a calibration whose cavity length does not turn round.
 
-        Sweeps whose cavity length turns round on the way are left out: their sign would be in doubt. `InputError`, when
-        sweeps are first wanted, if the joint limits leave no room for them.
+        `InputError`, when sweeps are first wanted, if the joint limits leave no room for them.
         """
         motion = cache(motion)
 
@@ -122,7 +119,7 @@ class Policy:
             single = calibration.take((calibration.kind == "sweep") & motion().hold(calibration))
             random = candidate_sweeps(model.cell, n=_CANDIDATES, rng=np.random.default_rng(0), limits=motion())
             pool = join([_plain(single), _plain(random)], file="candidates")
-            return _steady(model, drift.parameters.nominal, pool)
+            return pool.take(~reverses(model, drift.parameters.nominal, pool)[0])
 
         return cls(drift, model, goal, costs, cache(candidates), calibration, motion=motion)
 
@@ -165,7 +162,8 @@ class Policy:
     def _pool(self, forecast: Forecaster) -> "_Pool":
         """Sweeps at the tasks of the estimate, and all others."""
         values = self.drift.values(forecast.estimate)
-        near = _steady(self.model, values, _plain(task_sweeps(self.model, values, forecast.poses, self.motion())))
+        near = _plain(task_sweeps(self.model, values, forecast.poses, self.motion()))
+        near = near.take(~reverses(self.model, values, near)[0])
         candidates = join([near, self.candidates()], file="candidates")
         sigma = self.costs.sigma_um
         rows = sweep_rows(self.model, values[None], candidates, readings=1, sigma=sigma)
@@ -186,8 +184,8 @@ class Policy:
     ) -> Decision:
         """What to do at the time of `state`, while the controller holds the estimate of `forecast`.
 
-        `calibration_due` says why a full calibration is due whatever the error, or is None; `diagnosed_h` when a
-        session could last show a change of the robot, in hours since the campaign began.
+        `calibration_due` says why a full calibration is due whatever the error; `diagnosed_h` when a session could last
+        show a change of the robot.
         """
         decision = self._decide(forecast, state, calibration_due)
         left = self._look_in(forecast, state, diagnosed_h)
@@ -269,7 +267,18 @@ class Policy:
             f"{parameter.name} by {size:.2g} {parameter.unit} with probability {found:.2f} "
             f"(any session: at most {most:.2f})"
         )
-        return measure_instead(decision, forecast, self.model, state, self.costs, sweeps, reason)
+        taken = session_of(forecast, self.model, state, self.costs, sweeps)
+        return replace(
+            decision,
+            action="extrinsic",
+            purpose="both" if n_taken else "robot",
+            hold_hours=0.0,
+            sweeps=sweeps,
+            minutes=taken.minutes,
+            then_hours=taken.hours,
+            after=taken.outlook,
+            reason=reason,
+        )
 
 
 def _standing(
@@ -300,7 +309,7 @@ def _standing(
 def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float, n: int) -> Sweeps:
     """At most `n` sweeps that would tell most about the tasks now, the most useful first, whether due or not.
 
-    Arguments and errors as in `decide_track`; `InputError` too where the track is not to be used.
+    As `decide_track`; `InputError` too where the track is not to be used.
     """
     if not track.trust.usable:
         raise InputError(f"the estimate is not to be used: {track.trust.against}")
@@ -311,21 +320,11 @@ def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h
 
 
 def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float) -> Decision:
-    """What to do now with a cell that was followed so far.
+    """What to do now with a cell that was followed up to its last session.
 
-    Parameters
-    ----------
-    track
-        Up to its last session.
-    sweeps
-        Sweeps of all its sessions; the first is the calibration that would be made again.
-    now_h
-        In hours since the campaign began.
-
-    Raises
-    ------
-    InputError
-        If `now_h` lies before the last session, a task cannot be driven, or the sweeps may leave the cell's envelope.
+    `sweeps` are those of all sessions; the first is the calibration that would be made again. `now_h` is in hours since
+    the campaign began. `InputError` if it lies before the last session, a task cannot be driven, or the sweeps may
+    leave the cell's envelope.
     """
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     due = track.calibration_due
@@ -343,11 +342,6 @@ def valid_until(track: Track, goal: Goal) -> float:
     state = track.last.state
     forecast = Forecaster.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
     return state.time_h + forecast.hold_hours(state, HOURS_PER_WEEK)
-
-
-def _steady(model: CavityModel, values: Floats, sweeps: Sweeps) -> Sweeps:
-    """The sweeps whose cavity length does not turn round on the way."""
-    return sweeps.take(~reverses(model, values, sweeps)[0])
 
 
 def _plain(sweeps: Sweeps) -> Sweeps:

@@ -22,21 +22,8 @@ def basis_of(campaign: Sweeps) -> str:
 def ticket_of(decision: Decision, campaign: Sweeps, file: str = "ticket", *, now_utc: float | None = None) -> Ticket:
     """What a decision asks for, as a ticket; without sweeps where nothing is to be measured.
 
-    Parameters
-    ----------
-    decision
-        Made for the campaign.
-    campaign
-        Sweeps of all sessions so far.
-    file
-        Name of the ticket's file, for messages.
-    now_utc
-        Unix time of the decision; by default the campaign's clock times tell, if it has some.
-
-    Returns
-    -------
-    Ticket
-        With a session name that the campaign does not hold, and nothing that was measured.
+    Its session has a name that `campaign`, the sweeps of all sessions so far, does not hold. `file` is its name for
+    messages, `now_utc` the Unix time of the decision: by default the campaign's clock times tell, if it has some.
     """
     if decision.action == "hold" or decision.sweeps is None or len(decision.sweeps) == 0:
         return empty_ticket(file)

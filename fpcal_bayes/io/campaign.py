@@ -1,11 +1,9 @@
-"""Campaign files in HDF5: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
+"""Campaign files in HDF5: sweeps with the cell, the program, and the truth, track and recordings beside."""
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
-from urllib.parse import quote
 
 import numpy as np
 
@@ -62,12 +60,6 @@ def write_campaign(
             put_array(truth, "units", campaign.truth.units)
             put_array(truth, "time_h", campaign.truth.times_h, "h")
             put_array(truth, "values", campaign.truth.values)
-        estimates = root.create_group("estimates")
-        for session, estimate in campaign.estimates.items():
-            # A slash or a lone dot means something else in HDF5; the attribute has the session's own name.
-            group = estimates.create_group(_group_name(session))
-            _put_estimate(group, estimate)
-            put_text(group, "session", session)
         if campaign.track is not None:
             put_track(root.create_group("track"), campaign.track)
         if campaign.recordings is not None:
@@ -115,7 +107,6 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         _require_cell(path, name, sha256, opd, cell)
         table = get_columns(reader, reader.group(root, "sweeps"), cell, plan=plan)
         truth = _truth(reader) if reader.has(root, "truth") else None
-        texts = _estimate_texts(reader) if reader.has(root, "estimates") else {}
         track = get_track(reader, reader.group(root, "track")) if reader.has(root, "track") else None
         recorded = reader.has(root, "recordings")
         recordings = get_index(reader, reader.group(root, "recordings"), cell) if recorded else None
@@ -132,7 +123,6 @@ def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bo
         command=command,
         seed=seed,
         truth=truth,
-        estimates={session: _estimate(path, session, text) for session, text in texts.items()},
         track=track,
         recordings=recordings,
         doubtful=doubtful,
@@ -162,60 +152,11 @@ def _truth(reader: Reader) -> TruthRecord:
     return TruthRecord(tuple(names), tuple(units), reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
 
 
-def _estimate_texts(reader: Reader) -> dict[str, str]:
-    group = reader.group(reader.root, "estimates")
-    found: dict[str, str] = {}
-    for name in group:
-        estimate = reader.group(group, name)
-        text = _one_text(reader, estimate, "json")
-        found[reader.text_attribute(estimate, "session")] = text
-    return found
-
-
 def _one_text(reader: Reader, group: Any, name: str) -> str:
     texts = reader.texts(group, name)
     if len(texts) != 1:
         raise InputError(f"{reader.path}: {group.name}/{name}: expected one text, found {len(texts)}")
     return str(texts[0])
-
-
-def _estimate(path: Path, session: str, text: str) -> dict[str, Any]:
-    try:
-        estimate = json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: estimate of session {session!r:.60}: not JSON ({error})") from error
-    if not isinstance(estimate, dict):
-        raise InputError(f"{path}: estimate of session {session!r:.60}: expected a JSON object")
-    return estimate
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is not a number")
-
-
-def _group_name(session: str) -> str:
-    return quote(session, safe=" ").replace(".", "%2E")
-
-
-def _put_estimate(group: Any, estimate: dict[str, Any]) -> None:
-    """The whole estimate as JSON; its scalars, parameters and covariance also for programs that read HDF5 only."""
-    put_array(group, "json", [json.dumps(estimate, allow_nan=False)])
-    for key, value in estimate.items():
-        if isinstance(value, str):
-            put_text(group, key, value)
-        elif isinstance(value, float) or (isinstance(value, int) and abs(value) < 2**63):
-            group.attrs[key] = value
-    parameters = estimate.get("parameters", {})
-    if parameters:
-        put_array(group, "names", list(parameters))
-        put_array(group, "unit", [str(entry.get("unit", "")) for entry in parameters.values()])
-        for key in ("value", "sd"):
-            numbers = [entry.get(key) for entry in parameters.values()]
-            put_array(group, key, [np.nan if number is None else float(number) for number in numbers])
-    covariance = estimate.get("covariance")
-    if covariance and covariance["names"]:
-        put_array(group, "covariance_names", covariance["names"])
-        put_array(group, "covariance", np.array(covariance["matrix"], dtype=float))
 
 
 def put_track(group: Any, record: TrackRecord) -> None:

@@ -1,8 +1,6 @@
-"""A campaign in memory: sweeps with the cell, the program, and the truth, estimates, track and recordings beside."""
+"""A campaign in memory: sweeps with the cell, the program, and the truth, track and recordings beside."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +67,6 @@ class Campaign:
         How the file came about; `seed` of a simulation, else None.
     truth
         What a simulation was made from, else None.
-    estimates
-        Estimates as written by ``fpcal identify --json``, by session.
     track
         States that ``fpcal track`` left, or None.
     recordings
@@ -89,7 +85,6 @@ class Campaign:
     command: str
     seed: int | None = None
     truth: TruthRecord | None = None
-    estimates: dict[str, dict[str, Any]] = field(default_factory=dict)
     track: TrackRecord | None = None
     recordings: TraceIndex | None = None
     doubtful: DoubtfulRecord | None = None
@@ -97,15 +92,7 @@ class Campaign:
 
     @classmethod
     def of(
-        cls,
-        sweeps: Sweeps,
-        cell: Cell,
-        *,
-        command: str = "",
-        seed: int | None = None,
-        truth: TruthRecord | None = None,
-        estimates: Mapping[str, dict[str, Any]] | None = None,
+        cls, sweeps: Sweeps, cell: Cell, *, command: str = "", seed: int | None = None, truth: TruthRecord | None = None
     ) -> "Campaign":
         """A campaign of `cell`, made by this version of the program."""
-        estimates = dict(estimates or {})
-        return cls(sweeps, cell.name, cell.sha256, cell.opd, __version__, command, seed, truth, estimates)
+        return cls(sweeps, cell.name, cell.sha256, cell.opd, __version__, command, seed, truth)

@@ -25,7 +25,7 @@ from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.observe import headline
 from fpcal_bayes.report.observe import parameter_table as observed_table
 from fpcal_bayes.report.pages import BLUE, GREY, VERMILION
-from fpcal_bayes.report.posterior import off_screen, posterior_table, prior_posterior_figure
+from fpcal_bayes.report.posterior import posterior_table, prior_posterior_figure
 from fpcal_bayes.report.table import Table
 from fpcal_bayes.report.tasks import prediction_content, prediction_table
 from fpcal_bayes.report.track import session_table, verdict_lines
@@ -112,11 +112,9 @@ def _(result: Posterior) -> Shown:
         told = ("unit", "mean", "sd", "q05", "q25", "q50", "q75", "q95", "ess_bulk", "ess_tail", "rhat")
         return {"parameter": list(found)} | {name: [each[name] for each in found.values()] for name in told}
 
-    def draw() -> Figure:
-        with off_screen():
-            return prior_posterior_figure(arviz_tree(result))
-
-    return Shown(posterior_table(result, repr(result)), columns, draw, result.trust)
+    return Shown(
+        posterior_table(result, repr(result)), columns, lambda: prior_posterior_figure(arviz_tree(result)), result.trust
+    )
 
 
 @shown.register

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.decision.closed_loop import ClosedLoop, run_policy, task_peaks
-from fpcal_bayes.decision.decision import Costs, Decision
+from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Forecaster, Goal
 from fpcal_bayes.decision.policy import Policy
 from fpcal_bayes.infer.fit.identify import Identification
@@ -139,26 +138,6 @@ def follow_week(
     everything = join([first, *loop.sweeps], file="policy.h5")
     policy_track = replace(followed, outcomes=loop.outcomes)
     return Followed(followed, loop, policy_track, everything, goal, costs, courses)
-
-
-def decision_log(
-    decisions: Sequence[Decision], outcomes: Sequence[SessionOutcome], tolerance: float
-) -> list[dict[str, Any]]:
-    """Decisions, and the outcomes that they gave, as JSON: when, what, why, and the session that followed; um."""
-    return [
-        {
-            "now_h": decision.now_h,
-            "action": decision.action,
-            "reason": decision.reason,
-            "n_sweeps": 0 if decision.sweeps is None else len(decision.sweeps),
-            "minutes": decision.minutes,
-            "session": outcome.session,
-            "then_hold_hours": decision.then_hours,
-            "probability_out": decision.now.exceeds(tolerance),
-            "task_error_nm": {"now": 1e3 * decision.now.median, "after": 1e3 * decision.after.median},
-        }
-        for decision, outcome in zip(decisions, outcomes, strict=True)
-    ]
 
 
 def _within_reach(policy: Policy, followed: Track) -> Policy:

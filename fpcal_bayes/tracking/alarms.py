@@ -59,10 +59,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Onset:
-    """A session that may hold a jump, and what the innovations since say about it.
-
-    The jump is in units of `Limits.jump`.
-    """
+    """A session that may hold a jump, in units of `Limits.jump`, and what the innovations since say about it."""
 
     session: str  # name of the session before which the parameters may have jumped
     hours: float  # time since the session before it
@@ -76,11 +73,7 @@ class Onset:
     dof: int
 
     def with_session(self, innovation: Innovation, gain: Floats, predicted_response: Floats) -> "Onset":
-        """With the innovation of one more session.
-
-        `gain` (n_states, n_equivalent) is the Kalman gain by which the session was taken in, `predicted_response` is
-        `response` carried to its time.
-        """
+        """With one more session, taken in by `gain`; `predicted_response` is `response` carried to its time."""
         seen = innovation.jacobian @ predicted_response
         whitened = innovation.whiten(seen)
         return Onset(
@@ -100,8 +93,7 @@ class Finding:
     """One test that failed."""
 
     verdict: SessionVerdict  # what it speaks for
-    p_value: float  # probability of such a value if all is as modelled, and what it had to be below
-    limit: float
+    limit: float  # what the probability of such a value had to be below
     evidence: str
 
 
@@ -139,17 +131,13 @@ def extend(
     limits: Limits,
     drift: DriftModel,
 ) -> Monitor:
-    """Take a session into the memory of the tests.
+    """Take a session, `hours` after the one before, into the memory of the tests.
 
-    `hours` have passed since the session before, `matrix` (n_states, n_states) is the transition of the state over
-    them; linearisation (`innovation`) and `gain` of the session belong together.
+    `matrix` is the transition of the state over them; `innovation` and Kalman `gain` belong together.
     """
-    start = np.zeros((drift.n_states, drift.n_parameters))
-    start[range(drift.n_parameters), range(drift.n_parameters)] = limits.jump(drift)
-    n = drift.n_parameters
-    fresh = Onset(session, hours, 0, start, np.zeros((n, n)), np.zeros(n), 0.0, 0)
+    fresh = _fresh(session, hours, limits, drift)
     onsets = [onset.with_session(innovation, gain, matrix @ onset.response) for onset in monitor.onsets]
-    onsets.append(fresh.with_session(innovation, gain, start))
+    onsets.append(fresh.with_session(innovation, gain, fresh.response))
     explained, seen = _explained(onsets[-1], drift.extrinsic)
     rest = innovation.dof - seen
     return Monitor(
@@ -158,6 +146,13 @@ def extend(
         _summed(monitor.cusum_extrinsic, explained, seen),
         _summed(monitor.cusum_residual, innovation.squared - explained, rest),
     )
+
+
+def _fresh(session: str, hours: float, limits: Limits, drift: DriftModel) -> Onset:
+    """A session just before which the parameters may have jumped, nothing being measured yet."""
+    n = drift.n_parameters
+    start = np.eye(drift.n_states, n) * limits.jump(drift)
+    return Onset(session, hours, 0, start, np.zeros((n, n)), np.zeros(n), 0.0, 0)
 
 
 def _summed(total: float, squared: float, dof: int) -> float:
@@ -171,107 +166,77 @@ def _summed(total: float, squared: float, dof: int) -> float:
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    `step_gain` is by how much a knock just before the last session raises the log likelihood of that session. A change
-    of the robot before an earlier session is believed only if it raises the likelihood more.
+    A change of the robot before an earlier session counts only if it raises the log likelihood by more than
+    `step_gain`, as a knock just before the last one does.
     """
-    return [*_full_findings(monitor, limits, drift, step_gain), *_extrinsic_findings(monitor, limits, drift)]
+    last, found = monitor.onsets[-1], []
+    for onset in monitor.onsets:
+        found += _single_findings(onset, 0.0 if onset is last else step_gain, limits, drift)
+
+    def chi_square(verdict: SessionVerdict, value: float, dof: int, allowed: float, evidence: str) -> None:
+        p_value = chi2_tail(value, dof) if dof > 0 else 1.0
+        if p_value < allowed:
+            said = evidence.format(value=value, dof=dof, session=last.session, count=len(monitor.recent))
+            found.append(Finding(verdict, allowed, f"{said} (p = {p_value:.1e})"))
+
+    def several(verdict: SessionVerdict, total: float, what: str) -> None:
+        if total > CUSUM_LIMIT:
+            text = f"{what} for several sessions (cumulative sum {total:.1f}, limit {CUSUM_LIMIT:g})"
+            found.append(Finding(verdict, 0.0, text))
+
+    explained, seen = _explained(last, drift.extrinsic)
+    text = (
+        "after the best move of mirror and fibre before session {session} a chi-square of {value:.1f} is left for "
+        "{dof} degrees of freedom"
+    )
+    allowed = (1.0 - _SINGLE_SHARE) * _allowed(limits.full_per_week, last.hours)
+    chi_square("intrinsics-moved", last.squared - explained, last.dof - seen, allowed, text)
+    text = "what no move of mirror and fibre explains has been too large"
+    several("intrinsics-moved", monitor.cusum_residual, text)
+    # Innovation alone, extrinsic part alone, window: a third of the alarms each.
+    allowed = _allowed(limits.extrinsic_per_week, last.hours) / 3.0
+    text = "normalised innovation squared {value:.1f} for {dof} degrees of freedom"
+    chi_square("extrinsics-moved", *monitor.recent[-1], allowed, text)
+    move = "a move of mirror or fibre before session {session} explains a chi-square of {value:.1f} in {dof} directions"
+    chi_square("extrinsics-moved", explained, seen, allowed, move)
+    squared, dof = zip(*monitor.recent, strict=True)
+    chi_square("extrinsics-moved", sum(squared), sum(dof), allowed, text + " over the last {count} sessions")
+    several("extrinsics-moved", monitor.cusum_extrinsic, "mirror and fibre have moved more than modelled")
+    return found
 
 
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
-    """Probability that a session shows that a parameter of the robot jumped by its size in `Limits.jump` before it.
+    """Probability that a session shows a jump, by its size in `Limits.jump`, of each parameter, shape (n_parameters,).
 
-    Only the linearisation of `innovation` counts: the session may be measured or planned. `hours` have passed since the
-    session before. Shape (n_parameters,); zero for extrinsic parameters, which are not what is looked for.
+    The session, `hours` after the one before, may be measured or planned. Zero for extrinsic parameters.
     """
-    n, intrinsic = drift.n_parameters, ~drift.extrinsic
-    start = np.zeros((drift.n_states, n))
-    start[range(n), range(n)] = limits.jump(drift)
-    onset = Onset("", hours, 0, start, np.zeros((n, n)), np.zeros(n), 0.0, 0)
-    onset = onset.with_session(innovation, np.zeros((drift.n_states, len(innovation.misfit))), start)
-    information = _single_jumps(onset, drift.extrinsic).information
+    intrinsic = ~drift.extrinsic
+    onset = _fresh("", hours, limits, drift)
+    onset = onset.with_session(innovation, np.zeros((drift.n_states, len(innovation.misfit))), onset.response)
+    information = _single_jumps(onset, drift.extrinsic)[2]
     limit = _SINGLE_SHARE * _allowed(limits.full_per_week, hours) * _shares(limits, drift)[intrinsic]
-    result = np.zeros(n)
+    result = np.zeros(drift.n_parameters)
     result[intrinsic] = np.where(information > 0, special.ndtr(np.sqrt(information) + special.ndtri(limit / 2.0)), 0.0)
     return result
 
 
-def _full_findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float) -> list[Finding]:
-    found: list[Finding] = []
-    extrinsic = drift.extrinsic
-    shares = _shares(limits, drift)
-    for onset in monitor.onsets:
-        allowed = _SINGLE_SHARE * _allowed(limits.full_per_week, onset.hours)
-        single = _single_jumps(onset, extrinsic)
-        p_values = 2.0 * special.ndtr(-np.abs(single.scores))
-        limit = allowed * shares[~extrinsic]
-        passed = (p_values < limit) & (single.gain > (0.0 if onset is monitor.onsets[-1] else step_gain))
-        if passed.any():
-            at = int(np.argmin(np.where(passed, p_values / limit, np.inf)))
-            position = int(np.flatnonzero(~extrinsic)[at])
-            parameter = drift.parameters[position]
-            size = single.sizes[at] * limits.jump(drift)[position] * parameter.prior_sd
-            evidence = (
-                f"{parameter.name} moved by {parameter.shown(size):+.3g} {parameter.unit} before session "
-                f"{onset.session} beyond its drift, {abs(single.scores[at]):.1f} sd, which no move of mirror or fibre "
-                "explains"
-            )
-            found.append(Finding("intrinsics-moved", float(p_values[at]), float(limit[at]), evidence))
-    onset = monitor.onsets[-1]
-    explained, directions = _explained(onset, extrinsic)
-    rest = onset.dof - directions
-    if rest > 0:
-        p_value = chi2_tail(onset.squared - explained, rest)
-        allowed = (1.0 - _SINGLE_SHARE) * _allowed(limits.full_per_week, onset.hours)
-        if p_value < allowed:
-            evidence = (
-                f"after the best move of mirror and fibre before session {onset.session} a chi-square of "
-                f"{onset.squared - explained:.1f} is left for {rest} degrees of freedom (p = {p_value:.1e})"
-            )
-            found.append(Finding("intrinsics-moved", p_value, allowed, evidence))
-    if monitor.cusum_residual > CUSUM_LIMIT:
-        evidence = (
-            "what no move of mirror and fibre explains has been too large for several sessions (cumulative sum "
-            f"{monitor.cusum_residual:.1f}, limit {CUSUM_LIMIT:g})"
-        )
-        found.append(Finding("intrinsics-moved", 0.0, 0.0, evidence))
-    return found
-
-
-def _extrinsic_findings(monitor: Monitor, limits: Limits, drift: DriftModel) -> list[Finding]:
-    found: list[Finding] = []
-    extrinsic = drift.extrinsic
-    onset = monitor.onsets[-1]
-    # Innovation alone, extrinsic part alone, window: a third of the alarms each.
-    allowed = _allowed(limits.extrinsic_per_week, onset.hours) / 3.0
-    squared, dof = monitor.recent[-1]
-    p_value = chi2_tail(squared, dof)
-    if p_value < allowed:
-        evidence = f"normalised innovation squared {squared:.1f} for {dof} degrees of freedom (p = {p_value:.1e})"
-        found.append(Finding("extrinsics-moved", p_value, allowed, evidence))
-    explained, directions = _explained(onset, extrinsic)
-    if directions > 0:
-        p_value = chi2_tail(explained, directions)
-        if p_value < allowed:
-            evidence = (
-                f"a move of mirror or fibre before session {onset.session} explains a chi-square of {explained:.1f} "
-                f"in {directions} directions (p = {p_value:.1e})"
-            )
-            found.append(Finding("extrinsics-moved", p_value, allowed, evidence))
-    total, count = (sum(column) for column in zip(*monitor.recent, strict=True))
-    p_value = chi2_tail(total, count)
-    if p_value < allowed:
-        evidence = (
-            f"normalised innovation squared {total:.1f} for {count} degrees of freedom over the last "
-            f"{len(monitor.recent)} sessions (p = {p_value:.1e})"
-        )
-        found.append(Finding("extrinsics-moved", p_value, allowed, evidence))
-    if monitor.cusum_extrinsic > CUSUM_LIMIT:
-        evidence = (
-            "mirror and fibre have moved more than modelled for several sessions (cumulative sum "
-            f"{monitor.cusum_extrinsic:.1f}, limit {CUSUM_LIMIT:g})"
-        )
-        found.append(Finding("extrinsics-moved", 0.0, 0.0, evidence))
-    return found
+def _single_findings(onset: Onset, least_gain: float, limits: Limits, drift: DriftModel) -> list[Finding]:
+    """The parameter of the robot whose jump alone stands out most, if one does."""
+    scores, sizes, _, gain = _single_jumps(onset, drift.extrinsic)
+    p_values = 2.0 * special.ndtr(-np.abs(scores))
+    limit = _SINGLE_SHARE * _allowed(limits.full_per_week, onset.hours) * _shares(limits, drift)[~drift.extrinsic]
+    passed = (p_values < limit) & (gain > least_gain)
+    if not passed.any():
+        return []
+    at = int(np.argmin(np.where(passed, p_values / limit, np.inf)))
+    position = int(np.flatnonzero(~drift.extrinsic)[at])
+    parameter = drift.parameters[position]
+    size = sizes[at] * limits.jump(drift)[position] * parameter.prior_sd
+    evidence = (
+        f"{parameter.name} moved by {parameter.shown(size):+.3g} {parameter.unit} before session {onset.session} "
+        f"beyond its drift, {abs(scores[at]):.1f} sd, which no move of mirror or fibre explains"
+    )
+    return [Finding("intrinsics-moved", float(limit[at]), evidence)]
 
 
 def _allowed(per_week: float, hours: float) -> float:
@@ -297,18 +262,11 @@ def _explained(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[float, int]:
     return float((along[seen] ** 2 / information[seen]).sum()), int(seen.sum())
 
 
-@dataclass(frozen=True)
-class _SingleJumps:
-    """A jump of each intrinsic parameter alone: standard score, size, information, gain in log likelihood."""
+def _single_jumps(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
+    """A jump of each intrinsic parameter alone: standard score, size, information, gain in log likelihood.
 
-    scores: Floats
-    sizes: Floats
-    information: Floats
-    gain: Floats
-
-
-def _single_jumps(onset: Onset, extrinsic: NDArray[np.bool_]) -> _SingleJumps:
-    """Regression on each intrinsic parameter alone; a jump of the extrinsic ones at the same session is allowed for."""
+    By regression that allows for a jump of the extrinsic ones at the same session.
+    """
     e, i = np.flatnonzero(extrinsic), np.flatnonzero(~extrinsic)
     own = onset.information[np.ix_(e, e)] + np.eye(len(e)) / _NUISANCE**2
     cross = onset.information[np.ix_(e, i)]
@@ -320,4 +278,4 @@ def _single_jumps(onset: Onset, extrinsic: NDArray[np.bool_]) -> _SingleJumps:
     scores = np.where(seen, score / np.sqrt(safe), 0.0)
     # Of a jump with unit variance: the likelihood of the score is N(0, 1 + information) rather than N(0, 1).
     gain = np.where(seen, 0.5 * (scores**2 * safe / (1.0 + safe) - np.log1p(safe)), -np.inf)
-    return _SingleJumps(scores, np.where(seen, score / safe, 0.0), np.where(seen, information, 0.0), gain)
+    return scores, np.where(seen, score / safe, 0.0), np.where(seen, information, 0.0), gain

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse, special
 
 from fpcal_bayes.core.linalg import chi2_tail
@@ -43,11 +42,7 @@ class RowChanges:
 
     @classmethod
     def of(cls, whitening: Whitening, misfit: Floats, jacobian: Floats, covariance: Floats, half_wave: Floats) -> Self:
-        """Corrections of a linearisation of all rows.
-
-        `misfit` (n_rows,) and `jacobian` (n_rows, n_states) are whitened, `covariance` (n_states, n_states) is that of
-        the predicted state, and `half_wave` (n_rows,) half a wavelength in um.
-        """
+        """Corrections of a whitened linearisation of all rows; `covariance` is of the prediction, `half_wave` in um."""
         mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
         waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
         directions, triangle = np.linalg.qr(jacobian)
@@ -124,21 +119,13 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
     return signed, [f"the sign of {left} rows cannot be told, they are not used: {named}"]
 
 
-@dataclass(frozen=True)
-class Correction:
-    """Rows corrected for slips."""
-
-    dl: Floats  # corrected changes, shape (n_rows,), in um
-    warnings: tuple[str, ...]  # one a corrected row, or one that says that a slip is as likely as all else
-
-
 def correct_slips(
     sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
-) -> Correction:
+) -> tuple[Floats, list[str]]:
     """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
 
-    The session is signed and its innovation too large; `jumps`, each of shape (n_states,), are standard deviations of
-    the jumps that may explain it instead.
+    Gives the changes (n_rows,), in um, corrected or not, and what is to be said. The session is signed and its
+    innovation too large; `jumps`, each of shape (n_states,), are standard deviations of those that may explain it.
     """
     half_wave = measurement.model.half_waves(measurement.rows)
     count = len(sweeps)
@@ -148,10 +135,13 @@ def correct_slips(
     gain = _other_gains(innovation, predicted, jumps)
     evidence, needed = 0.0, (count + 1) // 2
     for _ in range(needed):
-        left = _left(rows, changes)
-        row, waves, squared = _best_slip(left)
+        # What is left of the square after each further correction.
+        left = rows.squared - 2.0 * _WAVES[:, None] * rows.along + _WAVES[:, None] ** 2 * rows.size
+        left = np.where(changes == 0, left, np.inf)
+        at, row = (int(i) for i in np.unravel_index(np.argmin(left), left.shape))
+        waves, squared = int(_WAVES[at]), float(left[at, row])
         if _most(evidence, log_odds, innovation, rows.squared, left) < gain - 2.0 * _DECISIVE:
-            return Correction(sweeps.dl, ())
+            return sweeps.dl, []
         evidence += log_odds
         changes[row] = waves
         rows = rows.taken_off(row, waves)
@@ -159,14 +149,14 @@ def correct_slips(
         if chi2_tail(squared, count) > _ACCEPT:
             break
     else:
-        return Correction(sweeps.dl, ())
+        return sweeps.dl, []
+    named = ", ".join(f"{sweeps.label[i]} ({-changes[i]:+d})" for i in np.flatnonzero(changes))
     best = innovation.log_likelihood + gain
     slipped = evidence + innovation.log_likelihood + 0.5 * (innovation.squared - squared)
     if slipped < best + _DECISIVE:
-        doubt = f"slipped fringe counts would explain the session about as well: {_named(sweeps, changes)}"
-        return Correction(sweeps.dl, (doubt,) if slipped > best - _DECISIVE else ())
-    text = f"fringe counts slipped, corrected by whole half wavelengths: {_named(sweeps, changes)}"
-    return Correction(dl, (text,))
+        doubt = f"slipped fringe counts would explain the session about as well: {named}"
+        return sweeps.dl, [doubt] if slipped > best - _DECISIVE else []
+    return dl, [f"fringe counts slipped, corrected by whole half wavelengths: {named}"]
 
 
 def outlying_sweep(
@@ -204,7 +194,7 @@ def outlying_sweep(
 def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]) -> float:
     """How much the best explanation without a slip raises the log likelihood, its rarity taken off; at least zero.
 
-    Explanations are chance, each of `jumps`, and each parameter of the last of them jumping alone.
+    That is chance, each of `jumps`, or a parameter of the last of them alone.
     """
     gains = [0.0]
     rarity = float(np.log(_JUMP))
@@ -218,23 +208,11 @@ def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, 
     return max(*gains, rarity - float(np.log(len(moving))) + float(alone.max()))
 
 
-def _left(rows: RowChanges, changes: NDArray[np.int64]) -> Floats:
-    """What is left of the square after each further correction, shape (2 MOST_HALF_WAVES, n_rows)."""
-    left = rows.squared - 2.0 * _WAVES[:, None] * rows.along + _WAVES[:, None] ** 2 * rows.size
-    return np.where(changes == 0, left, np.inf)
-
-
-def _best_slip(left: Floats) -> tuple[int, int, float]:
-    """Row, number of half wavelengths and what is left of the square, for the best further correction."""
-    k, row = (int(i) for i in np.unravel_index(np.argmin(left), left.shape))
-    return row, int(_WAVES[k]), float(left[k, row])
-
-
 def _most(evidence: float, log_odds: float, innovation: Innovation, squared: float, left: Floats) -> float:
     """How much the log likelihood can rise at most by the slips found so far and further ones.
 
-    Among few rows the state may hide a slip behind another one, and one more slip may explain all that is left. Among
-    many, each shows by itself: further slips give what each gives alone, and none is left if none lowers the square.
+    Among few rows the state may hide a slip, and one more may explain all that is left; among many each shows by
+    itself.
     """
     if len(innovation.misfit) == innovation.dof:
         return evidence + log_odds + 0.5 * innovation.squared
@@ -243,7 +221,3 @@ def _most(evidence: float, log_odds: float, innovation: Innovation, squared: flo
         return -np.inf
     further = np.maximum(0.5 * falls + log_odds, 0.0).sum()
     return float(evidence + 0.5 * (innovation.squared - squared) + further)
-
-
-def _named(sweeps: Sweeps, changes: NDArray[np.int64]) -> str:
-    return ", ".join(f"{sweeps.label[i]} ({-changes[i]:+d})" for i in np.flatnonzero(changes))

@@ -90,7 +90,7 @@ class DriftModel:
     @cached_property
     def n_states(self) -> int:
         """Length of the state."""
-        return self.n_lengths + len(self._rates) + len(self._bounded) + len(self._sensitive)
+        return self.n_lengths + sum(map(len, self._driven))
 
     @cached_property
     def scale(self) -> Floats:
@@ -132,23 +132,15 @@ class DriftModel:
         return np.array([p.kind == "extrinsic" for p in self.parameters])
 
     @cached_property
-    def _rates(self) -> NDArray[np.int64]:
-        return np.flatnonzero([size.rate_sd > 0 for size in self.sizes])
-
-    @cached_property
-    def _bounded(self) -> NDArray[np.int64]:
-        return np.flatnonzero([size.bounded_sd > 0 for size in self.sizes])
-
-    @cached_property
-    def _sensitive(self) -> NDArray[np.int64]:
-        return np.flatnonzero([size.temperature_sd > 0 for size in self.sizes])
+    def _driven(self) -> tuple[list[int], ...]:
+        """Positions of the parameters with a rate, with a returning motion, with a part of the temperature."""
+        parts = zip(*((s.rate_sd > 0, s.bounded_sd > 0, s.temperature_sd > 0) for s in self.sizes), strict=True)
+        return tuple(np.flatnonzero(part).tolist() for part in parts)
 
     def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """Mean (n_states,) and covariance (n_states, n_states) of the state after a calibration.
+        """Mean (n_states,) and covariance of the state after a calibration, given those in um and rad.
 
-        `values` and `covariance` are those of the parameters in um and rad. Rates, returning motions and coefficients
-        start at their own prior: a calibration at one time says nothing about them as long as their size is small
-        beside the prior of the parameter.
+        What drives the parameters starts at its prior: a calibration at one time says nothing about it.
         """
         n = self.n_parameters
         mean, full = np.zeros(self.n_states), np.eye(self.n_states)
@@ -176,11 +168,11 @@ class DriftModel:
         at = self.n_lengths
         if at == self.n_states:
             return Transition(identity(at), noise, shift)
-        matrix = np.eye(self.n_states)
-        for i in self._rates:
+        matrix, (rates, bounded, sensitive) = np.eye(self.n_states), self._driven
+        for i in rates:
             matrix[i, at] = days * self.sizes[i].rate_sd / self.scale[i]
             at += 1
-        for i in self._bounded:
+        for i in bounded:
             size = self.sizes[i]
             kept = float(np.exp(-hours / size.bounded_hours))
             # The parameter is a constant plus the returning motion: both take the same step.
@@ -188,7 +180,7 @@ class DriftModel:
             matrix[i, at], matrix[at, at] = (kept - 1.0) * step[0], kept
             noise[np.ix_([i, at], [i, at])] += (1.0 - kept**2) * np.outer(step, step)
             at += 1
-        for i in self._sensitive:
+        for i in sensitive:
             matrix[i, at] = kelvin * self.sizes[i].temperature_sd / self.scale[i]
             at += 1
         return Transition(matrix, noise, shift)
@@ -208,10 +200,7 @@ _RATE_DAYS, _KELVIN_DAYS = 1.0, 0.25
 
 
 def likely_drift(cell: Cell, sweeps: Sweeps) -> DriftModel:
-    """The drift that a cell states, with `likely_terms` where the sweeps log a temperature.
-
-    A cell that states a rate, a returning motion or a part of the temperature itself is taken at its word.
-    """
+    """The drift that a cell states; where it states walks alone and a temperature is logged, with `likely_terms`."""
     stated = DriftModel.of(cell)
     walks_only = all(size == DriftSize(size.name, walk=size.walk) for size in stated.sizes)
     logged = bool(np.isfinite(sweeps.temperature_c).any())

@@ -95,6 +95,10 @@ class Update:
         """Kalman gain for the equivalent rows, P H' as their variance is one, shape (n_states, n_equivalent)."""
         return self.state.covariance @ self.equivalent.T
 
+    def linearised(self, prior: State) -> Innovation:
+        """The rows at the solution beyond `prior`, the state before them."""
+        return Innovation.of(self.misfit, self.jacobian, prior.covariance, self.innovation.log_volume)
+
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
     """The state at a later time, before anything is measured then.

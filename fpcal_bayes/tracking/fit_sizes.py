@@ -90,9 +90,9 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
 def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track], Track]) -> Track:
     """The track with the drift as fast as its innovations say, where these contradict the stated sizes.
 
-    `parts` are the sweeps of its sessions, and `follow` takes in the sessions after a track of the first ones under its
-    drift. The paces have a log-normal prior around one, a factor of three wide; what stands for each is the root of the
-    mean square of its posterior.
+    `parts` are the sweeps of its sessions; `follow` takes in the sessions after a track of the first ones under its
+    drift. The paces have a log-normal prior, a factor of three wide; each becomes the root of its posterior's mean
+    square.
     """
     count, drifts = len(found.outcomes), [len(part) > 0 for part in found.drift.drifting]
     if count == 1 or not any(drifts):
@@ -119,10 +119,7 @@ def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track]
 
 @dataclass(frozen=True)
 class FittedFactor:
-    """A factor on the random walks of some parameters, and the ends of its profile-likelihood interval.
-
-    1 leaves the cell's sizes; the ends are 0 and infinity where the likelihood does not end the interval.
-    """
+    """A factor on random walks and its interval; 0 or infinity where the likelihood does not end it."""
 
     names: tuple[str, ...]
     value: float
@@ -181,9 +178,9 @@ class FittedSizes:
 
 
 def fit_sizes(found: Track, parts: list[Sweeps]) -> FittedSizes:
-    """The factors on the random walks of robot, and of mirror and fibre, that a history of sessions supports.
+    """The factors on the random walks of robot, and of mirror and fibre, that the sessions `parts` support.
 
-    `parts` are the sweeps of the sessions of the track `found`; `InputError` where they cannot tell.
+    `InputError` where they cannot tell.
     """
     if len(found.outcomes) < 2:
         raise InputError(f"{parts[0].file}: expected sessions after the calibration to learn drift from")
@@ -201,8 +198,7 @@ def fit_sizes(found: Track, parts: list[Sweeps]) -> FittedSizes:
 def profile_interval(log_factors: Floats, profile: Floats, level: float) -> tuple[float, float, float]:
     """The likeliest factor and the ends of its interval, from the profile of the log likelihood on a grid.
 
-    The ends are those of the likelihood ratio (chi-square, one degree of freedom), 0 or infinity where the likelihood
-    does not fall by enough on the grid.
+    Ends by the likelihood ratio (chi-square, one degree of freedom); 0 or infinity where the grid does not hold them.
     """
     fine = np.linspace(log_factors[0], log_factors[-1], 50 * (len(log_factors) - 1) + 1)
     smooth = interpolate.CubicSpline(log_factors, np.maximum(profile, profile.max() - 50.0))(fine)

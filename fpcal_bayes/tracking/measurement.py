@@ -1,7 +1,6 @@
 """What a filter takes in: rows that depend on the state, whitened."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -19,36 +18,16 @@ _ROWS_PER_STATE = 2
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
     """Few whitened rows that say the same about the state as many.
 
-    A rotation of the rows leaves their errors independent with unit variance. The one that makes ``[jacobian, misfit]``
-    triangular leaves a row for each state, one that holds what no state explains, and rows of zeros, which are dropped
-    (data compression of the square-root information filter, Bierman 1977). Sums of squares and determinants that belong
-    to the rows stay what they are; only the count of rows is lost.
-
-    Given are whitened measurement minus prediction (n_rows,) and its derivatives by the state (n_rows, n_states). There
-    are n_states + 1 equivalent rows; at most twice as many rows as states are given back as they are.
+    A rotation that makes ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state
+    explains, and rows of zeros, which are dropped (square-root information filter, Bierman 1977). Sums of squares and
+    determinants stay. Given are whitened measurement minus prediction (n_rows,) and its derivatives (n_rows, n_states);
+    at most twice as many rows as states are given back as they are.
     """
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:
         return misfit, jacobian
     triangle = np.linalg.qr(np.column_stack([jacobian, misfit]), mode="r")
     return triangle[:, n_states], triangle[:, :n_states]
-
-
-class Measurement(Protocol):
-    """Rows with independent errors of unit variance."""
-
-    @property
-    def log_volume(self) -> float:
-        """Logarithm of the factor by which the whitening stretches the space of the rows."""
-        ...
-
-    def misfit(self, mean: Floats) -> Floats:
-        """Whitened measurement minus prediction at a state (n_states,), shape (n_rows,)."""
-        ...
-
-    def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
-        """The misfit, and the derivatives of the whitened prediction by the state, shape (n_rows, n_states)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -60,19 +39,12 @@ class LinearMeasurement:
     h: Floats
     log_volume: float = 0.0  # logarithm of the determinant of the whitening
 
-    @classmethod
-    def of(cls, z: Floats, h: Floats, covariance: Floats) -> "LinearMeasurement":
-        """From rows with a positive definite covariance (n_rows, n_rows)."""
-        factor = np.linalg.cholesky(covariance)
-        whitened = np.linalg.solve(factor, np.column_stack([z, h]))
-        return cls(whitened[:, 0], whitened[:, 1:], -float(np.log(np.diag(factor)).sum()))
-
     def misfit(self, mean: Floats) -> Floats:
-        """See `Measurement`."""
+        """Whitened measurement minus prediction at a state (n_states,), shape (n_rows,)."""
         return self.z - self.h @ mean
 
     def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
-        """See `Measurement`."""
+        """The misfit, and the derivatives of the whitened prediction by the state, shape (n_rows, n_states)."""
         return self.misfit(mean), self.h
 
 
@@ -101,7 +73,7 @@ class SweepMeasurement:
 
     @property
     def log_volume(self) -> float:
-        """See `Measurement`."""
+        """Logarithm of the factor by which the whitening stretches the space of the rows."""
         return self.whitening.log_volume
 
     def predict(self, mean: Floats) -> Floats:
@@ -109,11 +81,11 @@ class SweepMeasurement:
         return self.model.predict(self.drift.values(mean), self.rows) + self._moved(mean)
 
     def misfit(self, mean: Floats) -> Floats:
-        """See `Measurement`."""
+        """As of `LinearMeasurement`."""
         return self.whitening.apply(self.target - self.predict(mean))
 
     def linearise(self, mean: Floats) -> tuple[Floats, Floats]:
-        """See `Measurement`."""
+        """As of `LinearMeasurement`."""
         predicted, jacobian = self.model.predict_with_jacobian(self.drift.values(mean), self.rows)
         n = self.drift.n_parameters
         full = np.zeros((len(predicted), self.drift.n_states))
@@ -125,3 +97,7 @@ class SweepMeasurement:
     def _moved(self, mean: Floats) -> Floats | float:
         """What the error motions add, shape (n_rows,), in um."""
         return 0.0 if self.motions is None else self.motions @ mean[self.drift.n_parameters : self.drift.n_lengths]
+
+
+#: Rows with independent errors of unit variance.
+Measurement = LinearMeasurement | SweepMeasurement

@@ -54,10 +54,9 @@ class MotionStates:
 
     @cached_property
     def factors(self) -> Floats:
-        """Factors on the stated sizes, shape (n_scales,): those that the calibration found, drawn back to the sheet.
+        """Factors on the stated sizes (n_scales,): those that the calibration found, drawn back to the sheet.
 
-        What a calibration's few points on a function tell of its size between them depends on the functions assumed:
-        one that is small at all of them may be large between. So no error motion is taken as smaller than stated.
+        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated.
         """
         found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
         prior[-1] = LOG_SD_NOISE**2
@@ -98,10 +97,7 @@ class MotionStates:
         return self.sizes[:, None] * self.directions
 
     def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:
-        """Whitening of the rows of a session, and their derivatives by the states, shape (n_rows, n_states), in um.
-
-        Both at free parameters `values` (n,).
-        """
+        """Whitening of a session's rows, and their derivatives by the states (n_rows, n_states), in um, at `values`."""
         drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
         made = design(self.terms, model.vector(values), drive, sweeps.sigma)
         n = made.motion_count
@@ -114,10 +110,10 @@ class MotionStates:
     def path(
         self, vector: Floats, mean: Floats, task: Task, n_draws: int, compensate: bool
     ) -> tuple[Task, Floats, Floats]:
-        """A task as it is driven at the states' `mean` (n_states,), and what the states and all else add along it.
+        """A task as it is driven at the states' `mean`, and what the states and all else add along it, in um.
 
-        Derivatives by the states, shape (n_points, n_states), and draws of what is new each time beside what stays of
-        the mean, shape (n_points, n_draws), both in um.
+        Derivatives by the states (n_points, n_states); draws of what is new each time beside what stays of the mean
+        (n_points, n_draws).
         """
         if compensate:
             factor = float(self.factors[-2])
@@ -129,9 +125,9 @@ class MotionStates:
     def pose_path(
         self, model: CavityModel, values: Floats, mean: Floats, task: Task, n_draws: int
     ) -> tuple[Floats, Floats]:
-        """What the states and all else add to the mirror's place and direction along a path, as `path` does.
+        """The same for the mirror's place and direction, as changes of pose (see `PoseErrors`).
 
-        Both as changes of pose (see `PoseErrors`): shapes (n_states, n_points, 5) and (n_draws, n_points, 5).
+        Shapes (n_states, n_points, 5) and (n_draws, n_points, 5).
         """
         paths = pose_designs(self.terms, model.vector(values), task.start, task.q)
         states, new = (np.stack(part, axis=-1) for part in zip(*(self._along(p, n_draws) for p in paths), strict=True))
@@ -159,7 +155,7 @@ class MotionStates:
     ) -> MechanicsKnowledge:
         """What a state says of `parameters` in units of `scale`, and of the weights.
 
-        `mean` (n,) and `covariance` (n, n) are those of the states that cavity lengths depend on.
+        `mean` and `covariance` are those of the states that cavity lengths depend on.
         """
         made, n = self._any_row, len(parameters)
         drifting = [i for i, name in enumerate(made.names) if name.startswith("drift along")]

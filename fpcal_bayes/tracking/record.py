@@ -40,11 +40,10 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
     return content_sha256([[size.content() for size in drift.sizes], asdict(limits), *motions])
 
 
-def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[dict[str, Any]] = ()) -> TrackRecord:
+def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
     """A track as a campaign file holds it.
 
-    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold. `decisions` are what was
-    decided meanwhile, one JSON object each, in order of time.
+    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
     """
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
@@ -57,7 +56,6 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
         "solutions": track.solutions,
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
-        "decisions": list(decisions),
         "trust": track.trust.content(),
     } | _motions_content(track.outcomes[0])
     return TrackRecord(
@@ -74,22 +72,13 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits, decisions: Sequence[
     )
 
 
-def decisions_of(record: TrackRecord) -> list[dict[str, Any]]:
-    """Decisions that were saved with a track; none where the record cannot be understood."""
-    try:
-        found = json.loads(record.summary).get("decisions", [])
-    except (ValueError, AttributeError, RecursionError):
-        return []
-    return [entry for entry in found if isinstance(entry, dict)] if isinstance(found, list) else []
-
-
 def resume(
     record: TrackRecord, cell: Cell, drift: DriftModel, limits: Limits, parts: list[Sweeps], file: str
 ) -> tuple[Track | None, str]:
     """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    The track is taken up before the first session that is new, was changed, or came in between late. `parts` are the
-    sweeps of each session in order of time. `InputError` if the track is of another cell, or cannot be understood.
+    It ends before the first of the sessions `parts` that is new, was changed, or came in between late. `InputError` if
+    the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(

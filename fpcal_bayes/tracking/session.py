@@ -35,22 +35,22 @@ class SessionOutcome:
     session: str
     time_h: float
     utc: str
-    n_sweeps: int  # rows that were used
-    # nis, dof: normalised innovation squared (not divided) and its degrees of freedom
-    nis: float
-    dof: int
-    # verdict, evidence: whether all is as modelled, and in words what speaks against it
-    verdict: SessionVerdict
-    evidence: tuple[str, ...]
-    warnings: tuple[str, ...]  # sentences about rows that were corrected or left out
-    log_likelihood: float  # of the rows given all sessions before
-    converged: bool  # whether the update came to rest
-    # standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled
-    jump: Floats
     # predicted, state: before and after the session; the first holds no widening
     predicted: State
     state: State
-    monitor: Monitor  # memory of the tests after it
+    # standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled
+    jump: Floats
+    monitor: Monitor = field(default_factory=Monitor)  # memory of the tests after it
+    n_sweeps: int = 0  # rows that were used
+    # nis, dof: normalised innovation squared (not divided) and its degrees of freedom
+    nis: float = 0.0
+    dof: int = 0
+    # verdict, evidence: whether all is as modelled, and in words what speaks against it
+    verdict: SessionVerdict = "as-modelled"
+    evidence: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # sentences about rows that were corrected or left out
+    log_likelihood: float = 0.0  # of the rows given all sessions before
+    converged: bool = True  # whether the update came to rest
     # the rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read from
     # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
@@ -65,72 +65,70 @@ def take_in(
 
     `drift` and `model` are of the same parameters; `state` and `monitor` stand after the session before.
     """
-    time_h, temperature = float(sweeps.time_h.max()), mean_temperature(sweeps)
+    session, time_h, temperature = str(sweeps.session[0]), float(sweeps.time_h.max()), mean_temperature(sweeps)
     hours = time_h - state.time_h
     predicted = predict(drift, state, time_h, temperature)
     used = sweeps.take(sweeps.kind != "path")
     warnings = [f"{len(sweeps) - len(used)} rows of kind path are not used"] if len(used) < len(sweeps) else []
     used, left_out = with_signs(drift, model, predicted, used)
     warnings += left_out
-    none = np.zeros(drift.n_states)
+    outcome = SessionOutcome(
+        session, time_h, str(sweeps.utc[-1]), predicted, predicted, np.zeros(drift.n_states), monitor
+    )
     if not len(used):
-        name, utc = str(sweeps.session[0]), str(sweeps.utc[-1])
-        return SessionOutcome(
-            name, time_h, utc, 0, 0.0, 0, "as-modelled", (), tuple(warnings), 0.0, True, none, predicted, predicted,
-            monitor,
-        )  # fmt: skip
+        return replace(outcome, warnings=tuple(warnings))
     matrix = drift.transition(hours, kelvin_between(state.temperature_c, temperature)).matrix
-    judge = _Judge(drift, limits, str(sweeps.session[0]), hours, matrix, monitor)
-    measurement = SweepMeasurement.of(drift, model, used, predicted.mean)
-    taken = update(predicted, measurement)
-    after, found = judge.session(predicted, taken)
-    squared, dof = taken.innovation.squared, taken.innovation.dof
-    if chi2_tail(squared, dof) > 1.0 - _TOO_GOOD:
+    judge = _Judge(drift, limits, session, hours, matrix, monitor, predicted)
+    judged = judge.judged(SweepMeasurement.of(drift, model, used, predicted.mean))
+    innovation = judged.taken.innovation
+    if chi2_tail(innovation.squared, innovation.dof) > 1.0 - _TOO_GOOD:
         warnings.append(
-            f"the {dof} rows lie far closer to what was predicted than sigma_um says (innovation {squared:.2g}, "
-            f"expected {dof}): sigma_um is too large, so that they tell next to nothing"
+            f"the {innovation.dof} rows lie far closer to what was predicted than sigma_um says (innovation "
+            f"{innovation.squared:.2g}, expected {innovation.dof}): sigma_um is too large, so that they tell next to "
+            "nothing"
         )
-    if found:
-        correction = correct_slips(used, measurement, taken.innovation, predicted, judge.jumps())
-        warnings += correction.warnings
-        if (correction.dl != used.dl).any():
-            measurement = replace(measurement, target=correction.dl)
-            taken = update(predicted, measurement)
-            after, found = judge.session(predicted, taken)
-    if found and drift.motions is not None:
-        (taken, measurement, after, found), said = judge.without_outliers(
-            used, predicted, (taken, measurement, after, found)
-        )
+    if judged.found:
+        dl, said = correct_slips(used, judged.measurement, innovation, predicted, judge.jumps())
         warnings += said
-    verdict: SessionVerdict = "as-modelled"
-    innovation, jump = taken.innovation, none
-    if found:
-        verdict, found, jump = judge.explain(predicted, measurement, found)
-        wide = inflate(predicted, jump)
-        taken = update(wide, measurement)
-        after = judge.restarted(wide, taken, verdict)
-    return SessionOutcome(
-        session=judge.session_name,
-        time_h=time_h,
-        utc=str(sweeps.utc[-1]),
+        if (dl != used.dl).any():
+            judged = judge.judged(replace(judged.measurement, target=dl))
+    if judged.found and drift.motions is not None:
+        judged, said = judge.without_outliers(used, judged)
+        warnings += said
+    outcome = replace(
+        outcome,
+        monitor=judged.after,
         n_sweeps=len(used),
-        nis=innovation.squared,
+        nis=judged.taken.innovation.squared,
         dof=innovation.dof,
+        warnings=tuple(warnings),
+        log_likelihood=judged.taken.innovation.log_likelihood,
+        measurement=judged.measurement,
+    )
+    if not judged.found:
+        return replace(outcome, state=judged.taken.state, converged=judged.taken.converged)
+    verdict, found, jump = judge.explain(judged.measurement, judged.found)
+    wide = inflate(predicted, jump)
+    taken = update(wide, judged.measurement)
+    return replace(
+        outcome,
+        state=taken.state,
+        jump=jump,
+        monitor=judge.restarted(wide, taken, verdict),
         verdict=verdict,
         evidence=tuple(finding.evidence for finding in found),
-        warnings=tuple(warnings),
-        log_likelihood=innovation.log_likelihood,
         converged=taken.converged,
-        jump=jump,
-        predicted=predicted,
-        state=taken.state,
-        monitor=after,
-        measurement=measurement,
     )
 
 
-#: A session as it was taken in, the memory of the tests after it, and those that fail.
-_Taken = tuple[Update, SweepMeasurement, Monitor, list[Finding]]
+@dataclass(frozen=True)
+class _Judged:
+    """A session as it was taken in, the memory of the tests after it, and those that fail."""
+
+    measurement: SweepMeasurement
+    taken: Update
+    after: Monitor
+    found: list[Finding]
 
 
 @dataclass(frozen=True)
@@ -143,6 +141,7 @@ class _Judge:
     hours: float
     matrix: Floats
     monitor: Monitor
+    predicted: State
 
     def step(self, size: float) -> Floats:
         """Standard deviations of a jump of mirror and fibre, shape (n_states,)."""
@@ -152,33 +151,32 @@ class _Judge:
         """Jumps of mirror and fibre, and of all parameters."""
         return *(self.step(size) for size in _STEP_SIZES), self._states(self.limits.jump(self.drift))
 
-    def session(self, predicted: State, taken: Update) -> tuple[Monitor, list[Finding]]:
-        """The memory after the session as it was taken in, and the tests that fail."""
-        innovation = Innovation.of(taken.misfit, taken.jacobian, predicted.covariance, taken.innovation.log_volume)
-        after = self._extend(self.monitor, innovation, taken.gain)
-        return after, findings(after, self.limits, self.drift)
+    def judged(self, measurement: SweepMeasurement) -> _Judged:
+        """The session as it is taken in without a jump."""
+        taken = update(self.predicted, measurement)
+        after = self._extend(self.monitor, taken.linearised(self.predicted), taken.gain)
+        return _Judged(measurement, taken, after, findings(after, self.limits, self.drift))
 
-    def without_outliers(self, used: Sweeps, predicted: State, as_it_is: _Taken) -> tuple[_Taken, list[str]]:
+    def without_outliers(self, used: Sweeps, as_it_is: _Judged) -> tuple[_Judged, list[str]]:
         """The session with sweeps set aside whose heavy-tailed noise explains all that failed; else as it is."""
-        taken, measurement = as_it_is[:2]
-        sigma, left, target = used.sigma.copy(), [], measurement.target
+        judged, sigma, left = as_it_is, used.sigma.copy(), []
         for _ in range(min(_MOST_OUTLIERS, int(sweep_numbers(used)[-1] + 1) // 3)):
-            rows = outlying_sweep(used, measurement, taken.innovation, predicted, self.jumps())
+            rows = outlying_sweep(used, judged.measurement, judged.taken.innovation, self.predicted, self.jumps())
             if rows is None:
                 break
             sigma[rows] *= _SET_ASIDE
             left.append(str(used.label[rows[0]]))
-            aside = used.with_measurement(target, sigma)
-            measurement = SweepMeasurement.of(self.drift, measurement.model, aside, predicted.mean)
-            taken = update(predicted, measurement)
-            after, found = self.session(predicted, taken)
-            if not found:
-                text = f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
-                return (taken, measurement, after, found), [text]
+            aside = used.with_measurement(as_it_is.measurement.target, sigma)
+            model, mean = judged.measurement.model, self.predicted.mean
+            judged = self.judged(SweepMeasurement.of(self.drift, model, aside, mean))
+            if not judged.found:
+                return judged, [
+                    f"read far off, where no change of the cell would put it, and left out: {', '.join(left)}"
+                ]
         return as_it_is, []
 
     def explain(
-        self, predicted: State, measurement: SweepMeasurement, found: list[Finding]
+        self, measurement: SweepMeasurement, found: list[Finding]
     ) -> tuple[SessionVerdict, list[Finding], Floats]:
         """What moved, why, and by how much the state is to be widened.
 
@@ -186,36 +184,37 @@ class _Judge:
         """
         tried = []
         for size in _STEP_SIZES:
-            wide = inflate(predicted, self.step(size))
-            taken = update(wide, measurement)
-            log_volume = taken.innovation.log_volume
-            at_solution = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, log_volume)
+            wide = inflate(self.predicted, self.step(size))
+            at_solution = update(wide, measurement).linearised(wide)
             tried.append((at_solution.log_likelihood, size, at_solution))
         _, size, knocked = max(tried, key=lambda entry: entry[0])
-        innovation = knocked.under(predicted.covariance)
-        again = self._extend(self.monitor, innovation, _gain(predicted, innovation))
+        innovation = knocked.under(self.predicted.covariance)
+        # Kalman gain of the linearisation.
+        spread = innovation.jacobian @ self.predicted.covariance
+        gain = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
+        again = self._extend(self.monitor, innovation, gain)
         anew = findings(again, self.limits, self.drift, knocked.log_likelihood - innovation.log_likelihood)
         intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
         if intrinsic:
             wider = np.maximum(self._states(self.limits.jump(self.drift)), self.step(size))
-            return self._of_the_robot(innovation, predicted, intrinsic, wider, self.step(size))
+            return self._of_the_robot(innovation, intrinsic, wider, self.step(size))
         extrinsic = [finding for finding in anew or found if finding.verdict == "extrinsics-moved"]
         return "extrinsics-moved", extrinsic or found, self.step(size)
 
     def _of_the_robot(
-        self, innovation: Innovation, predicted: State, found: list[Finding], every: Floats, step: Floats
+        self, innovation: Innovation, found: list[Finding], every: Floats, step: Floats
     ) -> tuple[SessionVerdict, list[Finding], Floats]:
         """Whether the geometry changed, one parameter or all, or the error motions, which are then drawn anew."""
         if self.drift.motions is None:
             return "intrinsics-moved", found, every
-        n, m = self.drift.n_parameters, self.drift.n_lengths
+        n, m, covariance = self.drift.n_parameters, self.drift.n_lengths, self.predicted.covariance
         moved = np.zeros(len(step))
         # The old motions and the new ones differ by twice the variance, less what was known of the old ones.
-        moved[n:m] = np.sqrt(1.0 + np.clip(1.0 - np.diag(predicted.covariance)[n:m], 0.0, None))
+        moved[n:m] = np.sqrt(1.0 + np.clip(1.0 - np.diag(covariance)[n:m], 0.0, None))
         singles = [np.maximum(step, np.where(np.arange(len(step)) == i, every, 0.0)) for i in range(n)]
 
         def likely(jump: Floats) -> float:
-            return innovation.under(predicted.covariance + np.diag(jump**2)).log_likelihood
+            return innovation.under(covariance + np.diag(jump**2)).log_likelihood
 
         geometry = max(*(likely(jump) for jump in singles), likely(every))
         moved = max((np.maximum(step, size * moved) for size in _STEP_SIZES), key=likely)
@@ -230,8 +229,7 @@ class _Judge:
         """The memory after a jump was allowed for: only a change of the robot at this session is still looked for."""
         if verdict in ROBOT_MOVED:
             return Monitor()
-        innovation = Innovation.of(taken.misfit, taken.jacobian, wide.covariance, taken.innovation.log_volume)
-        return self._extend(Monitor(), innovation, taken.gain)
+        return self._extend(Monitor(), taken.linearised(wide), taken.gain)
 
     def _extend(self, monitor: Monitor, innovation: Innovation, gain: Floats) -> Monitor:
         return extend(monitor, self.session_name, self.hours, innovation, gain, self.matrix, self.limits, self.drift)
@@ -245,9 +243,3 @@ class _Judge:
 def followed_drift(drift: DriftModel, model: CavityModel, first: SessionOutcome) -> DriftModel:
     """The drift as the filter has it after the calibration `first`: with its error motions and its `hidden` noise."""
     return with_hidden_noise(replace(drift, motions=first.motions), model, first.state)
-
-
-def _gain(predicted: State, innovation: Innovation) -> Floats:
-    """Kalman gain of a linearisation, shape (n_states, n_equivalent)."""
-    spread = innovation.jacobian @ predicted.covariance
-    return np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T

@@ -14,6 +14,8 @@ from fpcal_bayes.measure.sweeps import Sweeps, join, repeated_rows
 _CLOCK_SLACK_H = 0.1
 #: How far clock times and hours may part: less than summer time anywhere.
 _CLOCK_STEP_H = 0.4
+#: What a row says, beside its temperature.
+_SAID = ("time_h", "q_start", "q_end", "dl", "sigma", "signed", "group", "kind")
 #: Units that hours are mistaken for, as so many in an hour.
 _UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 
@@ -21,9 +23,8 @@ _UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
     """The sweeps of each session, in order of time; `InputError` where they break the rules of a history.
 
-    Sessions may stand in any order in a file: one that arrives late takes its place. They must be measured, not overlap
-    or repeat each other, and clock times must run as ``time_h`` does. Sessions after `now_h`, in hours since the
-    campaign began, are refused; without it, clock times (``utc``) after this machine's clock are.
+    Sessions may stand in any order, are measured, do not overlap or repeat each other, and their clock times run as
+    ``time_h`` does. None lies after `now_h`, or without it after this machine's clock where rows carry ``utc``.
     """
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
@@ -46,19 +47,8 @@ def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
 
 def session_sha256(sweeps: Sweeps) -> str:
     """Hash of everything that a session's rows say."""
-    return content_sha256(
-        [
-            sweeps.time_h.tolist(),
-            sweeps.q_start.tolist(),
-            sweeps.q_end.tolist(),
-            sweeps.dl.tolist(),
-            sweeps.sigma.tolist(),
-            sweeps.signed.tolist(),
-            sweeps.group.tolist(),
-            sweeps.kind.tolist(),
-            ["" if np.isnan(t) else t for t in sweeps.temperature_c.tolist()],
-        ]
-    )
+    said = [getattr(sweeps, name).tolist() for name in _SAID]
+    return content_sha256([*said, ["" if np.isnan(t) else t for t in sweeps.temperature_c.tolist()]])
 
 
 def mean_temperature(sweeps: Sweeps) -> float:
@@ -68,9 +58,9 @@ def mean_temperature(sweeps: Sweeps) -> float:
 
 
 def hours_of(text: str, sweeps: Sweeps) -> float:
-    """A time that a user gives, in hours since the campaign began.
+    """A time that a user gives, hours or clock time, in hours since the campaign began.
 
-    It is hours, or a clock time, which needs a session that carries one; `InputError` otherwise.
+    `InputError` for a clock time where no session carries one.
     """
     wanted = read_time(text)
     if isinstance(wanted, float):

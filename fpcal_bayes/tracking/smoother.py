@@ -52,8 +52,8 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     """States after each session given all sessions, in order of time.
 
     Widenings after a jump count as noise of the step before their session. `outcomes` begin with the calibration and
-    hold their measurements, as `track` gives them when nothing is resumed (else `ValueError`: see
-    `tracker.smooth_track`). Without that of the calibration its state is taken as it is.
+    hold their measurements (else `ValueError`: see `tracker.smooth_track`); without that of the calibration its state
+    is taken as it is.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -125,10 +125,7 @@ class _Trajectory:
 
 @dataclass(frozen=True)
 class _Course:
-    """The sessions, the steps between them, and where they start.
-
-    A known temperature coefficient shifts the prediction: all is done on what is left without the shifts.
-    """
+    """The sessions, the steps between them, and where they start; all without the shifts by a known temperature."""
 
     start: State  # before the first measurement
     # matrices, noises: of the step into each time, shape (n_times, n_states, n_states)
@@ -162,7 +159,9 @@ class _Course:
         """Means and covariances after each session, its rows linearised at `at`, shape (n_times, n_states)."""
         means, covariances = [], []
         state = self.start
-        for matrix, noise, shift, point, measurement in self._sessions(at):
+        for matrix, noise, shift, point, measurement in zip(
+            self.matrices, self.noises, self.shifts, at, self.measurements, strict=True
+        ):
             filtered = kalman(state, 1)
             filtered.predict(F=matrix, Q=noise)
             if measurement is not None:
@@ -194,16 +193,12 @@ class _Course:
         noises = np.concatenate([self.start.covariance[None], self.noises[1:]])
         return max(float(np.einsum("ki,kij,kj->", pulls, noises, pulls)), 0.0)
 
-    def _sessions(self, at: Floats) -> "zip[tuple[Floats, Floats, Floats, Floats, Measurement | None]]":
-        """Step, shift, a state and the measurement of each session; the step into the calibration is none."""
-        return zip(self.matrices, self.noises, self.shifts, at, self.measurements, strict=True)
-
     def cost(self, trajectory: _Trajectory) -> float:
         """Sum of squares of what drives the trajectory and of the rows."""
         total = self.squares(trajectory)
-        for _, _, shift, point, measurement in self._sessions(trajectory.means):
+        for place, measurement in zip(trajectory.means + self.shifts, self.measurements, strict=True):
             if measurement is not None:
-                misfit = measurement.misfit(point + shift)
+                misfit = measurement.misfit(place)
                 total += float(misfit @ misfit)
         return total
 
@@ -219,8 +214,7 @@ def follow_sessions(
 ) -> list[SessionOutcome]:
     """Take in the sessions after those that are known, at least the calibration.
 
-    `drift`, with its `hidden` noise, and `model` are of the same parameters; `parts` are the sweeps of all sessions, in
-    order of time.
+    `drift` has its `hidden` noise; `parts` are the sweeps of all sessions, in order of time.
     """
     outcomes = list(known)
     for part in parts[len(outcomes) :]:
@@ -236,8 +230,7 @@ def follow_sessions(
 def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
     """The last outcome; where a look is due, with the state to which the sessions lead together.
 
-    `drift` has its `hidden` noise; `outcomes` begin with the calibration and hold the measurements of the last
-    sessions.
+    `outcomes` begin with the calibration and hold the measurements of the last sessions.
     """
     last = outcomes[-1]
     if not _is_due(outcomes):

@@ -44,7 +44,7 @@ class CalibrationSolution:
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:
     """The solutions of a calibration, the lowest minimum first; empty where there is only one.
 
-    Each of the posterior's `draws` (n_draws, n), in um and rad, counts for the minimum that it lies nearest to.
+    Each of the posterior's `draws` (n_draws, n), in um and rad, counts for the minimum nearest to it.
     """
     problem, minima = found.problem, (found.solution, *found.other_minima)
     if len(minima) == 1 or not len(draws):
@@ -81,9 +81,8 @@ def likeliest(
 ) -> list[SessionOutcome]:
     """The outcomes to go on with: the first ones from one solution where the sessions tell, else `together` as it is.
 
-    `together` are the outcomes of all sessions, followed from all solutions at once; `starts` are the outcome of the
-    calibration and the share of the posterior of each solution; `parts` are the sweeps of all sessions, in order of
-    time.
+    `together` are those from all solutions at once, `starts` the outcome of the calibration and the share of the
+    posterior of each solution, `parts` the sweeps of all sessions, in order of time.
     """
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]

@@ -5,12 +5,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import symmetric
 from fpcal_bayes.core.notebook import Result
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
@@ -20,7 +18,7 @@ from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
-from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits, Monitor
+from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
 from fpcal_bayes.tracking.filter import kalman
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement, equivalent_rows
@@ -73,10 +71,7 @@ class Track(Result):
 
     @property
     def calibration_due(self) -> str | None:
-        """Name of the last session at which the robot itself was found to have moved, or None.
-
-        A session since with at least as many rows as parameters counts as the calibration.
-        """
+        """The last session at which the robot itself was found to have moved, with no calibration since, or None."""
         due = None
         for outcome in self.outcomes:
             if outcome.dof >= len(self.drift.parameters):
@@ -123,8 +118,8 @@ def estimate_of(
 ) -> Estimate:
     """A state as an estimate, in um and rad.
 
-    `status` is that of each parameter after the calibration; what the data no longer halve the prior variance of
-    becomes weak.
+    `status` is that of each parameter after the calibration; what the data no longer halve the variance of becomes
+    weak.
     """
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
@@ -148,50 +143,22 @@ def track(
     drift: DriftModel | None = None,
     limits: Limits | None = None,
     known: Track | None = None,
-    calibration: Estimate | None = None,
-    draws: Floats | None = None,
     now_h: float | None = None,
 ) -> Track:
-    """Follow the free parameters of a cell through the sessions of a campaign.
+    """Follow the free parameters of a cell, with its drift sizes, through the measured sweeps of a campaign.
 
-    Parameters
-    ----------
-    cell
-        With its drift sizes.
-    sweeps
-        Sweeps of all sessions, measured. The first session is the full calibration.
-    drift
-        In place of the cell's own, to which `likely_drift` adds terms if a temperature is logged.
-    limits
-        Limits of the tests, by default `Limits()`.
-    known
-        An earlier track of the first sessions, which are not taken in again.
-    calibration
-        What the first session told, in place of its identification. Its rows are then not linearised again with those
-        of later sessions.
-    draws
-        Draws of the posterior after the first session, shape (n_draws, n_parameters), in um and rad; by default they
-        are made (see `linear_start`).
-    now_h
-        Sessions after this time are refused.
-
-    Raises
-    ------
-    InputError
-        If the cell states no drift, sessions overlap, repeat or lie in the future, or the first session is no
-        calibration.
+    The first session is the full calibration. `drift` stands in place of the cell's own, to which `likely_drift` adds
+    terms if a temperature is logged; `known` is an earlier track of the first sessions, which are not taken in again;
+    sessions after `now_h` are refused. `InputError` if the cell states no drift, sessions overlap, repeat or lie in the
+    future, or the first session is no calibration.
     """
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
     parts = check_sessions(sweeps, now_h)
     model = CavityModel.of(cell, drift.parameters)
     starts: tuple[tuple[SessionOutcome, float], ...] = ()
-    if known is None and calibration is not None:
-        status = tuple(calibration.status[calibration.parameters.position(p.name)] for p in drift.parameters)
-        first = replace(start(drift, calibration, parts[0]), trust=calibration.trust)
-        known = Track(cell, drift, (first,), status)
-    elif known is None:
-        first, status, starts = calibrate(cell, drift, parts[0], draws)
+    if known is None:
+        first, status, starts = calibrate(cell, drift, parts[0])
         known = Track(cell, drift, (first,), status, 0, max(1, len(starts)))
     else:
         known = replace(known, resumed=len(known.outcomes))
@@ -206,49 +173,44 @@ def track(
 
 
 def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
-    """States after each session of a track, also of one that was taken up again, given all sessions; see `smooth`."""
+    """States after each session of a track given all sessions; see `smooth`."""
     model = CavityModel.of(track.cell, track.drift.parameters)
     parts = [sweeps.of_session(outcome.session) for outcome in track.outcomes]
     return smooth(track.drift, with_measurements(track.drift, model, Limits(), track.outcomes, parts))
 
 
 def calibrate(
-    cell: Cell, drift: DriftModel, sweeps: Sweeps, draws: Floats | None = None
+    cell: Cell, drift: DriftModel, sweeps: Sweeps
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session; `draws` as in `track`, `InputError` if it determines too little.
+    """Identify all parameters from the first session; `InputError` if it determines too little.
 
-    Gives the outcome of the session; the status of each parameter; and where the posterior has several minima, the
-    outcome from each of them alone and its share of the posterior.
+    Gives its outcome, the status of each parameter, and where the posterior has several minima the outcome from each of
+    them alone and its share of the posterior.
     """
     found, warnings = _identified(cell, drift, sweeps)
-    _require_calibration(found, sweeps, len(drift.parameters))
-    if found.machine is not None and draws is None:
+    if found.spectrum.rank < _CALIBRATED * len(drift.parameters):
+        raise InputError(
+            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
+            f"determine {found.spectrum.rank} of {len(drift.parameters)} combinations of the parameters, expected the "
+            "first session to be a full calibration"
+        )
+    if found.machine is not None:
         return _machine_outcome(drift, found, sweeps, warnings), found.estimate.status, ()
-    given = draws is not None
-    measurement = None if given else _measurement(drift, found)
-    draws = _draws_of(found) if draws is None else draws
+    measurement = _measurement(drift, found)
 
     def outcome_of(estimate: Estimate, squared: float, measurement: Measurement | None) -> SessionOutcome:
-        rows = len(found.problem.sweeps)
-        # The calibration's own innovation is its sum of squares against the prior.
-        outcome = start(drift, estimate, sweeps, found.converged)
-        said, trust = warnings + found.warnings, found.estimate.trust
-        outcome = replace(outcome, n_sweeps=rows, nis=squared, dof=rows, warnings=said, trust=trust)
-        return replace(outcome, measurement=measurement)
+        outcome = start(drift, estimate, sweeps, found, warnings)
+        return replace(outcome, nis=squared, measurement=measurement)
 
-    usable = found.converged and len(draws) > 0
-    together = linear_start(found.estimate, draws, found.problem.sweeps) if usable else found.estimate
-    # Draws that are given say themselves what they hold.
-    alone = solutions_of(found, draws) if usable and not given else ()
+    draws = independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
+    together = linear_start(found.estimate, draws, found.problem.sweeps) if len(draws) else found.estimate
+    alone = solutions_of(found, draws)
     gauge = found.spectrum.null_share > GAUGE_SHARE
     status = tuple("gauge" if g else s for g, s in zip(gauge, found.estimate.status, strict=True))
     # Rows linearised at one point say nothing of a second solution.
     first = outcome_of(together, found.solution.sum_of_squares, None if alone else measurement)
-    return (
-        first,
-        status,
-        tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone),
-    )
+    starts = tuple((outcome_of(one.estimate, one.sum_of_squares, measurement), one.share) for one in alone)
+    return first, status, starts
 
 
 def _machine_outcome(
@@ -258,7 +220,7 @@ def _machine_outcome(
     assert found.machine is not None
     problem = found.problem
     drift = replace(drift, motions=MotionStates.of(found.machine))
-    first = start(drift, found.estimate, sweeps, found.converged)
+    first = start(drift, found.estimate, sweeps, found, warnings)
     taken = SweepMeasurement.of(drift, problem.model, problem.sweeps, first.state.mean)
     misfit, jacobian = replace(taken, target=problem.target).linearise(first.state.mean)
     rows, derivatives = equivalent_rows(misfit + jacobian @ first.state.mean, jacobian)
@@ -266,28 +228,12 @@ def _machine_outcome(
     filtered.dim_z = len(rows)
     filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
     measurement = replace(SweepMeasurement.of(drift, problem.model, problem.sweeps, filtered.x), target=problem.target)
-    normal = found.converged and not problem.prior.others
     return replace(
         first,
-        n_sweeps=len(problem.sweeps),
-        nis=found.solution.sum_of_squares,
-        dof=len(problem.sweeps),
-        warnings=warnings + found.warnings,
         state=replace(first.state, mean=filtered.x, covariance=symmetric(filtered.P)),
-        trust=found.estimate.trust,
         motions=drift.motions,
-        measurement=measurement if normal else None,
+        measurement=measurement if found.converged and not problem.prior.others else None,
     )
-
-
-def _require_calibration(found: Identification, sweeps: Sweeps, free: int) -> None:
-    """Refuse a first session that determines too little."""
-    if found.spectrum.rank < _CALIBRATED * free:
-        raise InputError(
-            f"{sweeps.file}: session {sweeps.sessions[0]!r} is no calibration: its {len(found.problem.sweeps)} rows "
-            f"determine {found.spectrum.rank} of {free} combinations of the parameters, expected the first session "
-            "to be a full calibration"
-        )
 
 
 def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Measurement | None:
@@ -295,26 +241,27 @@ def calibration_measurement(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> Me
     return _measurement(drift, _identified(cell, drift, sweeps)[0])
 
 
-def start(drift: DriftModel, estimate: Estimate, sweeps: Sweeps, converged: bool = True) -> SessionOutcome:
-    """The outcome of a calibration from its estimate: maximum of the posterior with Laplace covariance, or others."""
+def start(
+    drift: DriftModel, estimate: Estimate, sweeps: Sweeps, found: Identification, warnings: tuple[str, ...]
+) -> SessionOutcome:
+    """The outcome of the calibration `found`, from its estimate or another of the same parameters."""
     values, covariance = estimate.block(drift.parameters.names)
     state = State(float(sweeps.time_h.max()), *drift.initial(values, covariance), mean_temperature(sweeps))
+    rows = len(found.problem.sweeps)
     return SessionOutcome(
         session=str(sweeps.session[0]),
         time_h=state.time_h,
         utc=str(sweeps.utc[-1]),
-        n_sweeps=len(sweeps),
-        nis=0.0,
-        dof=0,
-        verdict="as-modelled",
-        evidence=(),
-        warnings=(),
-        log_likelihood=0.0,
-        converged=converged,
-        jump=np.zeros(drift.n_states),
         predicted=state,
         state=state,
-        monitor=Monitor(),
+        jump=np.zeros(drift.n_states),
+        n_sweeps=rows,
+        # The calibration's own innovation is its sum of squares against the prior.
+        nis=found.solution.sum_of_squares,
+        dof=rows,
+        warnings=warnings + found.warnings,
+        converged=found.converged,
+        trust=found.estimate.trust,
     )
 
 
@@ -333,11 +280,6 @@ def _measurement(drift: DriftModel, found: Identification) -> Measurement | None
     return SweepMeasurement(drift, problem.model, problem.rows, problem.target, problem.whitening)
 
 
-def _draws_of(found: Identification) -> Floats:
-    """Draws of the posterior; none where the fit did not converge."""
-    return independent_draws(found, _DRAWS) if found.converged else np.zeros((0, found.problem.n_free))
-
-
 def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tuple[Identification, tuple[str, ...]]:
     """The identification with slipped fringe counts corrected, if that is what spoils it."""
     slips = find_slips(found.problem, found.solution)
@@ -352,9 +294,3 @@ def _without_slips(cell: Cell, drift: DriftModel, found: Identification) -> tupl
     )
     named = ", ".join(f"{used.label[i]} ({-slips.counts[i]:+d})" for i in rows)
     return again, (f"fringe counts slipped, corrected by whole half wavelengths: {named}",)
-
-
-def innovation_bounds(dof: int, level: float = 0.95) -> tuple[float, float]:
-    """Equal-tailed chi-square bounds of a normalised innovation squared."""
-    tail = (1.0 - level) / 2.0
-    return float(2.0 * special.gammaincinv(dof / 2.0, tail)), float(2.0 * special.gammainccinv(dof / 2.0, tail))

@@ -59,7 +59,7 @@ def kill_at(name: str, *, renamed: bool) -> Callable[[], None]:
 
 
 #: What is written when the kill comes, whether it has its name by then, and how many blocks there are then at least.
-MOMENTS = (("block-000000.h5", False, 0), ("block-000003.h5", True, 4), ("killed.nc", False, 5))
+MOMENTS = (("block-000000.npz", False, 0), ("block-000003.npz", True, 4), ("killed.nc", False, 5))
 
 
 def kill_and_resume(sweeps: Path, folder: Path, *, kills: int, draws: int, seed: int) -> int:
@@ -91,7 +91,7 @@ def kill_and_resume(sweeps: Path, folder: Path, *, kills: int, draws: int, seed:
         if outcome.code is not None:
             raise RuntimeError(f"{name} was not written: {outcome}")
         # The time of each block: those that were there are taken up, and not written anew.
-        blocks = {path.name: path.stat().st_mtime_ns for path in (folder / "killed.nc.blocks").glob("block-*.h5")}
+        blocks = {path.name: path.stat().st_mtime_ns for path in (folder / "killed.nc.blocks").glob("block-*.npz")}
         if len(blocks) < least or not before.items() <= blocks.items() or killed.exists():
             raise RuntimeError(f"killed at {name}: {sorted(blocks)}, expected {least} blocks or more, and no draws")
         before = blocks

@@ -467,7 +467,7 @@ def _pair(kind: str, rng: Rng, path: Path, folder: Path) -> tuple[Seen, Seen]:
     if kind in STATE_FAULTS:
         sweeps = campaign(rng)
         found_track = track(CELL, sweeps)
-        record = record_of(found_track, sweeps, Limits(), [])
+        record = record_of(found_track, sweeps, Limits())
         write_campaign(folder / "a.h5", replace(Campaign.of(sweeps, CELL), track=record), CELL)
         STATE_FAULTS[kind](folder / "a.h5", rng)
         held = read_campaign(folder / "a.h5", CELL)

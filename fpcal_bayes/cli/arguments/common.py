@@ -74,7 +74,6 @@ def add_costs(parser: argparse.ArgumentParser) -> None:
     add("--horizon-h", type=positive, default=24.0, help="how far to look ahead (default: 24)")
     add("--minutes-per-sweep", type=positive, default=2.0, help="default: 2")
     add("--minutes-per-session", type=positive, help="spent once a session (default: none)")
-    add("--cost-out", type=positive, metavar="MINUTES", help="of measuring that an hour out of tolerance is worth")
     add("--most-sweeps", type=count, default=6, help="of a session with few sweeps (default: 6)")
     add(
         "--least-sweeps", type=count, default=1, help="of such a session: 2 for a circle whose drift sizes are not to "

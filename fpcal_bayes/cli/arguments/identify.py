@@ -65,11 +65,8 @@ def sample(commands: Commands) -> None:
         help="student: outliers have bounded pull; slip: each dL may be off by whole half wavelengths "
         "(default: gaussian)",
     )
-    add("--noise-scale", action="store_true", help="infer a factor on sigma_um of all sweeps")
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
-    add("--plots", metavar="DIR", type=Folder, help="folder for figures (PNG), made if it is not there")
-    add("--pairs", default="", metavar="NAME,..", help="parameters of the pair plot (default: the most correlated)")
     add_json(parser)
 
 

@@ -100,10 +100,6 @@ def track(commands: Commands) -> None:
         "and fpcal_fk.m beside it"
     )  # fmt: skip
     add("--now", metavar="TIME_H|UTC", help="refuse sessions after this time (default: this clock)")
-    add(
-        "--posterior", metavar="POSTERIOR.nc", help="start from these draws of the first session's posterior (fpcal "
-        "sample) in place of a few that are made here; takes in all sessions again; with --mechanics none"
-    )  # fmt: skip
     add_goal(parser)
     add("--anew", action="store_true", help="take in all sessions again, whatever was saved")
     add("--watch", metavar="SECONDS", type=positive, help="look again so often, take in what is new, until interrupted")
@@ -119,7 +115,7 @@ error of the tasks; full: calibrate in full, since the robot itself moved or no 
 
 The error of a task is what the controller does not know of the cavity length along its path, peak to peak. LEVEL is the
 probability of being out of tolerance that is accepted before the next measurement; the share of time spent outside is
-about a third of it. With --cost-out the level is the one at which measuring and errors together cost least.
+about a third of it.
 """
 
 

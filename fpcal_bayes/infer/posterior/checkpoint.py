@@ -6,6 +6,7 @@ What is on disk is therefore whole at any moment, and a reader never meets a wri
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import replacing
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.hdf5 import put_array, put_text, reading, writing
 
 _KEY_WORDS = 624  # of a Mersenne Twister, which emcee uses
 
@@ -33,11 +33,7 @@ class Block:
 
 
 class BlockStore:
-    """The blocks of one run, in a folder.
-
-    folder: made when the first block is written.
-    identity: hash of everything the draws depend on.
-    """
+    """The blocks of one run, in a folder made with the first; `identity` is a hash of all that the draws depend on."""
 
     def __init__(self, folder: Path, identity: str) -> None:
         self.folder, self.identity = folder, identity
@@ -52,41 +48,33 @@ class BlockStore:
     def append(self, number: int, block: Block) -> None:
         """Write block `number`, whole or not at all."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        with replacing(self._path(number)) as temporary, writing(temporary) as root:
-            put_text(root, "identity", self.identity)
-            put_array(root, "points", block.points)
-            put_array(root, "log_density", block.log_density)
-            put_array(root, "log_proposal", block.log_proposal)
-            put_array(root, "accepted", block.accepted)
-            put_array(root, "random", block.random)
-            put_array(root, "cost", np.array([float(block.evaluations), block.seconds]))
+        with replacing(self._path(number)) as temporary, temporary.open("wb") as file:
+            np.savez(file, identity=self.identity, **vars(block))
 
     def clear(self) -> None:
         """Remove all blocks, but not their folder: it is locked."""
-        for path in self.folder.glob("*.[ht]*"):
+        for path in self.folder.glob("*.[hnt]*"):
             path.unlink()
 
     def _path(self, number: int) -> Path:
-        return self.folder / f"block-{number:06d}.h5"
+        return self.folder / f"block-{number:06d}.npz"
 
     def _read(self, path: Path) -> Block:
-        with reading(path) as reader:
-            root = reader.root
-            if reader.text_attribute(root, "identity") != self.identity:
-                raise InputError(
-                    f"{self.folder}: holds draws of other data, another cell, other priors or another seed; "
-                    "sample without --resume to start anew"
-                )
-            evaluations, seconds = reader.numbers(root, "cost")
-            return Block(
-                points=reader.numbers(root, "points", 4),
-                log_density=reader.numbers(root, "log_density", 3),
-                log_proposal=reader.numbers(root, "log_proposal", 3),
-                accepted=reader.numbers(root, "accepted"),
-                random=reader.numbers(root, "random", 2),
-                evaluations=int(evaluations),
-                seconds=float(seconds),
+        try:
+            with path.open("rb") as stream, np.load(stream) as file:
+                found = dict(file)
+            identity, evaluations, seconds = (found.pop(name).item() for name in ("identity", "evaluations", "seconds"))
+            block = Block(**found, evaluations=evaluations, seconds=seconds)
+        except (BadZipFile, EOFError, OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(
+                f"{path}: not a block of draws ({error}); sample without --resume to start anew"
+            ) from error
+        if identity != self.identity:
+            raise InputError(
+                f"{self.folder}: holds draws of other data, another cell, other priors or another seed; "
+                "sample without --resume to start anew"
             )
+        return block
 
 
 def random_to_numbers(state: np.random.RandomState) -> Floats:

@@ -12,11 +12,10 @@ from scipy import special
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification
-from fpcal_bayes.infer.fit.minimise import Solution, all_minima, minimise
-from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, Slips, find_slips
+from fpcal_bayes.infer.fit.minimise import Solution, all_minima
+from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, find_slips
 from fpcal_bayes.infer.fit.student import DOF, StudentProblem, robust_minimum
 from fpcal_bayes.infer.posterior.diagnostics import Diagnostics
-from fpcal_bayes.infer.posterior.noise_scale import NoiseScale, scaled_problem
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
@@ -52,7 +51,7 @@ class Posterior(Result):
     acceptance: float  # share of all moves
     evaluations: int  # points at which the density was evaluated
     seconds: float  # sampling time
-    # of rows that may slip, have heavy tails or a noise of unknown size: how many repeats of them are less likely
+    # of rows that may slip or have heavy tails: how many repeats of them are less likely
     predictive_p: float | None = None
 
     def __repr__(self) -> str:
@@ -69,10 +68,10 @@ class Posterior(Result):
         """What is held against the draws.
 
         Second solutions and doubtful signs are sampled, and a poor fit to Gaussian noise says nothing of rows that may
-        slip, have heavy tails or a noise of unknown size.
+        slip or have heavy tails.
         """
         told = {"second-solution", "signs"}
-        if isinstance(self.target, SlipTarget) or self.target.dof is not None or self.target.noise is not None:
+        if isinstance(self.target, SlipTarget) or self.target.dof is not None:
             told |= {"poor-fit", "too-good-fit"}
         left = Trust(tuple(r for r in self.identification.estimate.trust.reasons if r.kind not in told))
         left = left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
@@ -94,9 +93,7 @@ def misfit_of(target: PosteriorTarget, predictive_p: float | None) -> str | None
     """What a likelihood itself says against the rows, given how many repeats of them are less likely, or None."""
     if predictive_p is None or predictive_p >= POOR_FIT_BELOW:
         return None
-    kind, allowed = "scaled-noise", "noise of any size"
-    if target.dof is not None:
-        kind, allowed = "Student-t", "outliers of any size"
+    kind, allowed = "Student-t", "outliers of any size"
     if isinstance(target, SlipTarget):
         kind, allowed = "slip", f"slips of up to {MOST_HALF_WAVES} half waves between two readings"
     return (
@@ -105,39 +102,25 @@ def misfit_of(target: PosteriorTarget, predictive_p: float | None) -> str | None
     )
 
 
-def make_target(
-    identification: Identification, likelihood: Likelihood, noise_scale: bool = False
-) -> tuple[PosteriorTarget, Floats]:
+def make_target(identification: Identification, likelihood: Likelihood) -> tuple[PosteriorTarget, Floats]:
     """The density to sample and the reference points of its charts, shape (n_charts, n_unknowns)."""
     problem, signs = identification.problem, identification.signs
     minima: Sequence[Solution] = (identification.solution, *identification.other_minima)
-    slips: Slips | None = None
     if likelihood == "slip":
         slips = find_slips(problem, identification.solution)
-        problem, minima = slips.problem, all_minima(slips.problem, slips.solution)
-    elif likelihood == "student":
-        problem = StudentProblem.like(problem, DOF)
-        minima = all_minima(problem, robust_minimum(problem, identification.solution.unknowns))
-    noise = None
-    if noise_scale:
-        noise = NoiseScale.of(problem, minima[0])
-        minima = [minimise(scaled_problem(problem, noise.reference), minimum.unknowns) for minimum in minima]
+        target = SlipTarget(slips)
+        minima = all_minima(slips.problem, slips.solution)
+        # Rows that may slip have a known sign.
+        eps = np.full(len(minima), target.reference)
+        return target, np.column_stack([np.array([minimum.unknowns for minimum in minima]), eps])
+    if likelihood == "student":
+        bent = StudentProblem.like(problem, DOF)
+        minima = all_minima(bent, robust_minimum(bent, identification.solution.unknowns))
     if signs is not None:
         # Other signs that fit nearly as well: a chart at the minimum of each.
         minima = [*minima, *signs.rivals]
-    references = np.array([minimum.unknowns for minimum in minima])
-    if noise is not None:
-        references = np.column_stack([references, np.full(len(references), noise.reference)])
-    if slips is not None:
-        slip_target = SlipTarget(slips, noise=noise)
-        return slip_target, np.column_stack([references, np.full(len(references), slip_target.reference)])
-    target = PosteriorTarget(
-        identification.problem,
-        dof=DOF if likelihood == "student" else None,
-        noise=noise,
-        doubt=None if signs is None else signs.doubt,
-    )
-    return target, references
+    dof, doubt = DOF if likelihood == "student" else None, None if signs is None else signs.doubt
+    return PosteriorTarget(problem, dof=dof, doubt=doubt), np.array([minimum.unknowns for minimum in minima])
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ def slip_sums(
     residuals: Floats,
     log_eps: Floats,
     log_not: Floats,
-    factor: Floats,
     corrected: Ints,
     can_slip: Bools,
     half_wave: float,
@@ -38,9 +37,8 @@ def slip_sums(
 ) -> None:
     """Log density of each group's first rows, and the probability that each of their counts is right.
 
-    residuals: whitened rows of the corrected problem, over the noise's factor, shape (n_points, n_rows).
+    residuals: whitened rows of the corrected problem, shape (n_points, n_rows).
     log_eps, log_not: logarithms of the probabilities of one particular slip and of none, shape (n_points,).
-    factor: on the noise, shape (n_points,).
     corrected, can_slip: half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
     half_wave, most: half a wavelength in um, and the most that a count slips by from one row of a group to the next.
     members, own, shared, gain, scale: the whitening of the groups, as for `whiten_groups`.
@@ -77,7 +75,7 @@ def slip_sums(
                             terms[depth, k] = -np.inf
                             continue
                         moved = (level[depth] + count - corrected[row]) * half_wave * own[g, depth]
-                        value = residuals[p, row] + (moved - before) * scale[g, depth] / factor[p]
+                        value = residuals[p, row] + (moved - before) * scale[g, depth]
                         weight = (log_eps[p] if count else log_not[p]) if can_slip[row] else 0.0
                         terms[depth, k] = weight - 0.5 * value * value
                 # The likeliest count that is left.

@@ -54,7 +54,7 @@ class MachineTarget(PosteriorTarget):
         """Log density of each row given the others, per um, at points (n_points, n_unknowns), (n_points, n_rows)."""
         mix = self.problem.whitening.mix
         assert mix is not None
-        residuals = self._whitened(points[:, : self.problem.n_unknowns])
+        residuals = self._whitened(points)
         precision = np.asarray(mix.multiply(mix).sum(axis=0)).ravel()
         result: Floats = 0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * (residuals @ mix) ** 2 / precision
         return result

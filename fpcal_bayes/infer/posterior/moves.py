@@ -8,7 +8,7 @@ from emcee.state import State
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture, Solved, in_parts
-from fpcal_bayes.infer.posterior.target import Target
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 
 class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
@@ -58,7 +58,7 @@ class LocalMove(Move):  # type: ignore[misc]
     It goes where no chart reaches, and so makes the mixture of moves irreducible.
     """
 
-    def __init__(self, target: Target, atlas: ProposalMixture) -> None:
+    def __init__(self, target: PosteriorTarget, atlas: ProposalMixture) -> None:
         self.target, self.atlas = target, atlas
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:

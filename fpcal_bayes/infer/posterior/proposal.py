@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg, special
 
 from fpcal_bayes.core.typing import Bools, Floats
-from fpcal_bayes.infer.posterior.target import Target
+from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 _MOST_ITERATIONS = 16
 #: Rounding leaves about 1e-9 with nanometre noise, and the density of a proposal is right to this relative error.
@@ -45,7 +45,7 @@ def in_parts(n_points: int, step: int) -> list[slice]:
 class Proposal:
     """The map around one reference point (n,) of a target; a minimum of the sum of squares serves best."""
 
-    def __init__(self, target: Target, reference: Floats) -> None:
+    def __init__(self, target: PosteriorTarget, reference: Floats) -> None:
         self.target, self.reference = target.centred(reference), reference
         residuals, jacobian = self.target.data_batch(reference[None])
         rows = np.vstack([jacobian[0], np.eye(len(reference))])
@@ -114,7 +114,7 @@ class Proposal:
         going = np.arange(len(points))
         for attempt in range(_MOST_HALVINGS + _MOST_CHORD_STEPS):
             trial = points[going] - step[going]
-            trial_miss = self._projected(self.target.data_residuals(trial), trial) - normal[going]
+            trial_miss = self._from_residuals(trial) - normal[going]
             trial_distance = np.linalg.norm(trial_miss, axis=1)
             # Written so that a distance that is not a number counts as too far.
             better = trial_distance < distance[going]
@@ -134,6 +134,13 @@ class Proposal:
     def _projected(self, residuals: Floats, points: Floats) -> Floats:
         """h(v) from the residuals at points (n_points, n)."""
         h: Floats = residuals @ self._on_data + points @ self._on_prior
+        return h
+
+    def _from_residuals(self, points: Floats) -> Floats:
+        """h(v) without derivatives, as many points at a time as their residuals have room."""
+        h, target = np.empty_like(points), self.target
+        for part in in_parts(len(points), target.at_once * points.shape[1]):
+            h[part] = self._projected(target.data_residuals(points[part]), points[part])
         return h
 
     def log_proposal(self, points: Floats) -> Floats:
@@ -174,7 +181,7 @@ _TRIALS = 2048
 _MOST_CHARTS = 4
 
 
-def learn_proposals(target: Target, minima: Floats, rng: np.random.Generator) -> Floats:
+def learn_proposals(target: PosteriorTarget, minima: Floats, rng: np.random.Generator) -> Floats:
     """Reference points of the charts, shape (n_charts, n): the minima (n_minima, n) and further points."""
     references = minima
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
@@ -198,12 +205,12 @@ LEAST_SHARE = 0.1
 class ProposalMixture:
     """A mixture of charts around reference points (n_charts, n), of which the first is the lowest minimum."""
 
-    def __init__(self, target: Target, references: Floats) -> None:
+    def __init__(self, target: PosteriorTarget, references: Floats) -> None:
         self.target = target
         self.charts = [Proposal(target, reference) for reference in references]
-        residuals, _ = target.data_batch(np.atleast_2d(references))
         # Shares by the mass of each minimum in the Laplace approximation.
-        mass = target.log_density(residuals, np.atleast_2d(references)) - [chart.log_volume for chart in self.charts]
+        density = target.log_density(target.data_residuals(references), references)
+        mass = density - [chart.log_volume for chart in self.charts]
         shares = np.maximum(special.softmax(mass), LEAST_SHARE)
         self.shares: Floats = shares / shares.sum()
 

@@ -1,11 +1,14 @@
 """Sample the posterior of an identification with emcee, until it has converged."""
 
+import hashlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import emcee
 import numpy as np
+from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import content_sha256
@@ -48,14 +51,13 @@ def sample(
     *,
     draws: int = 10_000,
     likelihood: Likelihood = "gaussian",
-    noise_scale: bool = False,
     scales_held: bool = False,
     seed: int = 0,
     store: BlockStore | None = None,
     max_steps: int | None = None,
     progress: Progress | None = None,
 ) -> Posterior:
-    """Sample the posterior until it has converged or a limit is reached.
+    """Sample the posterior until it has converged or a limit is reached, which its `failures` say.
 
     Parameters
     ----------
@@ -66,8 +68,6 @@ def sample(
     likelihood
         ``gaussian``; ``student``: outliers of any size have bounded pull; ``slip``: each dL may be off by whole half
         wavelengths.
-    noise_scale
-        Whether the noise of all rows has an unknown factor, a priori within four times the stated noise.
     scales_held
         Whether the scales of the mechanics are held at their typical values instead of being sampled.
     seed
@@ -78,23 +78,18 @@ def sample(
         Limit of steps a walker; by default 5,000, or twenty times what independent draws would need.
     progress
         Called with the effective draws so far and the share of the work that is done.
-
-    Returns
-    -------
-    Posterior
-        With `failures` if the limit was reached before convergence.
     """
     children = np.random.SeedSequence(seed).spawn(N_ENSEMBLES + 1)
     target: PosteriorTarget
     runs: Sequence[_Ensemble]
     if identification.machine is not None and not scales_held:
-        _require_dense(identification, likelihood, noise_scale)
+        _require_dense(identification, likelihood)
         target = MachineTarget(identification.machine)
         charts = MachineCharts(identification.machine, children[-1])
         n_charts = len(charts.references)
         runs = [_MachineEnsemble(target, charts, child) for child in children[:N_ENSEMBLES]]
     else:
-        target, references = make_target(identification, likelihood, noise_scale)
+        target, references = make_target(identification, likelihood)
         if target.dof is None:
             references = learn_proposals(target, references, np.random.default_rng(children[-1]))
         # Student-t rows leave rare proposals in every tail: a further chart costs more than it helps.
@@ -124,7 +119,7 @@ def sample(
         if progress is not None:
             progress(posterior.diagnostics.effective, min(1.0, posterior.diagnostics.effective / draws))
         if posterior.converged or done * BLOCK_STEPS >= limit:
-            if likelihood == "gaussian" and not noise_scale:
+            if likelihood == "gaussian":
                 return posterior
             points = posterior.points.reshape(-1, target.n_unknowns)
             points = points[:: -(-len(points) // _REPEATS)]
@@ -139,39 +134,40 @@ def _next_look(steps: int, diagnostics: Diagnostics, draws: int) -> int:
     return int(np.ceil(steps * np.nan_to_num(growth, nan=_MOST_GROWTH)))
 
 
-def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian", noise_scale: bool = False) -> str:
+def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -> str:
     """Hash of everything that the draws depend on: data, cell with priors, held values, seed, settings."""
-    sweeps = problem.sweeps
-    held = None if problem.considered is None else problem.considered.factor
-    sizes = problem.model.cell.mechanics
+    model, prior, sweeps, considered = problem.model, problem.prior, problem.sweeps, problem.considered
+    numbers: list[NDArray[Any] | None] = [
+        prior.mean,
+        prior.sd,
+        prior.factor,
+        model.held,
+        None if considered is None else considered.factor,
+    ]
+    numbers += [sweeps.q_start, sweeps.q_end, problem.target, sweeps.sigma, sweeps.signed, sweeps.group, sweeps.kind]
+    sizes = model.cell.mechanics
     return content_sha256(
-        ({} if sizes is None else {"mechanics": sizes.sha256})
-        | {
+        {
             "program": __version__,
-            "cell": problem.model.cell.sha256,
-            "free": list(problem.model.free.names),
-            "prior": [problem.prior.mean.tolist(), problem.prior.sd.tolist(), _listed(problem.prior.factor)],
-            "held": [problem.model.held.tolist(), _listed(held)],
-            "data": [sweeps.q_start.tolist(), sweeps.q_end.tolist(), problem.target.tolist(), sweeps.sigma.tolist()],
-            "rows": [sweeps.signed.tolist(), sweeps.group.tolist(), sweeps.kind.tolist()],
-            "sampler": [likelihood, noise_scale, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
+            "cell": [model.cell.sha256, "" if sizes is None else sizes.sha256, *model.free.names],
+            "numbers": [hashlib.sha256(b"" if each is None else each.tobytes()).hexdigest() for each in numbers],
+            "sampler": [likelihood, seed, N_ENSEMBLES, N_WALKERS, BLOCK_STEPS, LOCAL_SHARE],
         }
     )
-
-
-def _listed(numbers: Floats | None) -> list[object] | None:
-    return None if numbers is None else numbers.tolist()
 
 
 class _Ensemble:
     """One ensemble of walkers with its own random numbers."""
 
-    def __init__(self, target: PosteriorTarget, atlas: ProposalMixture, seed: np.random.SeedSequence) -> None:
-        self.target, self.atlas = target, atlas
-        self._from_charts = RandomiseThenOptimiseMove(atlas, ahead=BLOCK_STEPS)
-        moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (LocalMove(target, atlas), LOCAL_SHARE)]
+    def __init__(self, target: PosteriorTarget, proposals: Any, seed: np.random.SeedSequence) -> None:
+        self.target, self.proposals = target, proposals
+        self._from_charts, local = self._moves()
         self.sampler = emcee.EnsembleSampler(
-            N_WALKERS, target.n_unknowns, self._log_probability, moves=moves, vectorize=True
+            N_WALKERS,
+            target.n_unknowns,
+            self._log_probability,
+            moves=[(self._from_charts, 1.0 - LOCAL_SHARE), (local, LOCAL_SHARE)],
+            vectorize=True,
         )
         self.random = np.random.RandomState(np.random.MT19937(seed))
         self.state: emcee.State | None = None
@@ -197,50 +193,46 @@ class _Ensemble:
     def _start(self) -> emcee.State:
         found: list[Floats] = []
         while sum(map(len, found)) < N_WALKERS:
-            normal = _OVER_DISPERSION * self.random.standard_normal((N_WALKERS, self.target.n_unknowns))
-            solved = self.atlas.propose(normal, self.random.random_sample(N_WALKERS))
-            found.append(solved.points[np.isfinite(solved.log_proposal)])
-        points = np.concatenate(found)[:N_WALKERS]
-        return emcee.State(points, random_state=self.random.get_state())
+            points, log_proposal = self._spread()
+            found.append(points[np.isfinite(log_proposal)])
+        return emcee.State(np.concatenate(found)[:N_WALKERS], random_state=self.random.get_state())
+
+    def _moves(self) -> tuple[Any, Any]:
+        return RandomiseThenOptimiseMove(self.proposals, ahead=BLOCK_STEPS), LocalMove(self.target, self.proposals)
+
+    def _spread(self) -> tuple[Floats, Floats]:
+        """Points wider apart than the posterior, and their log proposal densities, minus infinity where none is."""
+        normal = _OVER_DISPERSION * self.random.standard_normal((N_WALKERS, self.target.n_unknowns))
+        solved = self.proposals.propose(normal, self.random.random_sample(N_WALKERS))
+        return solved.points, solved.log_proposal
 
     def _log_probability(self, points: Floats) -> Floats:
-        residuals, _ = self.target.data_batch(points)
-        return np.column_stack([self.target.log_density(residuals, points), self.atlas.log_proposal(points)])
+        density = self.target.log_density(self.target.data_residuals(points), points)
+        return np.column_stack([density, self.proposals.log_proposal(points)])
 
 
 class _MachineEnsemble(_Ensemble):
     """One ensemble of walkers of a machine: geometry and scales."""
 
-    def __init__(self, target: PosteriorTarget, charts: MachineCharts, seed: np.random.SeedSequence) -> None:
-        self.target, self.charts = target, charts
-        self._from_charts = MachineMove(charts)
-        moves = [(self._from_charts, 1.0 - LOCAL_SHARE), (MachineLocalMove(charts), LOCAL_SHARE)]
-        self.sampler = emcee.EnsembleSampler(
-            N_WALKERS, target.n_unknowns, self._log_probability, moves=moves, vectorize=True
-        )
-        self.random = np.random.RandomState(np.random.MT19937(seed))
-        self.state = None
+    def _moves(self) -> tuple[Any, Any]:
+        return MachineMove(self.proposals), MachineLocalMove(self.proposals)
 
-    def _start(self) -> emcee.State:
-        found: list[Floats] = []
-        scales = self.charts.fit.scales.log
-        while sum(map(len, found)) < N_WALKERS:
-            drawn = scales[self.random.randint(len(scales), size=N_WALKERS)]
-            points, _, log_proposal = self.charts.propose(drawn, self.random, widen=_OVER_DISPERSION)
-            found.append(points[np.isfinite(log_proposal)])
-        return emcee.State(np.concatenate(found)[:N_WALKERS], random_state=self.random.get_state())
+    def _spread(self) -> tuple[Floats, Floats]:
+        scales = self.proposals.fit.scales.log
+        drawn = scales[self.random.randint(len(scales), size=N_WALKERS)]
+        points, _, log_proposal = self.proposals.propose(drawn, self.random, widen=_OVER_DISPERSION)
+        return points, log_proposal
 
     def _log_probability(self, points: Floats) -> Floats:
-        return np.column_stack([self.charts.log_density(points), self.charts.log_proposal(points)])
+        return np.column_stack([self.proposals.log_density(points), self.proposals.log_proposal(points)])
 
 
-def _require_dense(identification: Identification, likelihood: Likelihood, noise_scale: bool) -> None:
+def _require_dense(identification: Identification, likelihood: Likelihood) -> None:
     """Refuse what cannot be sampled with mechanics."""
     file, rows = identification.problem.sweeps.file, len(identification.problem.target)
-    if likelihood != "gaussian" or noise_scale:
+    if likelihood != "gaussian":
         raise InputError(
-            f"{file}: --likelihood {likelihood}{' --noise-scale' * noise_scale}: with mechanics the rows are Gaussian "
-            "and the noise has a scale of its own; expected --mechanics none with it"
+            f"{file}: --likelihood {likelihood}: with mechanics rows are Gaussian, expected --mechanics none with it"
         )
     if rows > MOST_ROWS:
         raise InputError(f"{file}: {rows} rows, with mechanics at most {MOST_ROWS} are sampled; use --mechanics none")

@@ -1,50 +1,19 @@
 """The density that is sampled: half a sum of squares of data rows, and unit normal prior rows."""
 
 import copy
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.fit.student import StudentTangent, bend, log_peak
-from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale, factors
 
 #: A row of unknown sign this near to zero, in standard deviations, is proposed for both signs at once.
 _NEAR_ZERO = 3.0
 _LOG_PEAK = -0.5 * float(np.log(2.0 * np.pi))
-
-
-class Target(Protocol):
-    """A density exp(-(|r(v)|^2 + |v|^2) / 2) over n unknowns, r being the whitened data residuals.
-
-    `log_density` may add a factor that the residuals do not hold; charts then only propose, and the factor is met by
-    the Metropolis step.
-    """
-
-    @property
-    def n_unknowns(self) -> int:
-        """Number of unknowns."""
-
-    @property
-    def at_once(self) -> int:
-        """At how many points derivatives are worked out together, so that they take little memory."""
-
-    def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Residuals (n_points, n_rows) and derivatives (n_points, n_rows, n) at points (n_points, n).
-
-        A residual that depends on one unknown alone makes the derivatives of the others by that unknown dispensable:
-        the determinant is that of the blocks.
-        """
-
-    def data_residuals(self, points: Floats) -> Floats:
-        """The residuals alone, which cost much less."""
-
-    def log_density(self, residuals: Floats, points: Floats) -> Floats:
-        """Unnormalised log density (n_points,) from residuals (n_points, n_rows) and points (n_points, n)."""
-
-    def centred(self, reference: Floats) -> Self:
-        """The same density with the residuals that serve best near `reference` (n,)."""
+#: Numbers of residuals or derivatives that are worked out together.
+_NUMBERS = 4_000_000
 
 
 def half_squares(residuals: Floats, points: Floats) -> Floats:
@@ -53,33 +22,23 @@ def half_squares(residuals: Floats, points: Floats) -> Floats:
 
 
 class PosteriorTarget:
-    """The posterior of a least-squares problem, with a count of the points at which it was evaluated.
+    """The posterior of a least-squares problem over its n unknowns, with a count of the points where it was evaluated.
+
+    It is exp(-(|r(v)|^2 + |v|^2) / 2), r being the whitened data residuals. `log_density` may add a factor that the
+    residuals do not hold; charts then only propose, and the factor is met by the Metropolis step. A residual that
+    depends on one unknown alone makes the derivatives of the others by that unknown dispensable: the determinant is
+    that of the blocks.
 
     A row of unknown sign is the size of a change: its density is the sum of those of both signs. Rows that share a
     reading are taken with the sign that was decided.
 
-    Parameters
-    ----------
-    problem
-        With the signs that were decided.
-    dof
-        Degrees of freedom of Student-t rows; None for Gaussian ones.
-    noise
-        If the noise has an unknown factor: where it is likeliest. It joins the unknowns behind those of the problem.
-    doubt
-        Probability that the sign of each row is the other one, shape (n_rows,); rows of unknown sign near zero whose
-        sign is doubtful are proposed for both at once.
+    dof: degrees of freedom of Student-t rows; None for Gaussian ones.
+    doubt: probability that the sign of each row is the other one, shape (n_rows,); rows of unknown sign near zero whose
+    sign is doubtful are proposed for both at once.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        *,
-        dof: float | None = None,
-        noise: NoiseScale | None = None,
-        doubt: Floats | None = None,
-    ) -> None:
-        self.problem, self.dof, self.noise = problem, dof, noise
+    def __init__(self, problem: Problem, *, dof: float | None = None, doubt: Floats | None = None) -> None:
+        self.problem, self.dof = problem, dof
         self._count = [0]
         self._tangent: StudentTangent | None = None
         sweeps = problem.sweeps
@@ -101,16 +60,16 @@ class PosteriorTarget:
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns: those of the problem, and that of the noise."""
-        return self.problem.n_unknowns + (self.noise is not None)
+        """Number of unknowns."""
+        return self.problem.n_unknowns
 
     @property
     def at_once(self) -> int:
-        """See `Target`: derivatives of 32 MB."""
-        return max(1, 4_000_000 // (len(self.problem.target) * self.problem.n_unknowns))
+        """At how many points derivatives are worked out together, so that they take little memory."""
+        return max(1, _NUMBERS // (len(self.problem.target) * self.problem.n_unknowns))
 
     def centred(self, reference: Floats) -> Self:
-        """The same density, with residuals made for the neighbourhood of `reference` (n_unknowns,).
+        """The same density, with the residuals that serve best near `reference` (n_unknowns,).
 
         Rows of unknown sign are taken with the sign that is predicted there, Student-t rows by their tangents.
         """
@@ -126,8 +85,7 @@ class PosteriorTarget:
         if not len(self._folded):
             return self
         problem = self.problem
-        unknowns = reference[None, : problem.n_unknowns]
-        predicted = (self._whitened(unknowns)[0] / problem.whitening.scale + problem.target)[self._folded]
+        predicted = (self._whitened(reference[None])[0] / problem.whitening.scale + problem.target)[self._folded]
         target = problem.target.copy()
         target[self._folded] = np.copysign(target[self._folded], predicted)
         other = copy.copy(self)
@@ -138,55 +96,37 @@ class PosteriorTarget:
         return other
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Residuals and derivatives at `points`, as the charts take them."""
-        own = points[:, : self.problem.n_unknowns]
-        residuals, jacobian = self.problem.data_batch(own)
+        """Residuals (n_points, n_rows) and derivatives (n_points, n_rows, n), as the charts take them."""
         self._count[0] += len(points)
+        residuals, jacobian = self.problem.data_batch(points)
         if len(self._near):
             jacobian[:, self._near] *= self._shrink[:, None]
-        if self.noise is not None:
-            jacobian /= self._factors(points)[:, :, None]
-        residuals = self._widened(residuals, points)
+        residuals = self._widened(residuals)
         if self._tangent is not None:
             residuals = self._tangent.rows(residuals)
             jacobian *= self._tangent.gain[:, None]
-        if self.noise is None:
-            return residuals, jacobian
-        n_points, n_rows, n = jacobian.shape
-        wider = np.zeros((n_points, n_rows + 1, n + 1))
-        wider[:, :n_rows, :n] = jacobian
-        wider[:, n_rows, n] = self.noise.curvature
-        return np.hstack([residuals, self.noise.row(points[:, n : n + 1])]), wider
+        return residuals, jacobian
 
     def data_residuals(self, points: Floats) -> Floats:
-        """The residuals alone."""
-        self._count[0] += len(points)
-        residuals = self._widened(self._whitened(points[:, : self.problem.n_unknowns]), points)
-        if self._tangent is not None:
-            residuals = self._tangent.rows(residuals)
-        if self.noise is None:
-            return residuals
-        n = self.problem.n_unknowns
-        return np.hstack([residuals, self.noise.row(points[:, n : n + 1])])
+        """The residuals alone, which cost much less."""
+        residuals = self._widened(self.standardised(points))
+        return residuals if self._tangent is None else self._tangent.rows(residuals)
 
     def standardised(self, points: Floats) -> Floats:
-        """Whitened residuals over the noise's factor at points (n_points, n_unknowns), shape (n_points, n_rows)."""
+        """Whitened residuals at points (n_points, n_unknowns), shape (n_points, n_rows)."""
         self._count[0] += len(points)
-        residuals = self._whitened(points[:, : self.problem.n_unknowns])
-        return residuals if self.noise is None else residuals / self._factors(points)
+        return self._whitened(points)
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
-        """Unnormalised log posterior."""
+        """Unnormalised log density (n_points,) from residuals (n_points, n_rows) and points (n_points, n)."""
         rows = residuals[:, : len(self.problem.target)]
         total = half_squares(rows, points)
         if len(self._folded) or self.dof is not None:
-            standardised = self._standardised(rows, points)
+            standardised = self._standardised(rows)
             if len(self._near) or self.dof is not None:
                 total += 0.5 * ((rows**2).sum(axis=1) - (self._bent(standardised) ** 2).sum(axis=1))
             if len(self._folded):
-                total += self._other_sign(standardised, points).sum(axis=1)
-        if self.noise is not None:
-            total -= rows.shape[1] * LOG_SD * points[:, self.problem.n_unknowns]
+                total += self._other_sign(standardised).sum(axis=1)
         return total
 
     def log_likelihoods(self, points: Floats) -> Floats:
@@ -199,16 +139,12 @@ class PosteriorTarget:
     def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
         """Probability that a repeat of the rows is less likely than they are (posterior predictive check).
 
-        Parameters
-        ----------
-        points
-            Draws of the posterior, shape (n_points, n_unknowns); a repeat is drawn at each.
+        `points` are draws of the posterior, shape (n_points, n_unknowns); a repeat is drawn at each.
         """
-        seen, repeat = self.standardised(points), self.draw_noise(points, rng)
-        if self.noise is not None:
-            repeat /= self._factors(points)
-        likelihood = [self._row_log_likelihoods(rows, points).sum(axis=1) for rows in (seen, repeat + self._repeated())]
-        return float(((likelihood[1] <= likelihood[0]).sum() + 1) / (len(points) + 1))
+        repeat = self.draw_noise(points, rng) + self._repeated()
+        both = (self.standardised(points), repeat)
+        seen, again = (self._row_log_likelihoods(rows, points).sum(axis=1) for rows in both)
+        return float(((again <= seen).sum() + 1) / (len(points) + 1))
 
     def _repeated(self) -> Floats:
         """What repeated rows have beside their errors, whitened, shape (n_rows,)."""
@@ -216,21 +152,17 @@ class PosteriorTarget:
 
     def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
         result = -0.5 * self._bent(standardised) ** 2
-        result[:, self._folded] += self._other_sign(standardised, points)
-        result += self.log_scale
-        if self.noise is not None:
-            result -= LOG_SD * points[:, self.problem.n_unknowns, None]
-        return result
+        result[:, self._folded] += self._other_sign(standardised)
+        return result + self.log_scale
 
     def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
-        """Errors of the whitened rows, in units of their stated noise, at points (n_points, n_unknowns)."""
+        """Errors of the whitened rows at points (n_points, n_unknowns), shape (n_points, n_rows)."""
         shape = (len(points), len(self.problem.target))
-        errors = rng.standard_normal(shape) if self.dof is None else rng.standard_t(self.dof, shape)
-        return errors if self.noise is None else errors * self._factors(points)
+        return rng.standard_normal(shape) if self.dof is None else rng.standard_t(self.dof, shape)
 
     def noise_factors(self, points: Floats) -> Floats | None:
         """Factors on the noise at points (..., n_unknowns), or None if the noise is as stated."""
-        return None if self.noise is None else factors(points[..., self.problem.n_unknowns])
+        return None
 
     @property
     def log_scale(self) -> Floats:
@@ -239,42 +171,36 @@ class PosteriorTarget:
         scale = whitening.scale if whitening.mix is None else whitening.mix.diagonal()
         return np.log(scale) + (_LOG_PEAK if self.dof is None else log_peak(self.dof))
 
-    def _whitened(self, own: Floats) -> Floats:
-        """Whitened residuals (n_points, n_rows) at unknowns of the problem (n_points, n)."""
+    def _whitened(self, points: Floats) -> Floats:
         problem = self.problem
+        own = points[:, : problem.n_unknowns]
         change = problem.model.predict(problem.values(own), problem.rows) - problem.target
         if problem.sensitivity is not None:
             change = change + own[:, problem.n_free :] @ problem.sensitivity.T
         return problem.whitening.apply(change[:, :, None])[:, :, 0]
 
-    def _factors(self, points: Floats) -> Floats:
-        n = self.problem.n_unknowns
-        return factors(points[:, n : n + 1])
-
-    def _widened(self, residuals: Floats, points: Floats) -> Floats:
-        """Residuals as charts see them: over the noise's factor, those near zero about zero."""
+    def _widened(self, residuals: Floats) -> Floats:
+        """Residuals as charts see them, those near zero about zero."""
         if len(self._near):
             residuals = residuals.copy()
             residuals[:, self._near] = (residuals[:, self._near] + self._offset) * self._shrink
-        return residuals if self.noise is None else residuals / self._factors(points)
+        return residuals
 
-    def _standardised(self, rows: Floats, points: Floats) -> Floats:
+    def _standardised(self, rows: Floats) -> Floats:
         """The standardised residuals behind the charts' rows (n_points, n_rows)."""
         residuals = rows if self._tangent is None else self._tangent.standardised(rows)
         if len(self._near):
             residuals = residuals.copy()
-            offset = self._offset if self.noise is None else self._offset / self._factors(points)
-            residuals[:, self._near] = residuals[:, self._near] / self._shrink - offset
+            residuals[:, self._near] = residuals[:, self._near] / self._shrink - self._offset
         return residuals
 
     def _bent(self, standardised: Floats) -> Floats:
         return standardised if self.dof is None else bend(standardised, self.dof)[0]
 
-    def _other_sign(self, standardised: Floats, points: Floats) -> Floats:
+    def _other_sign(self, standardised: Floats) -> Floats:
         """What the other sign adds to the log density of rows whose sign is not known."""
         # Residual s with the sign that was decided, s + 2 t with the other one.
-        twice = self._twice if self.noise is None else self._twice / self._factors(points)
         folded = standardised[:, self._folded]
         if self.dof is None:
-            return np.logaddexp(0.0, -twice * (folded + 0.5 * twice))
-        return np.logaddexp(0.0, 0.5 * self._bent(folded) ** 2 - 0.5 * self._bent(folded + twice) ** 2)
+            return np.logaddexp(0.0, -self._twice * (folded + 0.5 * self._twice))
+        return np.logaddexp(0.0, 0.5 * self._bent(folded) ** 2 - 0.5 * self._bent(folded + self._twice) ** 2)

@@ -14,7 +14,6 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Batch
 from fpcal_bayes.infer.fit.slips import MOST_HALF_WAVES, Slips
 from fpcal_bayes.infer.posterior.kernels import slip_sums
-from fpcal_bayes.infer.posterior.noise_scale import LOG_SD, NoiseScale
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 #: Prior of eps: half of it below 4.7 %, 95 % between 0.5 and 34 %.
@@ -28,11 +27,10 @@ class SlipTarget(PosteriorTarget):
     Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
 
     slips: corrections that were found; they only say where to look first.
-    noise: if the noise has an unknown factor: where it is likeliest.
     """
 
-    def __init__(self, slips: Slips, *, noise: NoiseScale | None = None) -> None:
-        super().__init__(slips.problem, noise=noise)
+    def __init__(self, slips: Slips) -> None:
+        super().__init__(slips.problem)
         sweeps = slips.problem.sweeps
         unsigned = np.flatnonzero(~(sweeps.signed | sweeps.absolute))
         if len(unsigned):
@@ -51,7 +49,7 @@ class SlipTarget(PosteriorTarget):
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns: those of the problem and of the noise, and that of eps."""
+        """Number of unknowns: those of the problem, and that of eps."""
         return super().n_unknowns + 1
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
@@ -71,18 +69,10 @@ class SlipTarget(PosteriorTarget):
         """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
         corrected = residuals[:, : len(self.problem.target)]
         total: Floats = self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1)
-        if self.noise is not None:
-            total -= corrected.shape[1] * LOG_SD * points[:, self.problem.n_unknowns]
         return total
 
-    def log_likelihoods(self, points: Floats) -> Floats:
-        """Log likelihood of each row, summed over the ways in which it may have slipped.
-
-        For rows that share a reading, that of a row given those before it in its group.
-        """
-        return self._row_log_likelihoods(self.standardised(points), points)
-
     def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
+        # Summed over the ways in which a row may have slipped, given those before it in its group.
         result = np.empty_like(standardised)
         for batch in self.problem.whitening.all_batches:
             known = np.zeros((len(points), len(batch.members)))
@@ -90,10 +80,7 @@ class SlipTarget(PosteriorTarget):
                 total, _ = self._batch_sums(batch, standardised, points, i + 1)
                 result[:, batch.members[:, i]] = total - known
                 known = total
-        result += self.log_scale
-        if self.noise is not None:
-            result -= LOG_SD * points[:, self.problem.n_unknowns, None]
-        return result
+        return result + self.log_scale
 
     def slip_probabilities(self, points: Floats) -> Floats:
         """Probability that the count of each row is off, at points (n_points, n_unknowns); shape (n_points, n_rows)."""
@@ -105,7 +92,7 @@ class SlipTarget(PosteriorTarget):
         return special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
 
     def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
-        """Errors of the rows, slips among them, in units of their stated noise, at points (n_points, n_unknowns)."""
+        """Errors of the whitened rows, slips among them."""
         errors = super().draw_noise(points, rng)
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
@@ -140,7 +127,6 @@ class SlipTarget(PosteriorTarget):
             np.ascontiguousarray(corrected),
             special.log_expit(log_odds) - np.log(2.0 * MOST_HALF_WAVES),
             special.log_expit(-log_odds),
-            np.ones(len(points)) if self.noise is None else self._factors(points)[:, 0],
             self._corrected,
             self._can_slip,
             self._half_wave,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, saved_decisions, session_log
+from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
@@ -18,21 +18,16 @@ _DIGITS = 6
 
 
 def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
-    """Each parameter through time: filter with band, sessions alone, truth, alarms."""
+    """Each parameter through time: filter with band, truth, alarms."""
     assert facts.track is not None
     hours = _increasing(found.hours)
-    at = [_after(found, time_h) for _, time_h, _ in found.stored]
     alarms = [_after(found, time_h) for _, time_h, _ in found.alarms]
     parameters = []
     for i, parameter in enumerate(facts.track.drift.parameters):
         mean, sd = found.mean[:, i], found.sd[:, i]
-        alone = np.full(len(hours), np.nan)
-        for place, (_, _, values) in zip(at, found.stored, strict=True):
-            if parameter.name in values:
-                alone[place] = values[parameter.name][0]
         marked = np.full(len(hours), np.nan)
         marked[alarms] = mean[alarms]
-        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "session alone": alone, "alarm": marked}
+        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "alarm": marked}
         if found.truth is not None:
             series["truth"] = found.truth[:, i]
         parameters.append(
@@ -82,28 +77,23 @@ def _after(found: History, time_h: float) -> int:
 
 #: A session this much after the end of the hold still comes in time.
 _SLACK_H = 0.1
-_DONE = {"hold": "held", "extrinsic": "re-identified", "full": "recalibrated"}
 
 
 def log_table(facts: CampaignFacts) -> Table | None:
-    """One line per session: the saved decision that led to it, until when its estimate held, and what the tests say.
+    """One line per session: until when its estimate held, and what the tests say.
 
     None where the sessions cannot be followed, or the tasks cannot be judged.
     """
-    log, decided = session_log(facts), saved_decisions(facts)
+    log = session_log(facts)
     if log is None:
         return None
-    heads = ["session", "time", *(["decision before it"] if decided else [])]
-    heads += ["estimate good for", "next session", "evidence and warnings"]
-    table = plain_table("Log", heads, words=(0, *([2] if decided else []), -2, -1))
+    heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
+    table = plain_table("Log", heads, words=(0, -2, -1))
     for entry in log:
         outcome = entry.outcome
-        action, reason = decided.get(outcome.session, ("", ""))
-        said = f"{_DONE.get(action, action)}: {reason}" if outcome.session in decided else ""
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            *([said] if decided else []),
             figure_of(entry.held, f"{'at least ' if entry.at_least else ''}{entry.held:.1f} h"),
             _next(entry.late, last=entry.last),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",

@@ -91,20 +91,11 @@ def drift_figure(facts: CampaignFacts, found: History) -> str:
 
 
 def _draw_track(axis: Any, facts: CampaignFacts, found: History, i: int) -> None:
-    assert facts.track is not None
-    name = facts.track.drift.parameters[i].name
     days, mean, sd = found.hours / _HOURS_PER_DAY, found.mean[:, i], found.sd[:, i]
     axis.fill_between(days, mean - 2 * sd, mean + 2 * sd, color=BLUE, alpha=0.2, linewidth=0, label="filter, 2 sd")
     axis.plot(days, mean, color=BLUE, linewidth=1)
     smooth_days = found.smooth_hours / _HOURS_PER_DAY
     axis.plot(smooth_days, found.smooth_mean[:, i], color=ORANGE, linestyle="--", linewidth=1.2, label="smoothed")
-    points = [(time_h, *values[name]) for _, time_h, values in found.stored if name in values]
-    if points:
-        hours, values, sds = np.array(points).T
-        axis.errorbar(
-            hours / _HOURS_PER_DAY, values, 2 * sds, fmt="s", color=GREY, markersize=3, capsize=2, linewidth=0.8,
-            label="session alone, 2 sd",
-        )  # fmt: skip
     if found.truth is not None and np.isfinite(found.truth[:, i]).any():
         axis.plot(days, found.truth[:, i], color="black", linewidth=1, linestyle=":", label="truth (simulated)")
     for n, (_, time_h, _) in enumerate(found.alarms):

@@ -1,7 +1,7 @@
 "use strict";
 // Charts that can be zoomed: uPlot draws them; on paper the figures of the page stand instead.
 (function () {
-  const blue = "#0072B2", grey = "#666666", vermilion = "#D55E00";
+  const blue = "#0072B2", vermilion = "#D55E00";
   const data = JSON.parse(document.getElementById("data").textContent);
   const width = function (box) { return Math.max(260, box.clientWidth - 4); };
   const short = function (value) { return value === null || value === undefined ? "" : String(Number(value.toPrecision(6))); };
@@ -9,7 +9,6 @@
     "filter": { stroke: blue, width: 1.5 },
     "median": { stroke: blue, width: 1.5 },
     "truth": { stroke: "#000", width: 1, dash: [3, 3] },
-    "session alone": { stroke: grey, width: 0, paths: function () { return null; }, points: { show: true, size: 7, fill: grey } },
     "alarm": { stroke: vermilion, width: 0, paths: function () { return null; }, points: { show: true, size: 10, fill: vermilion } }
   };
   const edge = { stroke: "rgba(0,114,178,.5)", width: 0.5 };
@@ -30,7 +29,7 @@
 
   // What the legend says of a series, and at which time where nobody points.
   const said = { "low": "95 % band, from", "high": "to" };
-  const order = ["low", "high", "filter", "median", "truth", "session alone", "alarm"];
+  const order = ["low", "high", "filter", "median", "truth", "alarm"];
   const timeChart = function (box, title, hours, series, now, tolerance, height, logarithmic) {
     const names = order.filter(function (name) { return series[name]; });
     const list = [{ label: "time [h]", value: function (_, v) { return short(v); } }];

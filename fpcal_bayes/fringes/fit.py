@@ -182,7 +182,7 @@ def fit_course(
     if slope is not None:
         modes, unknowns = np.column_stack([modes, slope]), np.append(unknowns, 0.0)
         prior_mean, prior_weight = np.append(prior_mean, 0.0), block_diag(prior_weight, np.eye(1))
-    cost, log_determinant, covariance = fit_signal(
+    data = (
         np.ascontiguousarray(over_time.T),
         np.ascontiguousarray(over_place.T),
         damping(first, samples.s, samples.spread, phase_per_um),
@@ -191,11 +191,9 @@ def fit_course(
         np.ascontiguousarray(modes.T),
         samples.signal,
         np.sqrt(samples.count) / noise,
-        unknowns,
-        prior_mean,
-        np.ascontiguousarray(prior_weight),
-        max_steps,
     )
+    weight = np.ascontiguousarray(prior_weight)
+    cost, log_determinant, covariance = fit_signal(data, unknowns, prior_mean, weight, max_steps)
     off = prior_mean - unknowns
     residual_squares = noise**2 * max(cost - float(off @ prior_weight @ off), 0.0)
     freedom = len(samples) - len(unknowns) + float(np.sum(covariance * prior_weight))

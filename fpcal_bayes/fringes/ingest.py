@@ -307,7 +307,7 @@ def _warnings(
     astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
     if astray:
         names = _some([each.label for each in astray])
-        late = max(_missed(each) for each in astray)
+        late = max(abs(np.diff(lengths_at(each.profile, np.array([-1.0, each.set_out])))[0]) for each in astray)
         said.append(
             f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
             "is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
@@ -345,8 +345,3 @@ def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:
     return [
         f"the light reaches {used:.3g} V of {full_scale:g} V: raise the gain by {0.9 * full_scale / used:.2g} times"
     ]
-
-
-def _missed(reading: Reading) -> float:
-    """Change of L in um that a mirror missed which set out late."""
-    return float(np.abs(np.diff(lengths_at(reading.profile, np.array([-1.0, reading.set_out])))[0]))

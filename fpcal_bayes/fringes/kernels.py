@@ -10,6 +10,10 @@ from fpcal_bayes.model.kernels.compile import compiled
 
 #: Harmonics of a fringe whose sizes are fitted, two numbers each for the second and the third.
 HARMONICS = 4
+#: What is fitted: Legendre polynomials from P_0 on over time and over the place, (.., n); what averages leave of the
+#: height (n,); coefficients of A, of log B over time, of log B over the place; known phase (n,) and derivatives of the
+#: phase (n_modes, n); signal and its inverse standard deviations, (n,).
+SignalData = tuple[Floats, Floats, Floats, NDArray[np.int64], Floats, Floats, Floats, Floats]
 
 
 @compiled
@@ -85,27 +89,13 @@ def floating_fits(
 
 @compiled
 def normal_equations(
-    over_time: Floats,
-    over_place: Floats,
-    damping: Floats,
-    counts: NDArray[np.int64],
-    base: Floats,
-    modes: Floats,
-    signal: Floats,
-    root: Floats,
-    unknowns: Floats,
-    prior_mean: Floats,
-    prior_weight: Floats,
-    matrix: Floats,
-    gradient: Floats,
+    data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, matrix: Floats, gradient: Floats
 ) -> float:
     """Fill J'WJ + prior and J'W(signal - model) + prior at `unknowns`; returns the sum of squares.
 
-    over_time, over_place: Legendre polynomials from P_0 on, (.., n). counts: coefficients of A, of log B over time, of
-    log B over the place. base (n,), modes (n_modes, n): known phase and derivatives of the phase. damping: what
-    averages leave of the height; root: inverse standard deviations of the signal. prior_weight: inverse of a covariance
-    (p, p).
+    prior_weight: the inverse of a covariance (p, p).
     """
+    over_time, over_place, damping, counts, base, modes, signal, root = data
     n_modes, n = modes.shape
     n_offset, n_gain, n_fade = counts[0], counts[1], counts[2]
     fade_at = n_offset + n_gain
@@ -188,18 +178,7 @@ def damped_step(matrix: Floats, gradient: Floats, damping: float, factor: Floats
 
 @compiled
 def fit_signal(
-    over_time: Floats,
-    over_place: Floats,
-    damping: Floats,
-    counts: NDArray[np.int64],
-    base: Floats,
-    modes: Floats,
-    signal: Floats,
-    root: Floats,
-    unknowns: Floats,
-    prior_mean: Floats,
-    prior_weight: Floats,
-    max_steps: int,
+    data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, max_steps: int
 ) -> tuple[float, float, Floats]:
     """Levenberg-Marquardt from `unknowns`, which are improved in place.
 
@@ -213,21 +192,7 @@ def fit_signal(
     damped, cost = 1e-3, np.inf
     trial[:] = unknowns
     for number in range(max_steps + 1):
-        reached = normal_equations(
-            over_time,
-            over_place,
-            damping,
-            counts,
-            base,
-            modes,
-            signal,
-            root,
-            trial,
-            prior_mean,
-            prior_weight,
-            trial_matrix,
-            trial_gradient,
-        )
+        reached = normal_equations(data, trial, prior_mean, prior_weight, trial_matrix, trial_gradient)
         if reached <= cost:
             gain = cost - reached
             unknowns[:], matrix[:], gradient[:] = trial, trial_matrix, trial_gradient

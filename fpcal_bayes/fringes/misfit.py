@@ -122,9 +122,7 @@ _EDGES = _edges()
 
 def fringes_seen(samples: Samples) -> float:
     """Fringes that pass in a signal, by its swings alone; zero where it is noise."""
-    root = np.sqrt(samples.count)
-    level = legendre(samples.time, 3)
-    left = samples.signal - level @ np.linalg.lstsq(level * root[:, None], samples.signal * root)[0]
+    left = samples.levelled()
     if np.std(np.diff(left)) > np.std(left):
         return 0.0
     low, high = np.quantile(left, (0.02, 0.98))

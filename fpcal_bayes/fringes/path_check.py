@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.linalg import quantile_band
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
@@ -251,14 +251,8 @@ def starts_flat(measured: PathError) -> bool:
 
 def _linear_errors(jacobian: Floats, covariance: Floats, scale: Floats, random: np.random.Generator) -> Floats:
     """Errors along the path to first order, as draws."""
-    root = scale[:, None] * _root(covariance / np.outer(scale, scale))
+    root = covariance_root(covariance, scale)
     return np.asarray(random.standard_normal((_DRAWS, len(scale))) @ (jacobian @ root).T)
-
-
-def _root(matrix: Floats) -> Floats:
-    """A square root of a positive semidefinite matrix."""
-    eigenvalues, vectors = np.linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
 
 
 def check_rows(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.measure.traces import Trace
 
 #: The joint readings at the ends of a trace may miss the sweep's ends by this share of the travel.
@@ -41,6 +42,12 @@ class Samples:
         """Those samples that are kept."""
         spread = self.spread if isinstance(self.spread, float) else self.spread[kept]
         return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept], spread)
+
+    def levelled(self) -> Floats:
+        """The signal without its mean, slope and bow along the sweep, (n,)."""
+        low = legendre(self.s, 2)
+        weighted = low.T * self.count
+        return np.asarray(self.signal - low @ np.linalg.solve(weighted @ low, weighted @ self.signal))
 
     def binned(self, n_bins: int) -> "Samples":
         """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""

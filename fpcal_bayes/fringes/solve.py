@@ -101,14 +101,9 @@ def with_noise(
 
 def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
     """The same fits with their covariances for a noise (V) that is nearly what was presumed."""
+    names = ("covariance", "unknowns_covariance", "ends_variance")
     fits = [
-        replace(
-            fit,
-            covariance=fit.covariance * (noise / fit.noise) ** 2,
-            unknowns_covariance=fit.unknowns_covariance * (noise / fit.noise) ** 2,
-            ends_variance=fit.ends_variance * (noise / fit.noise) ** 2,
-            noise=noise,
-        )
+        replace(fit, noise=noise, **{name: (noise / fit.noise) ** 2 * getattr(fit, name) for name in names})
         for fit in solution.fits
     ]
     return replace(solution, fits=tuple(fits))

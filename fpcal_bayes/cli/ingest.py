@@ -10,15 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
-from fpcal_bayes.core.files import file_sha256, make_folder, replacing
+from fpcal_bayes.core.files import make_folder, replacing
 from fpcal_bayes.core.linalg import counted
-from fpcal_bayes.fringes.alignment import Alignment, align
-from fpcal_bayes.fringes.amplitude import fringe_amplitudes
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
 from fpcal_bayes.fringes.kernels import fit_signal
 from fpcal_bayes.fringes.wavelength_scan import ScanReading
-from fpcal_bayes.infer.fit.identify import identify
-from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.recordings import read_recordings
@@ -26,7 +22,6 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.kernels.compile import needs_compilation
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.fringes import draw_sweep
@@ -47,16 +42,11 @@ def run(options: argparse.Namespace) -> int:
         index_sd=options.index_sd or 0.0,
     )
     found = ingest(index, cell, estimate=estimate, settings=settings)
-    alignment = None if options.alignment is None else _align(cell, found, index, estimate)
     folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
     drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
     write_result(options.json, "ingest", recordings_content(found, index, cell), Trust())
-    if alignment is not None:
-        _write_alignment(options, alignment, index)
     _report(options, found, folder if drawn else None)
-    if alignment is not None:
-        _say_alignment(options, alignment)
     return 0
 
 
@@ -79,36 +69,6 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
         write_campaign(options.output, campaign, cell)
     else:
         write_sweeps(options.output, found.sweeps, cell)
-
-
-def _align(cell: Cell, found: Ingested, index: TraceIndex, estimate: Estimate | None) -> Alignment:
-    """The fibre's direction, near `estimate` or near what the sweeps of the first session identify."""
-    amplitudes = fringe_amplitudes(cell, index.sweeps, found)
-    if estimate is None:
-        warm_up(cell)
-        identified = identify(cell, found.sweeps.of_session(str(index.sweeps.session[0])))
-        estimate = identified.estimate if identified.converged else None
-    return align(cell, amplitudes, estimate)
-
-
-def _write_alignment(options: argparse.Namespace, found: Alignment, index: TraceIndex) -> None:
-    data = {
-        "file": Path(options.index).name,
-        "sha256": file_sha256(Path(options.index)),
-        "session": str(index.sweeps.session[0]),
-    }
-    write_result(options.alignment, "ingest", found.content() | {"data": data})
-
-
-def _say_alignment(options: argparse.Namespace, found: Alignment) -> None:
-    sds = np.degrees(np.sqrt(np.diag(found.noise)))
-    names = ", ".join(
-        f"{name} to {sd:.2g} deg" for name, sd in zip(found.content()["alignment"]["names"], sds.tolist(), strict=True)
-    )
-    console(options).say(
-        f"fringe amplitude along {found.n_sweeps} sweeps tells, the mirror held, {names} (chi-square "
-        f"{found.chi_square:.1f}, expected {found.freedom}) -> {options.alignment}"
-    )
 
 
 def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:

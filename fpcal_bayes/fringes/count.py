@@ -68,12 +68,7 @@ class Reading:
         return np.array([1e6 * self.wavelength_share if self.signed and self.wavelength_share else np.nan])
 
     def changes(self, s: Floats) -> tuple[Floats, Floats]:
-        """Changes of L from the start to places on the sweep, with their full covariance.
-
-        s: places from -1 (start) to 1 (end), shape (n,).
-        Returns in um, shape (n,), and um^2, shape (n, n). All samples tell every change, so they are strongly
-        correlated.
-        """
+        """Changes of L in um (n,) from the start to places `s` (n,) from -1 to 1, with their full covariance (n, n)."""
         degree = len(self.profile)
         rows = legendre(np.maximum(s, self.set_out), degree)[:, 1:] - legendre(np.array([self.set_out]), degree)[:, 1:]
         changes = rows @ self.profile
@@ -85,11 +80,8 @@ class Reading:
     def grouped(self, points: int) -> tuple[Floats, Floats, float]:
         """Changes to evenly spaced interior points and to the end, as rows that share the reading at their start.
 
-        The campaign's groups have equal variances and correlation 1/2. The standard deviation given is the least for
-        which such a covariance is nowhere below the true one: rows of the group then never claim more than is known.
-
-        points: interior points.
-        Returns places s (points + 1,), changes in um (points + 1,), standard deviation of each row in um.
+        Returns places (points + 1,), changes in um, and the least sd in um with which rows of a group (equal variances,
+        correlation 1/2) nowhere claim more than is known.
         """
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
@@ -133,11 +125,7 @@ class CountDecision:
 
 
 def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDecision:
-    """Weigh fits and their mirror images.
-
-    fits: distinct profiles of one trace.
-    sign_sources: the most trustworthy first; the first that tells the sign by itself is named as its source.
-    """
+    """Weigh distinct fits of one trace and their mirror images; the first source that tells the sign alone is named."""
     dl, sd = np.array([fit.change for fit in fits]).T
     both, sds = np.concatenate([dl, -dl]), np.concatenate([sd, sd])
     weights = np.tile([fit.evidence for fit in fits], 2)

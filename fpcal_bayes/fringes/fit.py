@@ -102,10 +102,7 @@ class Fit:
         return np.asarray(self.unknowns[at] + phase_per_um * lengths_at(self.profile, s))
 
     def signal(self, s: Floats, time: Floats, phase_per_um: float, spread: Floats | float = 0.0) -> Floats:
-        """The fitted signal in V at places `s` and times `time` from -1 to 1, (n,), or its average around them.
-
-        `spread` is the variance of the places that are averaged.
-        """
+        """The fitted signal in V at places `s` and times `time` (n,), or averages over places of variance `spread`."""
         level, height = self.levels(s, time)
         return (
             level + height * damping(self.profile, s, spread, phase_per_um) * self.wave(self.phase(s, phase_per_um))[0]
@@ -158,18 +155,12 @@ def fit_course(
     known: Fit | None = None,
     slope: Floats | None = None,
 ) -> Fit:
-    """Fit a signal from a starting profile.
+    """Fit a signal from the profile coefficients `start`, in um, as many as those of the prior `profile` or fewer.
 
-    samples: signal along the sweep.
-    profile: prior of the profile; it is widened.
-    start: coefficients to start from, in um, as many as the prior's or fewer.
-    phase_per_um: 4 pi n / wavelength.
-    noise: standard deviation of one reading, in V.
-    mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V; it fades with
-    visibility.
-    warm: a fit of the same samples with the same nuisance, from which this one starts in place of `start`.
-    known: what other samples of the trace say by the same prior, nuisance and noise, which is then the prior.
-    slope: rad of phase for a unit of a further unknown, the last, whose prior is standard normal, shape (n,).
+    phase_per_um is 4 pi n / wavelength, noise the sd of one reading in V, mirror_light the light of the mirror alone
+    over the square of the fringe amplitude in 1 / V. The fit starts from `warm`, a fit of the same samples, in place of
+    `start`, has what other samples say, `known`, as its prior, and `slope` (n,), rad of phase for a unit of a last
+    unknown.
     """
     mean, modes_um = profile.mean, profile.modes
     degree = len(mean)
@@ -191,7 +182,7 @@ def fit_course(
     if slope is not None:
         modes, unknowns = np.column_stack([modes, slope]), np.append(unknowns, 0.0)
         prior_mean, prior_weight = np.append(prior_mean, 0.0), block_diag(prior_weight, np.eye(1))
-    cost, log_determinant, covariance = fit_signal(
+    data = (
         np.ascontiguousarray(over_time.T),
         np.ascontiguousarray(over_place.T),
         damping(first, samples.s, samples.spread, phase_per_um),
@@ -200,11 +191,9 @@ def fit_course(
         np.ascontiguousarray(modes.T),
         samples.signal,
         np.sqrt(samples.count) / noise,
-        unknowns,
-        prior_mean,
-        np.ascontiguousarray(prior_weight),
-        max_steps,
     )
+    weight = np.ascontiguousarray(prior_weight)
+    cost, log_determinant, covariance = fit_signal(data, unknowns, prior_mean, weight, max_steps)
     off = prior_mean - unknowns
     residual_squares = noise**2 * max(cost - float(off @ prior_weight @ off), 0.0)
     freedom = len(samples) - len(unknowns) + float(np.sum(covariance * prior_weight))

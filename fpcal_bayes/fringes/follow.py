@@ -97,17 +97,14 @@ def follow(
     mirror_light: float = 0.0,
     errs: bool = False,
 ) -> Followed | None:
-    """The most likely course of a mirror, the smooth one among others.
+    """The most likely course of a mirror, the `smooth` one on the joint's course among others; None where no fringe is.
 
-    smooth: what was found on the joint's course, if anything.
-    nuisance: what the signal may do beside its fringes.
-    noise: standard deviation of one reading in V to begin with.
-    errs: whether the mirror is known to leave the joint's course.
-    Returns none where nothing resembles a fringe.
+    noise: standard deviation of one reading in V to begin with. errs: whether the mirror is known to leave that course.
     """
-    start = smooth.best.profile if smooth else _searched(samples, profile, phase_per_um)
-    if start is None:
+    found = [smooth.best.profile] if smooth else find_profiles(samples, loosened(profile, DEGREE, 0.3), phase_per_um, 1)
+    if not len(found):
         return None
+    start = found[0]
     size = max(1, len(samples) // bins(start[None], phase_per_um, _BINS))
     used = _chunked(samples, size)
 
@@ -189,18 +186,9 @@ def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
 _PLACES = np.linspace(-1.0, 1.0, 1025)
 
 
-def _searched(samples: Samples, profile: DisplacementProfile, phase_per_um: float) -> Floats | None:
-    found = find_profiles(samples, loosened(profile, DEGREE, 0.3), phase_per_um, 1)
-    return found[0] if len(found) else None
-
-
 def _chunked(samples: Samples, size: int) -> Samples:
     """Averages of `size` samples, so that all courses are held against the same numbers."""
     return samples.summed(lambda values: np.add.reduceat(values, np.arange(0, len(values), size)))
-
-
-def _late(samples: Samples, place: float) -> Samples:
-    return replace(samples, s=np.maximum(samples.s, place))
 
 
 def _lagging(samples: Samples, lag: float) -> Samples:
@@ -225,7 +213,7 @@ def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fi
         known, some = held, whole.part(np.arange(len(whole)) < n_early * size)
 
     def at(value: float, warm: Fit, known: Fit | None = known, some: Samples = some) -> FringeSolution:
-        moved = _chunked(_late(some, value), size)
+        moved = _chunked(replace(some, s=np.maximum(some.s, value)), size)
         found = replace(fit(moved, warm, known=known), ends=(max(-1.0, value), 1.0))
         return FringeSolution((found,), moved)
 
@@ -362,9 +350,8 @@ def _demodulated(fit: Fit, samples: Samples, phase_per_um: float) -> Floats:
     """Coefficients of a profile by the phase of the fringes against that of a fit."""
     degree = _COURSES[-1][0]
     basis = legendre(samples.s, degree)
-    level = samples.signal - basis[:, :3] @ np.linalg.lstsq(basis[:, :3], samples.signal)[0]
     width = _AVERAGED * len(samples) / max(path_fringes(fit.profile, phase_per_um), 1.0)
-    turned = gaussian_filter1d(level * np.exp(-1j * fit.phase(samples.s, phase_per_um)), width)
+    turned = gaussian_filter1d(samples.levelled() * np.exp(-1j * fit.phase(samples.s, phase_per_um)), width)
     phase = np.unwrap(np.angle(turned)) / phase_per_um
     # A ridge keeps high polynomials from following what the averages cannot.
     ridge = 1e-3 * len(samples) * np.diag(np.arange(degree + 1.0) ** 2 / degree**2)

@@ -209,11 +209,7 @@ def _require_sweeps(index: TraceIndex) -> None:
 
 
 def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:
-    """The rows of one sweep: its end, after `points` interior points that share a group with it.
-
-    sweeps, row: the plan and the position in it.
-    reading: a good one.
-    """
+    """The row of a sweep by a good reading, after `points` interior points that share a group with it."""
     one = sweeps.take(np.array([row]))
     if points == 0:
         one = one.with_measurement(np.array([reading.dl]), reading.sigma)
@@ -240,10 +236,7 @@ def rows_along(one: Sweeps, s: Floats) -> Sweeps:
 def absolute_rows(
     sweeps: Sweeps, row: int, before: ScanReading | None, after: ScanReading | None, share: float = 0.0
 ) -> Sweeps:
-    """Absolute lengths at the start and at the end of a sweep, those of the two scans that are good.
-
-    share: relative standard deviation of wavelength over index.
-    """
+    """Absolute lengths at the ends of a sweep by its good scans; `share`: relative sd of wavelength over index."""
     one = sweeps.take(np.array([row]))
     here = one.q_start, one.q_end
     good = [(scan, q, name) for scan, q, name in zip((before, after), here, ("before", "after"), strict=True)]
@@ -314,7 +307,7 @@ def _warnings(
     astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
     if astray:
         names = _some([each.label for each in astray])
-        late = max(_missed(each) for each in astray)
+        late = max(abs(np.diff(lengths_at(each.profile, np.array([-1.0, each.set_out])))[0]) for each in astray)
         said.append(
             f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
             "is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
@@ -352,8 +345,3 @@ def _gain(index: TraceIndex, full_scale: float | None) -> list[str]:
     return [
         f"the light reaches {used:.3g} V of {full_scale:g} V: raise the gain by {0.9 * full_scale / used:.2g} times"
     ]
-
-
-def _missed(reading: Reading) -> float:
-    """Change of L in um that a mirror missed which set out late."""
-    return float(np.abs(np.diff(lengths_at(reading.profile, np.array([-1.0, reading.set_out])))[0]))

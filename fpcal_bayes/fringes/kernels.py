@@ -10,6 +10,10 @@ from fpcal_bayes.model.kernels.compile import compiled
 
 #: Harmonics of a fringe whose sizes are fitted, two numbers each for the second and the third.
 HARMONICS = 4
+#: What is fitted: Legendre polynomials from P_0 on over time and over the place, (.., n); what averages leave of the
+#: height (n,); coefficients of A, of log B over time, of log B over the place; known phase (n,) and derivatives of the
+#: phase (n_modes, n); signal and its inverse standard deviations, (n,).
+SignalData = tuple[Floats, Floats, Floats, NDArray[np.int64], Floats, Floats, Floats, Floats]
 
 
 @compiled
@@ -29,11 +33,8 @@ def legendre_table(s: Floats, degree: int) -> Floats:
 def turned_bins(
     signal: Floats, place: Ints, base: Floats, bend: Floats, bends: Floats, n_bins: int
 ) -> NDArray[np.complex128]:
-    """Signal turned back by the phase of each bend and summed into bins.
+    """Signal (n,) turned back by the phase base + bend of each of `bends` (m,) and summed into the bins `place` (n,).
 
-    signal, place: weighted signal and the bin of each sample, shape (n,).
-    base, bend: known phase, and phase a unit of bend, shape (n,).
-    bends: bends tried, shape (m,).
     Returns shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
     """
     bins = np.zeros((bends.size, n_bins), dtype=np.complex128)
@@ -88,30 +89,13 @@ def floating_fits(
 
 @compiled
 def normal_equations(
-    over_time: Floats,
-    over_place: Floats,
-    damping: Floats,
-    counts: NDArray[np.int64],
-    base: Floats,
-    modes: Floats,
-    signal: Floats,
-    root: Floats,
-    unknowns: Floats,
-    prior_mean: Floats,
-    prior_weight: Floats,
-    matrix: Floats,
-    gradient: Floats,
+    data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, matrix: Floats, gradient: Floats
 ) -> float:
-    """Fill the normal equations at `unknowns`; returns the sum of squares of data and prior.
+    """Fill J'WJ + prior and J'W(signal - model) + prior at `unknowns`; returns the sum of squares.
 
-    over_time, over_place: Legendre polynomials from P_0 on, over time and place, shapes (.., n).
-    damping: what averaging over a part of a fringe leaves of its height, shape (n,).
-    counts: coefficients of A, of log B over time, of log B over the place.
-    base, modes: known phase and derivatives of the phase, shapes (n,) and (n_modes, n).
-    signal, root: signal and its inverse standard deviations, shape (n,).
-    prior_mean, prior_weight: of the unknowns, and the inverse of its covariance, shapes (p,) and (p, p).
-    matrix, gradient: filled with J'WJ + prior and J'W(signal - model) + prior, shapes (p, p) and (p,).
+    prior_weight: the inverse of a covariance (p, p).
     """
+    over_time, over_place, damping, counts, base, modes, signal, root = data
     n_modes, n = modes.shape
     n_offset, n_gain, n_fade = counts[0], counts[1], counts[2]
     fade_at = n_offset + n_gain
@@ -194,18 +178,7 @@ def damped_step(matrix: Floats, gradient: Floats, damping: float, factor: Floats
 
 @compiled
 def fit_signal(
-    over_time: Floats,
-    over_place: Floats,
-    damping: Floats,
-    counts: NDArray[np.int64],
-    base: Floats,
-    modes: Floats,
-    signal: Floats,
-    root: Floats,
-    unknowns: Floats,
-    prior_mean: Floats,
-    prior_weight: Floats,
-    max_steps: int,
+    data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, max_steps: int
 ) -> tuple[float, float, Floats]:
     """Levenberg-Marquardt from `unknowns`, which are improved in place.
 
@@ -219,21 +192,7 @@ def fit_signal(
     damped, cost = 1e-3, np.inf
     trial[:] = unknowns
     for number in range(max_steps + 1):
-        reached = normal_equations(
-            over_time,
-            over_place,
-            damping,
-            counts,
-            base,
-            modes,
-            signal,
-            root,
-            trial,
-            prior_mean,
-            prior_weight,
-            trial_matrix,
-            trial_gradient,
-        )
+        reached = normal_equations(data, trial, prior_mean, prior_weight, trial_matrix, trial_gradient)
         if reached <= cost:
             gain = cost - reached
             unknowns[:], matrix[:], gradient[:] = trial, trial_matrix, trial_gradient
@@ -256,18 +215,11 @@ def fit_signal(
 
 @compiled
 def follow_phase(height: Floats, sd: Floats, expected: Floats, start_sd: float, speed_sd: float, jerk: float) -> Floats:
-    """Excess of a phase over the expected one, by an extended Kalman filter.
+    """Excess (n,) in rad of a phase over the `expected` one, by an extended Kalman filter.
 
-    State are the excess and its speed per sample, driven by white noise; each sample measures cos(expected + excess).
-    Near an extreme, where a sample says nothing about the phase, the speed carries it over.
-
-    height: measured cosines, shape (n,).
-    sd: their standard deviations, shape (n,).
-    expected: expected phase in rad, shape (n,).
-    start_sd, speed_sd: standard deviations of the excess and its speed (per sample) at the start; the excess starts at
-    zero.
-    jerk: spectral density of the acceleration, in rad^2 per sample^3.
-    Returns excess in rad, shape (n,), each from the samples up to it.
+    State are the excess, zero to begin with, and its speed per sample, of standard deviations start_sd and speed_sd,
+    driven by white noise of spectral density `jerk` (rad^2 per sample^3); each sample measures cos(expected + excess)
+    with `sd`. Near an extreme, where a sample says nothing about the phase, the speed carries it over.
     """
     result = np.empty(height.size)
     excess, speed = 0.0, 0.0

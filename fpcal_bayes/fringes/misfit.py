@@ -79,12 +79,11 @@ class PhaseErrors:
         return chi2_tail(float(self.scores @ self.scores), len(self.s))
 
     def straightened(self, stretch: float) -> tuple[float, float, float]:
-        """A line's slope beside a hop, a ripple or a bow that may explain the errors of a wavelength scan.
+        """A line's slope (rad per unit of s) beside a hop, a ripple or a bow that may explain the errors of a scan.
 
-        stretch: half the range of 1 / wavelength over its middle; an error of the wavelength turns the phase by its
-        square.
-        Returns the slope in rad per unit of s and its standard deviation, those of all explanations averaged by how
-        well they do (Schwarz's criterion), and the mean square of the scores that the best of them leaves.
+        stretch: half the range of 1 / wavelength over its middle, by whose square an error of the wavelength turns the
+        phase. Returns slope and sd of all explanations averaged (Schwarz's criterion), and the mean square that the
+        best leaves.
         """
         s, line, felt = self.s, legendre(self.s, 3), (1.0 + stretch * self.s) ** 2
         # Either side of a hop may be the one that is told right; its own block is left out by a number of its own.
@@ -123,9 +122,7 @@ _EDGES = _edges()
 
 def fringes_seen(samples: Samples) -> float:
     """Fringes that pass in a signal, by its swings alone; zero where it is noise."""
-    root = np.sqrt(samples.count)
-    level = legendre(samples.time, 3)
-    left = samples.signal - level @ np.linalg.lstsq(level * root[:, None], samples.signal * root)[0]
+    left = samples.levelled()
     if np.std(np.diff(left)) > np.std(left):
         return 0.0
     low, high = np.quantile(left, (0.02, 0.98))

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.linalg import quantile_band
+from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
@@ -98,12 +98,9 @@ class PathCheck:
 def measure_path(
     cell: Cell, estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
 ) -> PathError:
-    """The error along a path, from its irradiance.
+    """The error along a path against an estimate, from its irradiance; `index`: of the air.
 
-    estimate: what the path was made with, or any other whose error is asked for.
-    index: refractive index of the air.
     stability: how gain and offset may bow between the reference scans, relative, one standard deviation.
-    seed: of numpy's default generator, for the draws of the measurement's uncertainty.
     """
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)
@@ -219,15 +216,8 @@ def check_path(
 ) -> PathCheck:
     """Hold a measured error against what an estimate leaves unknown.
 
-    measured: from `measure_path`.
-    model, values: cavity model and free parameters (n_free,) of the estimate.
-    draws: of the truth from the posterior, shape (n_draws, n_free), or None: then to first order from the covariance.
-    covariance: of the free parameters, shape (n_free, n_free), in um and rad.
-    trace: what was measured.
-    drift: covariance of what the free parameters may have drifted since the estimate, or None.
-    machine: an estimate that knows the cell's mechanics, in place of draws and covariance.
-    level: probability below which the calibration is refuted.
-    seed: of the draws.
+    draws: of the truth, (n_draws, n_free), or None: then to first order from the covariance. machine: an estimate that
+    knows the cell's mechanics, in place of both. drift: covariance of what the parameters may have drifted since.
     """
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
@@ -261,14 +251,8 @@ def starts_flat(measured: PathError) -> bool:
 
 def _linear_errors(jacobian: Floats, covariance: Floats, scale: Floats, random: np.random.Generator) -> Floats:
     """Errors along the path to first order, as draws."""
-    root = scale[:, None] * _root(covariance / np.outer(scale, scale))
+    root = covariance_root(covariance, scale)
     return np.asarray(random.standard_normal((_DRAWS, len(scale))) @ (jacobian @ root).T)
-
-
-def _root(matrix: Floats) -> Floats:
-    """A square root of a positive semidefinite matrix."""
-    eigenvalues, vectors = np.linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(np.clip(eigenvalues, 0.0, None)))
 
 
 def check_rows(
@@ -281,14 +265,10 @@ def check_rows(
     time_h: float,
     points: int = 0,
 ) -> Sweeps:
-    """The measured error of a path as sweeps.
+    """A row of kind ``path``, the peak to peak of the error without sign, then sweeps to `points` points of it.
 
-    estimate: the one that the error was measured against.
-    session, time_h: of all rows.
-    points: how many sweeps from the start of the path to points along it to add. They are one group: the reading at the
-    start, and the signal's drift, which counts as part of it, are common to them.
-    Returns first a row of kind ``path``: peak to peak of the error, which has no sign. Then the sweeps, with the
-    measured change of the cavity length itself.
+    These are one group: the reading at the start, and the signal's drift, which counts as part of it, are common to
+    them.
     """
     q = trace.q[trace.path]
     name = Path(trace.file).name or "path"

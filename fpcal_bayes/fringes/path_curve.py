@@ -109,12 +109,9 @@ class Curve:
 
 
 def fit_curve(irradiance: Floats, expected: Floats, levels: Levels) -> Curve:
-    """Fit the error along a path.
+    """Fit the error along a path: the best of several starts.
 
-    irradiance: in V, shape (n,).
-    expected: phase that the estimate expects beyond that of the first reference scan, in rad, shape (n,).
-    levels: what the reference scans tell.
-    Returns the best of those found from several starts.
+    irradiance (n,) in V; expected: phase in rad (n,) that the estimate expects beyond that of the first reference scan.
     """
     fit = _Fit.of(irradiance, expected, levels)
     curves = [fit.minimise(start) for start in fit.starts()]

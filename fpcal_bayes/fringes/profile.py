@@ -88,11 +88,10 @@ def _derivative(degree: int) -> Floats:
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:
-    """The same for a mirror that leaves its joint's course by a smooth random function, in polynomials up to `degree`.
+    """The same for a mirror that leaves its course by a smooth random function of sd `size` in um, up to `degree`.
 
-    size: standard deviation of that function, in um. It is as rough at the ends as in the middle (a Matern process with
-    nu = 5/2; C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning, chapter 4), which polynomials with
-    coefficients of their own are not.
+    It is as rough at the ends as in the middle (a Matern process with nu = 5/2; C. Rasmussen, C. Williams, Gaussian
+    Processes for Machine Learning, chapter 4), which polynomials with coefficients of their own are not.
     """
     s, _ = np.polynomial.legendre.leggauss(2 * degree)
     apart = np.sqrt(5.0) * np.abs(s[:, None] - s) * degree / _SMOOTH

@@ -79,26 +79,24 @@ def read_traces(
     full_scale: float | None = None,
     mirror_light: float = 0.0,
 ) -> list[Reading]:
-    """Read the traces of a campaign.
+    """One reading for each trace of a campaign.
 
-    noise: standard deviation of one reading in V to begin with; the traces' residuals correct it.
-    full_scale: voltage at which the converter is at its end.
+    noise: standard deviation of one sample in V to begin with. full_scale: volts at which the converter is at its end.
     mirror_light: light of the mirror alone over the square of the fringe amplitude, about, in 1 / V.
-    Returns one a trace.
     """
     faults = [fault(each.samples, full_scale) or _beyond_sampling(each) for each in recorded]
     solutions = [
         None if why else solve(each.samples, each.profile, each.phase_per_um, noise, mirror_light, each.fading)
         for each, why in zip(recorded, faults, strict=True)
     ]
-    pool = _Pool.of([solution.best for solution in solutions if solution is not None]) or _NoPool()
+    pool = _Pool.of([solution.best for solution in solutions if solution is not None])
     readings = []
     for each, why, solution in zip(recorded, faults, solutions, strict=True):
         if why:
             readings.append(Reading(each.label, refused=why, phase_per_um=each.phase_per_um))
             continue
         if solution is not None:
-            sd, _ = pool.noise_of(solution.best)
+            sd = pool.noise_of(solution.best)[0] if pool else solution.best.noise
             if abs(np.log(sd / solution.best.noise)) > 0.05:
                 solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
             else:
@@ -152,23 +150,26 @@ def _faint(fit: Fit, samples: Samples) -> bool:
 
 def _unseen(each: Recorded, seen: float | None = None) -> str:
     """Why a trace is not read where its fringes are not those that the joint lets expect."""
-    seen, expected = (
-        fringes_seen(each.samples) if seen is None else seen,
-        path_fringes(each.profile.mean, each.phase_per_um),
-    )
+    seen = fringes_seen(each.samples) if seen is None else seen
+    expected = path_fringes(each.profile.mean, each.phase_per_um)
     if seen < _ASTRAY:
         return "no fringes are seen"
+    if round(seen) == round(expected):
+        return (
+            f"{seen:.0f} fringes are seen as expected, but not where the joint's readings place them: check their times"
+        )
     return f"{expected:.0f} fringes expected, {seen:.0f} seen: check the joint's unit and scale"
 
 
-def _excess(found: Followed, pool: "_Pool | _NoPool", stated: float | None) -> float:
+def _excess(found: Followed, pool: "_Pool | None", stated: float | None) -> float:
     """Residuals relative to what the campaign lets expect, and to what the cell states where they are seen by eye."""
     fit = found.solution.best
     own = np.sqrt(fit.residual_squares / fit.freedom) if fit.freedom > 3 else fit.noise
     # A mirror that goes its own way is held against its fringes alone.
     if found.astray and own < _ROUGH * fit.amplitude:
         return 1.0
-    return max(pool.noise_of(fit)[1], float(own / stated) if stated and own > _VISIBLE * fit.amplitude else 1.0)
+    beside = float(own / stated) if stated and own > _VISIBLE * fit.amplitude else 1.0
+    return max(pool.noise_of(fit)[1] if pool else 1.0, beside)
 
 
 @dataclass(frozen=True)
@@ -205,14 +206,6 @@ class _Pool:
         square = (_POOL_WEIGHT * expected**2 + fit.residual_squares) / (_POOL_WEIGHT + freedom)
         excess = np.sqrt(fit.residual_squares / freedom) / expected if freedom > 3 else 1.0
         return float(np.sqrt(square)), float(excess)
-
-
-class _NoPool:
-    """Too few traces to share a noise: each has its own."""
-
-    def noise_of(self, fit: Fit) -> tuple[float, float]:
-        """As `_Pool.noise_of`."""
-        return fit.noise, 1.0
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:

@@ -40,10 +40,7 @@ class FringeFit:
         return np.asarray(_basis(self.wave_number * change) @ self.coefficients)
 
     def to_quadrature(self, low: float = -np.inf, high: float = np.inf) -> float:
-        """The smallest change of cavity length, in um, that leads to half fringe height.
-
-        low, high: changes that the rig can make.
-        """
+        """The smallest change of cavity length in um, from low to high, that leads to half fringe height."""
         around = np.arange(-4, 5) + np.round(self.phase / np.pi)
         places = ((around + 0.5) * np.pi - self.phase) / self.wave_number
         places = places[(places >= low) & (places <= high)]
@@ -53,12 +50,7 @@ class FringeFit:
 
 
 def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeFit:
-    """Fit mean, amplitude and phase by linear least squares.
-
-    change: of the cavity length from where the phase is counted, in um, shape (n,), n at least 4.
-    irradiance: in V, shape (n,).
-    wavelength: of the light in air, in um.
-    """
+    """Fit mean, amplitude and phase to irradiance in V (n,) for changes of the cavity length in um (n,)."""
     wave_number = 4.0 * np.pi / wavelength
     if len(change) < 4 or np.ptp(change) < 0.75 * wavelength / 2.0:
         raise InputError(

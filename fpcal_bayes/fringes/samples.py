@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.fringes.profile import legendre
 from fpcal_bayes.measure.traces import Trace
 
 #: The joint readings at the ends of a trace may miss the sweep's ends by this share of the travel.
@@ -42,6 +43,12 @@ class Samples:
         spread = self.spread if isinstance(self.spread, float) else self.spread[kept]
         return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept], spread)
 
+    def levelled(self) -> Floats:
+        """The signal without its mean, slope and bow along the sweep, (n,)."""
+        low = legendre(self.s, 2)
+        weighted = low.T * self.count
+        return np.asarray(self.signal - low @ np.linalg.solve(weighted @ low, weighted @ self.signal))
+
     def binned(self, n_bins: int) -> "Samples":
         """Averages over bins of equal width in s, each at the mean place of its readings; empty bins are left out."""
         if len(self) <= 1.5 * n_bins:
@@ -60,11 +67,10 @@ class Samples:
 
 
 def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, place: str) -> Samples:
-    """Lay a trace along its sweep.
+    """Lay a trace along its sweep from `start` to `end` of the joint that moves, in um or rad.
 
-    start, end: of the joint that moves, in um or rad, as the index says.
-    unit, scale: of that joint as a person reads it, and internal units per shown unit; for messages.
-    place: what the message begins with where the trace has no file.
+    unit, scale: of that joint as a person reads it, and internal units per shown unit. place: begins a message without
+    file.
     """
     travel = end - start
     s = (2.0 * trace.joint - start - end) / travel
@@ -92,10 +98,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
 
 
 def fault(samples: Samples, full_scale: float | None = None) -> str:
-    """Why a trace cannot be read at all, as a phrase; empty if it can.
-
-    full_scale: voltage at which the converter is at its end; None: unknown.
-    """
+    """Why a trace cannot be read at all, as a phrase; empty if it can. full_scale: volts at the converter's end."""
     n = len(samples)
     if n < FEWEST:
         return f"{n} samples, expected {FEWEST} or more"

@@ -55,13 +55,9 @@ def split_profile(profile: DisplacementProfile) -> Split:
 
 
 def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: float, most: int = 8) -> Floats:
-    """Coefficients of courses that may have made the signal, best first.
+    """Coefficients (m, DEGREE) in um of courses that may have made the signal, best first.
 
-    samples: of one sweep.
-    profile: what is known of its profile.
-    phase_per_um: 4 pi n / wavelength.
-    most: how many are returned at most.
-    Returns shape (m, DEGREE), in um; a profile and its mirror image, which make the same signal, count as one.
+    A profile and its mirror image, which make the same signal, count as one.
     """
     split = split_profile(profile)
     used = samples.binned(_MOST_BINS)
@@ -69,24 +65,14 @@ def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: 
     steepest = 0.5 * len(samples) * np.pi / phase_per_um
     low, high = np.clip(split.slope_range, -steepest, steepest)
     reach = max(abs(low), abs(high), 2.0 * np.pi / phase_per_um)
-    basis = legendre(used.s)
-    signal = _levelled(used, basis)
     bends = _bends(split, phase_per_um)
-    found, scores = _by_transform(used, basis, signal, split, bends, phase_per_um, reach, (low, high))
+    found, scores = _by_transform(used, split, bends, phase_per_um, reach, (low, high))
     few = _FEW_FRINGES * np.pi / phase_per_um
     if len(found) == 0 or abs(found[0, 0]) < few or scores[0] < 0.5:
         slow, left = _by_fits(used.binned(120), split, bends[::2], phase_per_um, min(few, reach))
         found, scores = np.concatenate([found, slow]), np.concatenate([scores, left])
     order = np.argsort(-scores)
     return _distinct(found[order], phase_per_um, most)
-
-
-def _levelled(samples: Samples, basis: Floats) -> Floats:
-    """The signal without its mean, slope and bow."""
-    low = basis[:, :3]
-    weighted = low.T * samples.count
-    level = np.linalg.solve(weighted @ low, weighted @ samples.signal)
-    return np.asarray(samples.signal - low @ level)
 
 
 def _bends(split: Split, phase_per_um: float) -> Floats:
@@ -97,15 +83,9 @@ def _bends(split: Split, phase_per_um: float) -> Floats:
 
 
 def _by_transform(
-    used: Samples,
-    basis: Floats,
-    signal: Floats,
-    split: Split,
-    bends: Floats,
-    phase_per_um: float,
-    reach: float,
-    slopes: tuple[float, float],
+    used: Samples, split: Split, bends: Floats, phase_per_um: float, reach: float, slopes: tuple[float, float]
 ) -> tuple[Floats, Floats]:
+    basis, signal = legendre(used.s), used.levelled()
     curves = phase_per_um * (basis[:, 1:] @ np.array([split.base, split.slope, split.bend]).T)
     base, slope, bend = np.ascontiguousarray(curves.T)
     cycles = slope / (2.0 * np.pi)

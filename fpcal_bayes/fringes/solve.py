@@ -41,12 +41,10 @@ def solve(
     mirror_light: float = 0.0,
     fading: Nuisance = LIVELY,
 ) -> FringeSolution | None:
-    """Find the profiles that explain a signal.
+    """Find the profiles that explain a signal; None where nothing resembles a fringe.
 
-    noise: standard deviation of one reading in V to begin with; None takes a hundredth of half the signal's range.
-    mirror_light: as in `fit_course`.
-    fading: what the signal may do beside its fringes where it does not stay calm.
-    Returns none where nothing resembles a fringe.
+    noise: sd of one reading in V to begin with; None takes a hundredth of half the signal's range. fading: what the
+    signal may do beside its fringes where it does not stay calm.
     """
     found = find_profiles(samples, profile, phase_per_um)
     if len(found) == 0:
@@ -103,14 +101,9 @@ def with_noise(
 
 def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
     """The same fits with their covariances for a noise (V) that is nearly what was presumed."""
+    names = ("covariance", "unknowns_covariance", "ends_variance")
     fits = [
-        replace(
-            fit,
-            covariance=fit.covariance * (noise / fit.noise) ** 2,
-            unknowns_covariance=fit.unknowns_covariance * (noise / fit.noise) ** 2,
-            ends_variance=fit.ends_variance * (noise / fit.noise) ** 2,
-            noise=noise,
-        )
+        replace(fit, noise=noise, **{name: (noise / fit.noise) ** 2 * getattr(fit, name) for name in names})
         for fit in solution.fits
     ]
     return replace(solution, fits=tuple(fits))

@@ -68,12 +68,9 @@ def read_wavelength_scan(
     noise: float | None = None,
     full_scale: float | None = None,
 ) -> ScanReading:
-    """Read the absolute cavity length.
+    """Read the absolute cavity length near `expected` um; it and its sd are widened.
 
-    expected, expected_sd: length in um to search around and its standard deviation, both widened.
-    temperature_c, pressure_hpa, humidity_pct: of the air; without all three the index is 1.
-    noise: standard deviation of one sample in V to begin with.
-    full_scale: voltage at which the converter is at its end.
+    Without all three of the air's numbers its index is 1. noise: sd of one sample in V to begin with.
     """
     index = air_index(scan.wavelength, temperature_c, pressure_hpa, humidity_pct)
     wave_number = index / scan.wavelength

@@ -40,10 +40,7 @@ def is_other(path: Path, head: str) -> bool:
 
 
 def read_named(path: Path, names: Sequence[str], columns: Mapping[str, str]) -> Floats:
-    """Columns of numbers by their names, shape (n_columns, n).
-
-    columns: what the file calls those that it calls otherwise; a number for the time is the interval in s.
-    """
+    """Columns (n_columns, n) by their names, or by what `columns` says; a number for the time is the interval in s."""
     with path.open("rb") as file:
         start = file.read(128)
     wanted = [columns.get(name, name) for name in names]

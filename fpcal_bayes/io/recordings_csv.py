@@ -88,10 +88,7 @@ def write_csv_index(path: Path, index: TraceIndex, cell: Cell) -> None:
 
 
 def inner_path(index: Path, name: str, row: int, column: str) -> Path:
-    """The file that an index names, which must lie in the folder of the index or below.
-
-    Raises `InputError` if the name is absolute, climbs out with ``..`` or by a link, or no such file exists.
-    """
+    """The file that an index names, in the folder of the index or below, else `InputError`."""
     place = f"{shown(name)}: expected a path inside the folder of the index"
     if len(name) > MAX_TEXT or not name.isprintable():
         raise located(index, place, row=row, column=column)

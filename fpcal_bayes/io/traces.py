@@ -45,10 +45,7 @@ def read_trace(path: str | Path, scale: float, columns: Mapping[str, str] | None
 
 
 def write_trace(path: str | Path, trace: Trace, scale: float) -> None:
-    """Write a trace to a CSV file, whole or not at all; `read_trace` reads the same numbers back.
-
-    A joint in rad that no number of degrees stands for is off by its last bit.
-    """
+    """Write a trace to a CSV file, whole or not at all; rad that no degrees stand for are off by their last bit."""
     write_numbers(Path(path), TRACE_COLUMNS, (trace.time_s, unscaled(trace.joint, scale), trace.irradiance))
 
 

@@ -56,10 +56,7 @@ class WavelengthScan:
 
 
 def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
-    """Raise `InputError` unless a trace holds finite numbers and its time runs forwards.
-
-    line_of: tells the line of a sample, for the message; by default its number, from 1.
-    """
+    """Raise `InputError` unless a trace holds finite numbers and its time runs forwards; `line_of`: its lines."""
     columns = dict(zip(TRACE_COLUMNS, (trace.time_s, trace.joint, trace.irradiance), strict=True))
     _require_finite(trace.file or "trace", columns, line_of)
     back = np.diff(trace.time_s) <= 0
@@ -78,10 +75,7 @@ def plausible_wavelength(wavelength: Floats) -> NDArray[np.bool_]:
 
 
 def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
-    """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way.
-
-    line_of: tells the line of a sample, for the message; by default its number, from 1.
-    """
+    """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way; `line_of`: its lines."""
     file = scan.file or "scan"
     _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
     wrong = ~plausible_wavelength(scan.wavelength)
@@ -158,10 +152,7 @@ class PathTrace:
 
 
 def check_parts(trace: PathTrace, rows: list[int] | None = None) -> None:
-    """Hold a recording to the order of its parts and to samples enough in each.
-
-    rows: line of each sample, for the message; by default its number, from 1.
-    """
+    """Hold a recording to the order of its parts and to samples enough in each; `rows`: its lines."""
     file, back = trace.file or "recording", np.flatnonzero(np.diff(trace.reference.astype(int)) < 0)
     if not trace.reference[:1].any():
         raise located(file, "expected a reference scan before the path", row=rows[0] if rows else 1, column="part")

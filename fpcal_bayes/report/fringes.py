@@ -16,12 +16,7 @@ _MOST = 20000
 
 
 def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, name: str, reason: str) -> Figure:
-    """Draw one sweep.
-
-    reading, samples: what the trace said, and the trace along the sweep.
-    start, end, name: the joint that moves, as a person reads it; the name with its unit.
-    reason: why the sweep is doubtful; part of the title.
-    """
+    """Draw a trace and its reading over the joint from `start` to `end` with the reason for doubt."""
     figure = Figure(figsize=(9.0, 6.5), layout="constrained")
     figure.suptitle(f"{reading.label}: {reason}", fontsize=10, wrap=True)
     step = max(1, len(samples) // _MOST)

@@ -85,10 +85,6 @@ number for t is the time between two samples in s.
 A photodiode does not tell the sign of dL. It is taken from scans before and after, from --estimate, or from the cell's
 priors where these leave no doubt; other rows have signed = 0. Doubtful sweeps are no rows of FILE: they are listed,
 drawn, and kept in an HDF5 FILE under /doubtful. All traces are kept in an HDF5 FILE, so it can be ingested again.
-
---alignment writes the fibre's direction against the mirror, by the fringe amplitude along the first session's sweeps
-that tilt the mirror, as a prior: `fpcal identify FILE --prior OUT`. On the perpendicular path dL does not see it. The
-amplitude is made linear at --estimate, or at what the first session's sweeps identify; OUT holds nothing else of it.
 """
 
 
@@ -106,7 +102,6 @@ def ingest(commands: Commands) -> None:
     add("--index-sd", type=positive, metavar="SD", help="standard deviation of the air's index")
     about = "operator, serial numbers: kept in an HDF5 FILE, shown by the report"
     add("--about", metavar="TEXT", default="", help=about)
-    add("--alignment", metavar="OUT", type=Path, help="estimate JSON to write: the fibre's direction, for --prior")
     plots = parser.add_mutually_exclusive_group()
     plots.add_argument(
         "--plots", metavar="DIR", type=Folder, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"

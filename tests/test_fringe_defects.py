@@ -38,8 +38,9 @@ def recorded(
 
 
 def read(cell: Cell, travel: float, traces: list[Trace]) -> list[Reading]:
-    sweeps = [single_sweep(cell, 2, -travel / 2, travel / 2, label=f"s{i}") for i in range(len(traces))]
-    readings = read_index(TraceIndex.of(join(sweeps, "sweeps"), traces), cell).readings
+    sweeps = join([single_sweep(cell, 2, -travel / 2, travel / 2)] * len(traces), "sweeps")
+    sweeps = replace(sweeps, label=np.array([f"s{i}" for i in range(len(traces))]))
+    readings = read_index(TraceIndex.of(sweeps, traces), cell).readings
     return [reading for reading in readings if reading is not None]
 
 
@@ -152,7 +153,7 @@ def test_a_scan_that_no_hop_explains_is_refused_or_covered() -> None:
 
 def test_the_command_shows_what_the_mirror_did(femto: Cell, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     trace, _ = recorded(20.0, late(600, 0.05), np.linspace(0.0, 1.0, 600), 9)
-    sweep = single_sweep(femto, 2, -10.0, 10.0, label="late")
+    sweep = replace(single_sweep(femto, 2, -10.0, 10.0), label=np.array(["late"]))
     write_recordings(tmp_path / "index.csv", TraceIndex.of(sweep, [trace]), femto)
     assert main(["trace", str(tmp_path / "index.csv"), "--figure", str(tmp_path / "late.svg")]) == 0
     told = capsys.readouterr()

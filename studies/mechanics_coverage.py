@@ -70,6 +70,7 @@ def _single(drift: float = 0.0, **joints: dict[str, float]) -> Mechanics:
 MIXTURES: dict[str, tuple[Mechanics, MachineSettings, float]] = {
     "gentle": (REALISTIC.scaled(1 / 3), replace(_NOISE, slow_nm=1.3), 1.0),
     "realistic": (REALISTIC, _NOISE, 1.0),
+    "built-in": (load_cell().mechanics or _ZERO, _NOISE, 1.0),
     "rough": (REALISTIC.scaled(3.0), replace(_NOISE, slow_nm=8.0), 1.0),
     "sheet-3-small": (REALISTIC, _NOISE, 1 / 3),
     "sheet-3-large": (REALISTIC, _NOISE, 3.0),

@@ -6,7 +6,7 @@ one number each, an uneven course is a profile of more polynomials. The evidence
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 #: Odds of a late start, or of a lag, where nothing speaks for it.
 _LATE_ODDS = 0.01
-#: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
-_IMAGES = np.linspace(0.5, 2.0, 13)
+#: Phase in rad within which a late start may be told by few samples.
+_HIDDEN = 3.0 * np.pi
 #: Places at which a hop of the phase is sought to begin with.
 _HOPS = 48
 #: Share of a trace below which its first samples are fitted beside what the others say.
@@ -133,6 +133,14 @@ def follow(
     best = max(tries, key=lambda each: each.evidence)
     if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
+    best = max(tries, key=lambda each: each.evidence)
+    if best.uneven and best.set_out > -1.0:
+        # Where it set out was found along the joint's course, and is sought along its own.
+        held = best.solution.best
+        own = partial(fit, prior=loosened(profile, len(held.profile), best.size), begin=held.profile)
+        again = _set_out(samples, size, places, replace(best, solution=FringeSolution((held,), used)), own)
+        best = replace(again, size=best.size)
+        tries.append(best)
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.evidence)
     noise = noise_of(best.solution.best, noise)
@@ -156,31 +164,37 @@ def follow(
     return replace(best, solution=replace(best.solution, fits=(wide,)))
 
 
-def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
-    """What a late start that few samples tell adds to the variance of a change, in um^2.
+def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> tuple[bool, float]:
+    """Whether a late start that few samples tell is likelier than none, and what it adds to a change's variance, in um^2.
 
-    Shortly before an extreme of the fringe a mirror may as well stand at its image beyond, until the joint is there.
+    The mirror stands wherever the mean of its first n samples says, provided that the joint is there after n of them:
+    around an extreme of the fringe, far from where the joint begins.
     """
     phase = fit.phase(samples.s, phase_per_um)
     ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
     first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
-    extreme = np.pi * np.ceil(first / np.pi)
-    # A start that explains hardly more than the fit is left to the fit.
-    least, found = -2.0 * fit.noise**2, first
-    images = extreme + (extreme - first) * _IMAGES
-    few = samples.part(np.cumsum(ahead * phase > images[-1]) == 0)
+    few = samples.part(np.cumsum(ahead * phase > first + _HIDDEN) == 0)
+    if len(few) < 2:
+        return False, 0.0
     level, height = fit.levels(few.s, few.time)
-    if not len(few):
-        return 0.0
-    phase, signal = ahead * phase[: len(few)], few.signal - level
-    moves = few.count * (signal - height * fit.wave(ahead * phase)[0]) ** 2
-    for image, still in zip(images.tolist(), fit.wave(ahead * images)[0].tolist(), strict=True):
-        early = slice(len(few) if phase.max() <= image else int(np.argmax(phase > image)))
-        more = few.count[early] @ (signal[early] - height[early] * still) ** 2 - moves[early].sum()
-        if more < least:
-            least, found = float(more), image
-    odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
-    return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
+    wave, signal = fit.wave(phase[: len(few)])[0], (few.signal - level) / height
+    phase = ahead * phase[: len(few)]
+    weight = few.count * (height / fit.noise) ** 2
+    total, mean = np.cumsum(weight)[:-1], (np.cumsum(weight * signal) / np.cumsum(weight))[:-1]
+    # From one sample to the next the fringe passes these heights, its extreme between them included.
+    half = np.floor(phase[1:] / np.pi)
+    top = np.where(half > np.floor(phase[:-1] / np.pi), fit.wave(ahead * np.pi * half)[0], wave[1:])
+    passed = np.sort([wave[:-1], wave[1:], top], axis=0)
+    still = np.clip(mean, passed[0], passed[2])
+    image = np.pi * half + np.arccos(np.clip(np.where(half % 2.0, -still, still), -1.0, 1.0))
+    shift = (np.clip(image, phase[:-1], phase[1:]) - first) / phase_per_um
+    moves = np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[:-1]
+    gain = 0.5 * (moves + total * (2.0 * mean - still) * still)
+    # A start that explains hardly more than the fit, or that no extreme hides, is left to the fit.
+    gain = np.where((gain > 1.0) & (image > 1.5 * np.pi * np.ceil(first / np.pi) - 0.5 * first), gain, -np.inf)
+    most = max(float(gain.max()), 0.0)
+    share = _LATE_ODDS * np.exp(gain - most) / (np.exp(-most) + _LATE_ODDS * np.exp(gain.max() - most))
+    return bool(share.max() > 0.5), float((share * shift**2).max())
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)

@@ -40,6 +40,8 @@ _ASTRAY = 2.0
 _TURNED = 0.005
 #: A turn this near to an extreme of the fringe, in half fringes, may be none.
 _AT_EXTREME = 0.15
+#: A late start below this, in um, is left to the uncertainty.
+_SHORT = 0.01
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
@@ -115,9 +117,11 @@ def _followed(
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
     if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
-        hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
-        fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
-        return replace(smooth, solution=replace(smooth.solution, fits=fits))
+        likely, hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
+        # The start is fitted where it matters.
+        if not likely or hidden < _SHORT**2:
+            fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
+            return replace(smooth, solution=replace(smooth.solution, fits=fits))
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution

@@ -3,8 +3,8 @@
 Sweeps along the optical axis of 4 to 200 um, from a generator that shares nothing with the reader but the cell's
 cavity length. Defects: none, a mirror that sets out late or stops early (0.05 to 2 um), one that lags (with rest at the
 end), a stage that runs unevenly under a column of commanded positions, or with a ripple, a late one with a ripple, a
-converter of 8 to 16 bits, a laser that hops, a jump by a whole fringe within one sample. Printed for each: how many are accepted, the variance of the
-standardised errors of those, and how many lie beyond six standard deviations.
+converter of 8 to 16 bits, a laser that hops, a jump by a whole fringe within one sample. Printed for each: how many are
+accepted, the variance of the standardised errors of those, and how many lie beyond six standard deviations.
 
     python studies/fringe_defects.py [--traces 1000] [--seed 0]
 """

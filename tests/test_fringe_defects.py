@@ -24,21 +24,30 @@ LIGHT = 1.56
 
 
 def recorded(
-    travel: float, mirror: np.ndarray, joint: np.ndarray, seed: int, *, volts: float = 1.0, step: float = 0.0
+    travel: float,
+    mirror: np.ndarray,
+    joint: np.ndarray,
+    seed: int,
+    *,
+    volts: float = 1.0,
+    step: float = 0.0,
+    begin: float | None = None,
 ) -> tuple[Trace, float]:
     """A trace of q2, which moves the mirror along the beam, with the change of L; both courses as shares of the travel.
 
-    The nominal cell's L falls as q2 rises.
+    The nominal cell's L falls as q2 rises. begin: phase in rad where the joint starts.
     """
     random, time = np.random.default_rng(seed), np.linspace(0.0, 1.0, len(joint))
     phase = -4.0 * np.pi / LIGHT * travel * mirror + random.uniform(0.0, 2.0 * np.pi)
+    phase += 0.0 if begin is None else begin - phase[0] - 4.0 * np.pi / LIGHT * travel * mirror[0]
     signal = volts * (0.5 + irradiance(random, phase, time))
     signal = np.rint(signal / step) * step if step else signal
     return Trace(10.0 * time, travel * (joint - 0.5), signal), -travel * float(mirror[-1] - mirror[0])
 
 
 def read(cell: Cell, travel: float, traces: list[Trace]) -> list[Reading]:
-    sweeps = [single_sweep(cell, 2, -travel / 2, travel / 2, label=f"s{i}") for i in range(len(traces))]
+    sweep = single_sweep(cell, 2, -travel / 2, travel / 2)
+    sweeps = [replace(sweep, label=np.array([f"s{i}"])) for i in range(len(traces))]
     readings = read_index(TraceIndex.of(join(sweeps, "sweeps"), traces), cell).readings
     return [reading for reading in readings if reading is not None]
 
@@ -102,6 +111,27 @@ def test_lost_motion_that_all_traces_share_is_no_noise(femto: Cell) -> None:
         assert reading.late == pytest.approx(1.0, abs=0.06)
 
 
+def test_a_late_start_that_two_samples_show_is_seen(femto: Cell) -> None:
+    """Where the fringe is at an extreme, and a block of samples tells no phase."""
+    course = np.linspace(0.0, 1.0, 3000)
+    for begin in (0.02, 0.05, 0.1, np.pi + 0.05):
+        trace, true = recorded(150.0, np.maximum(course, 0.0636 / 150.0), course, 1, begin=begin)
+        reading = read(femto, 150.0, [trace])[0]
+        assert abs(reading.dl - true) < 4.0 * reading.sigma
+
+
+def test_a_mirror_that_stops_early_is_read_as_one_that_sets_out_late(femto: Cell) -> None:
+    course = np.linspace(0.0, 1.0, 700)
+    made = [recorded(30.0, np.minimum(course, 1.0 - 1.0 / 30.0), course, seed) for seed in range(3)]
+    for reading, (_, true) in zip(read(femto, 30.0, [trace for trace, _ in made]), made, strict=True):
+        assert_right(reading, true)
+        assert reading.late == pytest.approx(1.0, abs=0.06)
+        changes, _ = reading.changes(np.array([reading.stop, 1.0]))
+        assert changes == pytest.approx([reading.dl, reading.dl])
+    trace, _ = recorded(30.0, np.minimum(course, 1.0 - 2.0 / 30.0), course, 0)
+    assert "stops" in read(femto, 30.0, [trace])[0].doubt
+
+
 def test_a_mirror_that_misses_two_fringes_is_in_doubt(femto: Cell) -> None:
     made = [recorded(30.0, late(700, 2.0 / 30.0), np.linspace(0.0, 1.0, 700), seed)[0] for seed in range(3)]
     for reading in read(femto, 30.0, made):
@@ -152,7 +182,7 @@ def test_a_scan_that_no_hop_explains_is_refused_or_covered() -> None:
 
 def test_the_command_shows_what_the_mirror_did(femto: Cell, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     trace, _ = recorded(20.0, late(600, 0.05), np.linspace(0.0, 1.0, 600), 9)
-    sweep = single_sweep(femto, 2, -10.0, 10.0, label="late")
+    sweep = replace(single_sweep(femto, 2, -10.0, 10.0), label=np.array(["late"]))
     write_recordings(tmp_path / "index.csv", TraceIndex.of(sweep, [trace]), femto)
     assert main(["trace", str(tmp_path / "index.csv"), "--figure", str(tmp_path / "late.svg")]) == 0
     told = capsys.readouterr()

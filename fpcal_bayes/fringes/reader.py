@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden_start
+from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -117,10 +117,11 @@ def _followed(
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
     if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
-        likely, hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
-        # The start is fitted where it matters.
-        if not likely or hidden < _SHORT**2:
-            fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
+        both = [hidden(smooth.solution.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
+        # The start and the end are fitted where it matters.
+        if not any(likely and variance > _SHORT**2 for likely, variance in both):
+            added = both[0][1] + both[1][1]
+            fits = tuple(replace(fit, ends_variance=fit.ends_variance + added) for fit in smooth.solution.fits)
             return replace(smooth, solution=replace(smooth.solution, fits=fits))
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
@@ -260,7 +261,8 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
         turns=tuple(turns.tolist()),
         reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
         set_out=found.set_out,
-        late=(found.set_out + 1.0) / 2.0 * abs(each.end - each.start),
+        stop=found.stop,
+        late=(found.set_out - found.stop + 2.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
         doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),
@@ -296,7 +298,9 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the phase hops by {abs(found.hop):.2g} rad: the laser or the mirror jumps"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
-    if missing > 3.0 * sd:
+    if found.stop < 1.0 and missing > _ASTRAY * fringe:
+        return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
+    if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
     more = _TURNED + _turned_back(each.profile.mean, found)
     if found.uneven and _turned_back(verdict.fit.profile, found) > more:

@@ -2,8 +2,8 @@
 
 The paper's 69 sweeps and 12 planned ones, truths drawn from the prior. End points and midpoints are readings of length,
 with 5 nm each or with what a single sample of the simulated photodiode knows at half fringe height; whole traces are
-its 2,000 samples of each sweep. Printed for each: standard deviations, and the mean square of the standardised errors,
-which is one where they hold.
+its 2,000 samples of each sweep, with the scans that tell signs. Printed for each: standard deviations, and the mean
+square of the standardised errors, which is one where they hold.
 
     python studies/whole_traces.py [--replicates 10]
 """
@@ -61,7 +61,7 @@ def main() -> None:
 
     def from_traces(protocol: Sweeps) -> Callable[[Truth, int], Estimate]:
         def made(truth: Truth, seed: int) -> Estimate:
-            index = record_sweeps(cell, truth, protocol, seed=seed, scans=False)
+            index = record_sweeps(cell, truth, protocol, seed=seed)
             return identify(cell, trace_rows(cell, index).rows).estimate
 
         return made

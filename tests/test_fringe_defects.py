@@ -46,9 +46,9 @@ def recorded(
 
 
 def read(cell: Cell, travel: float, traces: list[Trace]) -> list[Reading]:
-    sweep = single_sweep(cell, 2, -travel / 2, travel / 2)
-    sweeps = [replace(sweep, label=np.array([f"s{i}"])) for i in range(len(traces))]
-    readings = read_index(TraceIndex.of(join(sweeps, "sweeps"), traces), cell).readings
+    sweeps = join([single_sweep(cell, 2, -travel / 2, travel / 2)] * len(traces), "sweeps")
+    sweeps = replace(sweeps, label=np.array([f"s{i}" for i in range(len(traces))]))
+    readings = read_index(TraceIndex.of(sweeps, traces), cell).readings
     return [reading for reading in readings if reading is not None]
 
 

@@ -17,11 +17,11 @@ def test_layout(random: RandomCell, picks: list[int]) -> None:
     poses = group_poses(cell, given_q)
     assert_array_equal(poses.q[poses.inverse], given_q)
     assert len(np.unique(poses.q, axis=0)) == len(poses.q)
-    assert len(np.unique(poses.group_q, axis=0)) == poses.n_groups
+    assert len(np.unique(poses.group_q, axis=0)) == len(poses.group_q)
     assert poses.group_start[0] == 0
     assert poses.group_start[-1] == len(poses.q)
     assert (np.diff(poses.group_start) > 0).all()
-    group_of_pose = np.repeat(np.arange(poses.n_groups), np.diff(poses.group_start))
+    group_of_pose = np.repeat(np.arange(len(poses.group_q)), np.diff(poses.group_start))
     assert_array_equal(poses.group_q[group_of_pose], np.where(cell.revolute, poses.q, 0.0))
     assert_array_equal(poses.prismatic_q, poses.q[:, ~cell.revolute])
     assert_array_equal(poses.group_cos, np.cos(poses.group_q))
@@ -32,17 +32,17 @@ def test_paper_sweeps_have_few_groups(femto: Cell, case_a: ReferenceCase) -> Non
     """138 poses share 10 distinct orientations; counted apart from the code under test."""
     q = np.concatenate([case_a.q_start, case_a.q_end])
     assert len(q) == 138
-    assert group_poses(femto, q).n_groups == len({tuple(turns) for turns in q[:, 3:].tolist()})
+    assert len(group_poses(femto, q).group_q) == len({tuple(turns) for turns in q[:, 3:].tolist()})
 
 
 def test_minus_zero_is_zero(femto: Cell) -> None:
     poses = group_poses(femto, np.array([[0.0] * 6, [-0.0] * 6]))
-    assert len(poses.q) == poses.n_groups == 1
+    assert len(poses.q) == len(poses.group_q) == 1
 
 
 def test_no_poses(femto: Cell) -> None:
     poses = group_poses(femto, np.zeros((0, 6)))
-    assert len(poses.q) == poses.n_groups == len(poses.inverse) == 0
+    assert len(poses.q) == len(poses.group_q) == len(poses.inverse) == 0
     assert poses.group_start.tolist() == [0]
 
 

@@ -78,3 +78,20 @@ def test_no_trace_that_can_be_used_is_said(femto: Cell) -> None:
     dark = [replace(trace, irradiance=np.full(len(trace), 1.0)) for trace in index.traces]
     with pytest.raises(InputError, match="no sweep can be used"):
         trace_rows(femto, replace(index, traces=dark))
+
+
+@pytest.mark.parametrize("degrees", [0.2, 5.0])
+def test_what_only_an_expectation_says_of_a_trace_is_not_taken(femto: Cell, degrees: float) -> None:
+    """Another sweep foresees neither a change of less than a fringe, 0.4 um +- 0.7, nor the sign of a large one."""
+    plan, tilt = paper_protocol(femto).take(np.array([46, 49])), np.zeros(6)
+    tilt[3] = np.deg2rad(degrees)
+    plan = replace(plan, q_start=np.vstack([plan.q_start[:1], 0.0 * tilt]), q_end=np.vstack([plan.q_end[:1], tilt]))
+    whole = trace_rows(femto, record_sweeps(femto, paper_truth(femto), plan, SHORT, seed=1, scans=False))
+    if degrees < 1.0:
+        assert set(whole.rows.group) == {plan.label[0]}
+        assert any(str(plan.label[1]) in warning for warning in whole.warnings)
+    else:
+        tilted = whole.rows.group == plan.label[1]
+        assert tilted.any()
+        assert not whole.rows.signed[tilted].any()
+        assert (whole.rows.dl[tilted] > 0.0).all()

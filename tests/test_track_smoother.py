@@ -56,7 +56,9 @@ def test_the_trajectory_is_the_maximum_of_its_posterior(followed):
     for k, (first, second) in enumerate(pairwise(ways)):
         sd = np.sqrt(np.diag((second - first) @ joint @ (second - first).T))
         # Of a constant parameter rounding leaves a millionth of its prior.
-        np.testing.assert_allclose(np.diag(smoothed.change(k)[1]), sd**2, rtol=0.02, atol=1e-10)
+        one, other = (state.covariance for state in smoothed.states[k : k + 2])
+        told = np.diag(one + other - 2.0 * smoothed.gains[k] @ other)
+        np.testing.assert_allclose(told, sd**2, rtol=0.02, atol=1e-10)
 
 
 def test_smoothing_knows_more_than_the_updates(followed):

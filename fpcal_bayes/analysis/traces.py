@@ -5,13 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.linalg import counted, covariance_root
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
 from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
 from fpcal_bayes.fringes.path_check import PathCheck, starts_flat
-from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, estimated_profiles, lengths_at, prior_profiles
+from fpcal_bayes.fringes.profile import (
+    DEGREE,
+    DisplacementProfile,
+    end_weights,
+    estimated_profiles,
+    lengths_at,
+    prior_profiles,
+)
 from fpcal_bayes.fringes.samples import Samples
 from fpcal_bayes.fringes.solve import bins
 from fpcal_bayes.infer.fit.identify import identify
@@ -26,6 +33,10 @@ _MOST = 12
 _LEFT = 2e-5
 #: Averages of a fringe.
 _BINS = 32
+#: Standard deviation in rad of an expected change from which on a trace of less than a fringe may be another one.
+_KNOWN = 0.5
+#: Standard deviations by which a sum of squares may exceed its expectation.
+_MISFIT = 6.0
 
 
 #: Where a sweep starts.
@@ -54,8 +65,8 @@ def trace_rows(
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
     of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
     their fringes, at their middle and their end: at more places the errors that grow on the way between the ends (lost
-    motion, return) are not those that the mechanics know. Traces that are doubtful, or whose mirror sets out late, are
-    left out and named.
+    motion, return) are not those that the mechanics know. Traces that are doubtful, that no course fits, whose mirror
+    sets out late, or of less than a fringe that the others do not foresee, are left out and named.
     """
     sessions = index.sweeps.of_session(session).sessions
     of = np.isin(index.sweeps.session, sessions) & (index.sweeps.kind == "sweep")
@@ -67,17 +78,20 @@ def trace_rows(
         r is not None and (r.good or (r.fringes < 1.0 and not errs)) and not (r.late or (r.uneven and not errs))
         for r in found.readings
     ]
-    used = np.flatnonzero(told)
-    if not len(used):
+    if not any(told):
         raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
-    along = []
     # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
-    expected = estimated_profiles(identify(cell, found.sweeps, prior=prior).estimate, sweeps, _MOST)
+    estimate = identify(cell, found.sweeps, prior=prior).estimate
+    expected, ends = estimated_profiles(estimate, sweeps, _MOST), end_weights(_MOST)
     priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
-    for i in used.tolist():
+    along, used = [], []
+    for i in np.flatnonzero(told).tolist():
         reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
         if reading is None or samples is None or reading.fit is None:
             raise ValueError(f"row {i} has no trace")
+        known = reading.phase_per_um * np.sqrt(ends @ expected[i].covariance @ ends) < _KNOWN
+        if not reading.good and not (known and estimate.trust.usable):
+            continue
         # The reading may be the mirror image of the course.
         seen = reading.fit.profile[:DEGREE]
         seen = np.append(np.copysign(1.0, seen @ near[:DEGREE]) * seen, near[DEGREE:])
@@ -96,18 +110,26 @@ def trace_rows(
                 noise=reading.noise,
                 mirror_light=1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain),
             )
+            if fit.residual_squares > fit.noise**2 * (fit.freedom + _MISFIT * np.sqrt(2.0 * fit.freedom)):
+                continue
             places = _places(fit.modes.shape[1])
             changes, common = fit.told(places)
-        rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
+        # The expectation orders the signs within a sweep; which of both courses it was, only the reading may say.
+        signed = reading.signed
+        rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(
+            changes if signed else np.abs(changes), _LEFT
+        )
         wide = np.pad(common, ((0, 0), (0, DEGREE - common.shape[1])))
-        along.append(replace(rows, common=wide))
+        used.append(i)
+        along.append(replace(rows, common=wide, signed=np.full(len(places), signed)))
+    if not used:
+        raise InputError(f"{sweeps.file}: no trace is the course of its joint: expected traces that are")
     said = []
     if len(used) < len(told):
         names = ", ".join(np.delete(sweeps.label, used)[:5])
-        said = [
-            f"{len(told) - len(used)} traces are left out: doubtful, or the mirror is off its joint's course ({names})"
-        ]
-    return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used.tolist()), tuple(said))
+        left = counted(len(told) - len(used), "trace")
+        said = [f"left out: {left}, doubtful or of a mirror that is off its joint's course ({names})"]
+    return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used), tuple(said))
 
 
 @dataclass(frozen=True)

@@ -118,18 +118,8 @@ def follow(
     def fit(
         moved: Samples, warm: Fit | None, prior: DisplacementProfile = profile, begin: Floats = start, **more: Any
     ) -> Fit:
-        return fit_course(
-            moved,
-            prior,
-            begin,
-            phase_per_um,
-            nuisance=nuisance,
-            noise=noise,
-            mirror_light=mirror_light,
-            max_steps=20,
-            warm=warm,
-            **more,
-        )
+        given = more | {"nuisance": nuisance, "noise": noise, "mirror_light": mirror_light, "max_steps": 20}
+        return fit_course(moved, prior, begin, phase_per_um, warm=warm, **given)
 
     tries = [Followed(FringeSolution((fit(used, None),), used), phase_per_um)]
     fringes = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(lengths_at(start, _PLACES))))]) * phase_per_um / 2 / np.pi
@@ -139,7 +129,7 @@ def follow(
         tries.append(_short(samples, size, starts, tries[0], fit))
     tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.evidence)
-    if len(missed) > 2 and best.errors.probability < DOUBTED:
+    if len(missed) > 2 and (not best.short or best.errors.probability < DOUBTED):
         tries.append(_short(samples, size, stops, tries[0], fit))
         best = max(tries, key=lambda each: each.evidence)
     if errs or best.errors.probability < UNLIKELY:

@@ -10,7 +10,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fading import fading_priors
 from fpcal_bayes.fringes.profile import estimated_profiles, lengths_at, prior_profiles
-from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
+from fpcal_bayes.fringes.reader import Recorded, read_traces
 from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
 from fpcal_bayes.measure.campaign import DoubtfulRecord
@@ -25,6 +25,8 @@ from fpcal_bayes.model.mechanics import Terms
 
 #: Share of the full scale below which a higher gain is proposed.
 _LITTLE = 0.25
+#: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
+_DRIFTED = 0.02
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,8 @@ def read_index(
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
     reader = _IndexReader(index, cell, settings)
-    before, after = reader.scans()
+    before = reader.scans(index.sweeps.q_start, index.scans_before)
+    after = reader.scans(index.sweeps.q_end, index.scans_after)
     recorded = reader.recorded(estimate, before, after)
     optics = cell.interferometer
     found = read_traces(
@@ -122,13 +125,8 @@ class _IndexReader:
             raise InputError(f"{index.sweeps.file}: {error}") from error
         self.share = np.hypot(settings.wavelength_sd / self.vacuum, settings.index_sd / self.air)
 
-    def scans(self) -> tuple[tuple[ScanReading | None, ...], tuple[ScanReading | None, ...]]:
-        """Readings of the scans before and after each row."""
-        sweeps = self.index.sweeps
-        before = self._scans(sweeps.q_start, self.index.scans_before)
-        return before, self._scans(sweeps.q_end, self.index.scans_after)
-
-    def _scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
+    def scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
+        """Readings of the scans at poses `q` (n_rows, n_joints)."""
         index, optics = self.index, self.cell.interferometer
         readings: list[ScanReading | None] = [None] * len(scans)
         if not any(scans):
@@ -168,7 +166,8 @@ class _IndexReader:
                 sd = float(np.hypot(first.sigma, last.sigma))
                 sign_sources.append(SignSource(last.length - first.length, sd, "scans"))
             if expected is not None:
-                sign_sources.append(estimate_sign_source(expected[i]))
+                known = expected[i]
+                sign_sources.append(SignSource(known.dl, 2.0 * known.dl_sd + _DRIFTED, "estimate"))
             joint = moving_joint(sweeps, i)
             start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
             samples = lay_out(

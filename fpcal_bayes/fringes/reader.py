@@ -44,8 +44,6 @@ _AT_EXTREME = 0.15
 _SHORT = 0.01
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
-#: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
-_DRIFTED = 0.02
 #: Weight, in readings, of the campaign's noise against a trace's own.
 _POOL_WEIGHT = 60.0
 
@@ -120,22 +118,20 @@ def _followed(
         both = [hidden(smooth.solution.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
         # The start and the end are fitted where it matters.
         if not any(likely and variance > _SHORT**2 for likely, variance in both):
-            added = both[0][1] + both[1][1]
-            fits = tuple(replace(fit, ends_variance=fit.ends_variance + added) for fit in smooth.solution.fits)
-            return replace(smooth, solution=replace(smooth.solution, fits=fits))
+            return _widened(smooth, both[0][1] + both[1][1])
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution
     found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light, errs=each.errs)
     if smooth is not None and (found is None or not found.astray):
-        found = smooth
+        # Another course may still be nearly as likely.
+        apart = 0.0 if found is None else found.solution.best.ends_variance
+        found = _widened(smooth, apart)
     if found is None:
         return None
     # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
-    errors, solution = (
-        found.errors,
-        rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
-    )
+    errors = found.errors
+    solution = rescaled(found.solution, max(1.0, errors.excess) ** 0.5 * found.solution.best.noise)
     best = found.solution.best
     slopes = slopes_at(best.profile, np.array(best.ends)) * 2.0 / (each.end - each.start)
     added = each.ripple**2 * float(slopes @ slopes)
@@ -145,8 +141,12 @@ def _followed(
         if jumps:
             # A hop leaves half of itself to either side, at half height of the fringe.
             added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
-    wide = tuple(replace(fit, ends_variance=fit.ends_variance + added) for fit in solution.fits)
-    return replace(found, solution=replace(solution, fits=wide))
+    return _widened(replace(found, solution=solution), added)
+
+
+def _widened(found: Followed, variance: float) -> Followed:
+    fits = tuple(replace(fit, ends_variance=fit.ends_variance + variance) for fit in found.solution.fits)
+    return replace(found, solution=replace(found.solution, fits=fits))
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:
@@ -360,8 +360,3 @@ def _beyond_sampling(each: Recorded) -> str:
         if fringes > 0 and len(each.samples) / fringes < SPARSE:
             return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {sign_source.source}"
     return ""
-
-
-def estimate_sign_source(profile: DisplacementProfile) -> SignSource:
-    """What an estimate expects, with room for drift since it was made."""
-    return SignSource(profile.dl, 2.0 * profile.dl_sd + _DRIFTED, "estimate")

@@ -10,7 +10,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
 from fpcal_bayes.fringes.fading import fading_priors
 from fpcal_bayes.fringes.profile import estimated_profiles, lengths_at, prior_profiles
-from fpcal_bayes.fringes.reader import Recorded, read_traces
+from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
 from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
 from fpcal_bayes.measure.campaign import DoubtfulRecord
@@ -25,8 +25,6 @@ from fpcal_bayes.model.mechanics import Terms
 
 #: Share of the full scale below which a higher gain is proposed.
 _LITTLE = 0.25
-#: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
-_DRIFTED = 0.02
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,7 @@ class _IndexReader:
                 sd = float(np.hypot(first.sigma, last.sigma))
                 sign_sources.append(SignSource(last.length - first.length, sd, "scans"))
             if expected is not None:
-                known = expected[i]
-                sign_sources.append(SignSource(known.dl, 2.0 * known.dl_sd + _DRIFTED, "estimate"))
+                sign_sources.append(estimate_sign_source(expected[i]))
             joint = moving_joint(sweeps, i)
             start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
             samples = lay_out(

@@ -44,6 +44,8 @@ _AT_EXTREME = 0.15
 _SHORT = 0.01
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
+#: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
+_DRIFTED = 0.02
 #: Weight, in readings, of the campaign's noise against a trace's own.
 _POOL_WEIGHT = 60.0
 
@@ -360,3 +362,8 @@ def _beyond_sampling(each: Recorded) -> str:
         if fringes > 0 and len(each.samples) / fringes < SPARSE:
             return f"sparse: {len(each.samples)} samples for {fringes:.0f} fringes or more, by {sign_source.source}"
     return ""
+
+
+def estimate_sign_source(profile: DisplacementProfile) -> SignSource:
+    """What an estimate expects, with room for drift since it was made."""
+    return SignSource(profile.dl, 2.0 * profile.dl_sd + _DRIFTED, "estimate")

@@ -194,7 +194,7 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     moves = np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[:-1]
     gain = 0.5 * (moves + total * (2.0 * mean - still) * still)
     # A start that explains hardly more than the fit, or that no extreme hides, is left to the fit.
-    gain = np.where((gain > 1.0) & (image > 1.5 * np.pi * np.ceil(first / np.pi) - 0.5 * first), gain, -np.inf)
+    gain = np.where((gain > 2.0) & (image > 1.5 * np.pi * np.ceil(first / np.pi) - 0.5 * first), gain, -np.inf)
     most = max(float(gain.max()), 0.0)
     share = _LATE_ODDS * np.exp(gain - most) / (np.exp(-most) + _LATE_ODDS * np.exp(gain.max() - most))
     return bool(share.max() > 0.5), float((share * shift**2).max())

@@ -1,10 +1,10 @@
 """How honest are readings of traces with a defect? Each has one, drawn at random; the mirror's own change is true.
 
 Sweeps along the optical axis of 4 to 200 um, from a generator that shares nothing with the reader but the cell's
-cavity length. Defects: none, a mirror that sets out late (0.05 to 2 um), one that lags (with rest at the end), a stage
-that runs unevenly under a column of commanded positions, or with a ripple, a converter of 8 to 16 bits, a laser that
-hops, a jump by a whole fringe within one sample. Printed for each: how many are accepted, the variance of the
-standardised errors of those, and how many lie beyond six standard deviations.
+cavity length. Defects: none, a mirror that sets out late or stops early (0.05 to 2 um), one that lags (with rest at the
+end), a stage that runs unevenly under a column of commanded positions, or with a ripple, a late one with a ripple, a
+converter of 8 to 16 bits, a laser that hops, a jump by a whole fringe within one sample. Printed for each: how many are
+accepted, the variance of the standardised errors of those, and how many lie beyond six standard deviations.
 
     python studies/fringe_defects.py [--traces 1000] [--seed 0]
 """
@@ -18,7 +18,7 @@ from fpcal_bayes.io import load_cell
 from fpcal_bayes.measure import Sweeps, Trace, TraceIndex, paper_truth, single_sweep
 from fpcal_bayes.model import CavityModel, Cell
 
-KINDS = ("clean", "late", "lag", "uneven", "bits", "hop", "whole fringe", "ripple")
+KINDS = ("clean", "late", "lag", "uneven", "bits", "hop", "whole fringe", "ripple", "early", "late ripple")
 #: Traces of one campaign.
 BATCH = 20
 
@@ -39,8 +39,10 @@ def drawn(
     done[-1] = 1.0
     commanded = np.concatenate([done, np.ones(rest)])
     place = commanded.copy()
-    if kind == "late":
+    if kind.startswith("late"):
         place = np.maximum(place, random.uniform(0.05, 2.0) / travel)
+    elif kind == "early":
+        place = np.minimum(place, 1.0 - random.uniform(0.05, 2.0) / travel)
     elif kind == "lag":
         share = np.exp(-1.0 / (n * random.uniform(0.003, 0.03)))
         for i in range(1, len(place)):
@@ -49,7 +51,7 @@ def drawn(
         commanded = time
         bend = random.normal(size=3) * np.minimum(0.1, 0.01 * travel) / travel
         place = done + sum(b * np.sin(np.pi * (k + 1) * time / 2.0) for k, b in enumerate(bend))
-    elif kind == "ripple":
+    if kind.endswith("ripple"):
         turns = travel / np.exp(random.uniform(np.log(2.0), np.log(20.0)))
         wave = random.uniform(0.002, 0.03) * np.sin(2.0 * np.pi * turns * place + random.uniform(0.0, 6.28))
         place = place + wave / travel

@@ -24,14 +24,22 @@ LIGHT = 1.56
 
 
 def recorded(
-    travel: float, mirror: np.ndarray, joint: np.ndarray, seed: int, *, volts: float = 1.0, step: float = 0.0
+    travel: float,
+    mirror: np.ndarray,
+    joint: np.ndarray,
+    seed: int,
+    *,
+    volts: float = 1.0,
+    step: float = 0.0,
+    begin: float | None = None,
 ) -> tuple[Trace, float]:
     """A trace of q2, which moves the mirror along the beam, with the change of L; both courses as shares of the travel.
 
-    The nominal cell's L falls as q2 rises.
+    The nominal cell's L falls as q2 rises. begin: phase in rad where the joint starts.
     """
     random, time = np.random.default_rng(seed), np.linspace(0.0, 1.0, len(joint))
     phase = -4.0 * np.pi / LIGHT * travel * mirror + random.uniform(0.0, 2.0 * np.pi)
+    phase += 0.0 if begin is None else begin - phase[0] - 4.0 * np.pi / LIGHT * travel * mirror[0]
     signal = volts * (0.5 + irradiance(random, phase, time))
     signal = np.rint(signal / step) * step if step else signal
     return Trace(10.0 * time, travel * (joint - 0.5), signal), -travel * float(mirror[-1] - mirror[0])
@@ -101,6 +109,27 @@ def test_lost_motion_that_all_traces_share_is_no_noise(femto: Cell) -> None:
     for reading, (_, true) in zip(read(femto, 30.0, [trace for trace, _ in made]), made, strict=True):
         assert_right(reading, true)
         assert reading.late == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_late_start_that_two_samples_show_is_seen(femto: Cell) -> None:
+    """Where the fringe is at an extreme, and a block of samples tells no phase."""
+    course = np.linspace(0.0, 1.0, 3000)
+    for begin in (0.02, 0.05, 0.1, np.pi + 0.05):
+        trace, true = recorded(150.0, np.maximum(course, 0.0636 / 150.0), course, 1, begin=begin)
+        reading = read(femto, 150.0, [trace])[0]
+        assert abs(reading.dl - true) < 4.0 * reading.sigma
+
+
+def test_a_mirror_that_stops_early_is_read_as_one_that_sets_out_late(femto: Cell) -> None:
+    course = np.linspace(0.0, 1.0, 700)
+    made = [recorded(30.0, np.minimum(course, 1.0 - 1.0 / 30.0), course, seed) for seed in range(3)]
+    for reading, (_, true) in zip(read(femto, 30.0, [trace for trace, _ in made]), made, strict=True):
+        assert_right(reading, true)
+        assert reading.late == pytest.approx(1.0, abs=0.06)
+        changes, _ = reading.changes(np.array([reading.stop, 1.0]))
+        assert changes == pytest.approx([reading.dl, reading.dl])
+    trace, _ = recorded(30.0, np.minimum(course, 1.0 - 2.0 / 30.0), course, 0)
+    assert "stops" in read(femto, 30.0, [trace])[0].doubt
 
 
 def test_a_mirror_that_misses_two_fringes_is_in_doubt(femto: Cell) -> None:

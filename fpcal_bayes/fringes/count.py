@@ -34,9 +34,10 @@ class Reading:
     fringes: float = np.nan  # that passed, those that passed back included
     turns: tuple[float, ...] = ()  # places s on the sweep, from -1 to 1, at which L turns
     reversals: tuple[float, ...] = ()  # joint positions of the same, in um or rad
-    #: set_out, late, uneven: Place at which the mirror set out, how far the joint had moved by then, in um or rad, and
-    #: whether it then left the joint's course.
+    #: set_out, stop, late, uneven: Places at which the mirror set out and stopped, how far the joint moved without it
+    #: (um or rad), and whether it left the joint's course between them.
     set_out: float = -1.0
+    stop: float = 1.0
     late: float = 0.0
     uneven: bool = False
     refused: str = ""  # why the trace gives no number at all; empty where it gives one
@@ -70,7 +71,8 @@ class Reading:
     def changes(self, s: Floats) -> tuple[Floats, Floats]:
         """Changes of L in um (n,) from the start to places `s` (n,) from -1 to 1, with their full covariance (n, n)."""
         degree = len(self.profile)
-        rows = legendre(np.maximum(s, self.set_out), degree)[:, 1:] - legendre(np.array([self.set_out]), degree)[:, 1:]
+        places = np.clip(s, self.set_out, self.stop)
+        rows = (legendre(places, degree) - legendre(np.array([self.set_out]), degree))[:, 1:]
         changes = rows @ self.profile
         scaled = np.zeros_like(changes) if self.signed else self.wavelength_share * changes
         covariance = rows @ self.profile_covariance @ rows.T + np.outer(scaled, scaled)

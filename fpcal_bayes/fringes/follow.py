@@ -6,7 +6,7 @@ one number each, an uneven course is a profile of more polynomials. The evidence
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ _SIZINGS = 2
 _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 #: Odds of a late start, or of a lag, where nothing speaks for it.
 _LATE_ODDS = 0.01
-#: Phases at which it may have stood, beyond the extreme, relative to how far before it the fit begins.
-_IMAGES = np.linspace(0.5, 2.0, 13)
+#: Phase in rad within which a late start may be told by few samples.
+_HIDDEN = 3.0 * np.pi
 #: Places at which a hop of the phase is sought to begin with.
 _HOPS = 48
 #: Share of a trace below which its first samples are fitted beside what the others say.
@@ -53,8 +53,10 @@ class Followed:
 
     solution: FringeSolution
     phase_per_um: float
-    #: set_out, lag: Place at which the mirror set out, and how long it lags, as a share of half the trace.
+    #: set_out, stop, lag: Places at which the mirror set out and stopped, and how long it lags, as a share of half the
+    #: trace.
     set_out: float = -1.0
+    stop: float = 1.0
     lag: float = 0.0
     size: float = 0.0  # of a course that has polynomials that no joint makes, in um
     hop: float = 0.0  # of the phase, in rad, that explains the trace as well as such a course
@@ -72,13 +74,18 @@ class Followed:
     @property
     def evidence(self) -> float:
         """Logarithm of how likely the best fit makes the trace, with the odds of such a mirror."""
-        rare = self.set_out > -1.0 or self.lag > 0.0
+        rare = self.short or self.lag > 0.0
         return self.solution.best.evidence + (float(np.log(_LATE_ODDS)) if rare else 0.0)
+
+    @property
+    def short(self) -> bool:
+        """Whether the mirror sets out late or stops early."""
+        return self.set_out > -1.0 or self.stop < 1.0
 
     @property
     def astray(self) -> bool:
         """Whether the mirror leaves the joint's course."""
-        return self.uneven or self.set_out > -1.0 or self.lag > 0.0
+        return self.uneven or self.short or self.lag > 0.0
 
     def missed(self) -> tuple[float, float]:
         """Change of L in um that the mirror missed at the start, and that it still lacks at the end."""
@@ -111,28 +118,30 @@ def follow(
     def fit(
         moved: Samples, warm: Fit | None, prior: DisplacementProfile = profile, begin: Floats = start, **more: Any
     ) -> Fit:
-        return fit_course(
-            moved,
-            prior,
-            begin,
-            phase_per_um,
-            nuisance=nuisance,
-            noise=noise,
-            mirror_light=mirror_light,
-            max_steps=20,
-            warm=warm,
-            **more,
-        )
+        given = more | {"nuisance": nuisance, "noise": noise, "mirror_light": mirror_light, "max_steps": 20}
+        return fit_course(moved, prior, begin, phase_per_um, warm=warm, **given)
 
     tries = [Followed(FringeSolution((fit(used, None),), used), phase_per_um)]
     fringes = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(lengths_at(start, _PLACES))))]) * phase_per_um / 2 / np.pi
-    places = np.interp(np.arange(0.0, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP), fringes, _PLACES)
-    if len(places) > 2:
-        tries.append(_set_out(samples, size, places, tries[0], fit))
+    missed = np.arange(0.0, min(_MOST_LATE, 0.6 * fringes[-1]), _LATE_STEP)
+    starts, stops = (np.interp(passed, fringes, _PLACES) for passed in (missed, fringes[-1] - missed))
+    if len(missed) > 2:
+        tries.append(_short(samples, size, starts, tries[0], fit))
     tries.append(_lagged(samples, size, tries[0], fit))
     best = max(tries, key=lambda each: each.evidence)
+    if len(missed) > 2 and (not best.short or best.errors.probability < DOUBTED):
+        tries.append(_short(samples, size, stops, tries[0], fit))
+        best = max(tries, key=lambda each: each.evidence)
     if errs or best.errors.probability < UNLIKELY:
-        tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.set_out > -1.0 else [])
+        tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.short else [])
+    best = max(tries, key=lambda each: each.evidence)
+    if best.uneven and best.short:
+        # Where it set out or stopped was found along the joint's course, and is sought along its own.
+        held = best.solution.best
+        own = partial(fit, prior=loosened(profile, len(held.profile), best.size), begin=held.profile)
+        along = replace(best, solution=FringeSolution((held,), used))
+        again = _short(samples, size, starts if best.set_out > -1.0 else stops, along, own)
+        tries.append(replace(again, size=best.size))
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.evidence)
     noise = noise_of(best.solution.best, noise)
@@ -156,31 +165,39 @@ def follow(
     return replace(best, solution=replace(best.solution, fits=(wide,)))
 
 
-def hidden_start(fit: Fit, samples: Samples, phase_per_um: float) -> float:
-    """What a late start that few samples tell adds to the variance of a change, in um^2.
+def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -> tuple[bool, float]:
+    """Whether a late start that few samples tell is likelier than none, and the variance that it adds, in um^2.
 
-    Shortly before an extreme of the fringe a mirror may as well stand at its image beyond, until the joint is there.
+    The mirror stands wherever the mean of its first n samples says, provided that the joint is there after n of them:
+    around an extreme of the fringe, far from where the joint begins. end: 1 for an early stop, read backwards.
     """
+    samples = samples if end < 0.0 else samples.part(slice(None, None, -1))
     phase = fit.phase(samples.s, phase_per_um)
-    ahead = np.sign(fit.phase(np.array([-1.0, -1.0 + 1e-6]), phase_per_um) @ [-1.0, 1.0])
-    first = ahead * float(fit.phase(np.array([-1.0]), phase_per_um)[0])
-    extreme = np.pi * np.ceil(first / np.pi)
-    # A start that explains hardly more than the fit is left to the fit.
-    least, found = -2.0 * fit.noise**2, first
-    images = extreme + (extreme - first) * _IMAGES
-    few = samples.part(np.cumsum(ahead * phase > images[-1]) == 0)
+    first, inside = fit.phase(np.array([end, end * (1.0 - 1e-6)]), phase_per_um).tolist()
+    ahead = float(np.sign(inside - first))
+    first *= ahead
+    few = samples.part(np.cumsum(ahead * phase > first + _HIDDEN) == 0)
+    if len(few) < 2:
+        return False, 0.0
     level, height = fit.levels(few.s, few.time)
-    if not len(few):
-        return 0.0
-    phase, signal = ahead * phase[: len(few)], few.signal - level
-    moves = few.count * (signal - height * fit.wave(ahead * phase)[0]) ** 2
-    for image, still in zip(images.tolist(), fit.wave(ahead * images)[0].tolist(), strict=True):
-        early = slice(len(few) if phase.max() <= image else int(np.argmax(phase > image)))
-        more = few.count[early] @ (signal[early] - height[early] * still) ** 2 - moves[early].sum()
-        if more < least:
-            least, found = float(more), image
-    odds = _LATE_ODDS * np.exp(min(-0.5 * least / fit.noise**2, 50.0))
-    return float(odds / (1.0 + odds) * ((found - first) / phase_per_um) ** 2)
+    wave, signal = fit.wave(phase[: len(few)])[0], (few.signal - level) / height
+    phase = ahead * phase[: len(few)]
+    weight = few.count * (height / fit.noise) ** 2
+    total, mean = np.cumsum(weight)[:-1], (np.cumsum(weight * signal) / np.cumsum(weight))[:-1]
+    # From one sample to the next the fringe passes these heights, its extreme between them included.
+    half = np.floor(phase[1:] / np.pi)
+    top = np.where(half > np.floor(phase[:-1] / np.pi), fit.wave(ahead * np.pi * half)[0], wave[1:])
+    passed = np.sort([wave[:-1], wave[1:], top], axis=0)
+    still = np.clip(mean, passed[0], passed[2])
+    image = np.pi * half + np.arccos(np.clip(np.where(half % 2.0, -still, still), -1.0, 1.0))
+    shift = (np.clip(image, phase[:-1], phase[1:]) - first) / phase_per_um
+    moves = np.cumsum(weight * ((signal - wave) ** 2 - signal**2))[:-1]
+    gain = 0.5 * (moves + total * (2.0 * mean - still) * still)
+    # A start that explains hardly more than the fit, or that no extreme hides, is left to the fit.
+    gain = np.where((gain > 2.0) & (image > 1.5 * np.pi * np.ceil(first / np.pi) - 0.5 * first), gain, -np.inf)
+    most = max(float(gain.max()), 0.0)
+    share = _LATE_ODDS * np.exp(gain - most) / (np.exp(-most) + _LATE_ODDS * np.exp(gain.max() - most))
+    return bool(share.max() > 0.5), float((share * shift**2).max())
 
 
 _PLACES = np.linspace(-1.0, 1.0, 1025)
@@ -200,25 +217,28 @@ def _lagging(samples: Samples, lag: float) -> Samples:
     return replace(samples, s=first + lagged)
 
 
-def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter) -> Followed:
-    """A mirror that sets out late; how little a trace tells of the place goes to the change's variance."""
+def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitter) -> Followed:
+    """A mirror that sets out late, or stops early where the places tried run back; what is told poorly widens it."""
     used, first, per_um = smooth.solution.samples, smooth.solution.best, smooth.phase_per_um
+    stops = bool(grid[-1] < grid[0])
+    limit, order = (np.minimum, 1) if stops else (np.maximum, -1)
     # Only the first samples tell a late start, and in a fit of the others they take no part.
-    n_early = int(np.flatnonzero(used.s <= grid[-1])[-1]) + 1
-    is_early = np.arange(len(used)) < n_early
+    is_early = np.logical_or.accumulate(((used.s >= grid[-1]) if stops else (used.s <= grid[-1]))[::order])[::order]
     early, held = used.part(is_early), fit(used.part(~is_early), first)
     known, some = None, whole
     # What many others say of the signal is normal, and need not be worked out again.
-    if n_early < _FEW * len(used):
-        known, some = held, whole.part(np.arange(len(whole)) < n_early * size)
+    if len(early) < _FEW * len(used):
+        known, some = held, whole.part(np.repeat(is_early, size)[: len(whole)])
 
     def at(value: float, warm: Fit, known: Fit | None = known, some: Samples = some) -> FringeSolution:
-        moved = _chunked(replace(some, s=np.maximum(some.s, value)), size)
-        found = replace(fit(moved, warm, known=known), ends=(max(-1.0, value), 1.0))
+        moved = _chunked(replace(some, s=limit(some.s, value)), size)
+        ends = (-1.0, min(value, 1.0)) if stops else (max(-1.0, value), 1.0)
+        # What others say is no prior of a fit that takes them in.
+        found = replace(fit(moved, replace(warm, prior=first.prior), known=known), ends=ends)
         return FringeSolution((found,), moved)
 
     for _ in range(2):
-        costs = held.misses(early, np.maximum(early.s, grid[:, None]), per_um) / held.noise**2
+        costs = held.misses(early, limit(early.s, grid[:, None]), per_um) / held.noise**2
         held = at(float(grid[np.argmin(costs)]), held).best
     # A phase and its mirror image at the nearest extreme make nearly the same signal, and each is looked at closely.
     beside = np.pad(costs, 1, constant_values=np.inf)
@@ -228,7 +248,7 @@ def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fi
     likely = costs[lows] + np.where(np.isfinite(depth), depth, 0.0) < costs.min() + _CLOSE
     laid: list[tuple[FringeSolution, float, float]] = []
     for i in lows[likely][np.argsort(costs[lows[likely]])][:_PEAKS]:
-        laid += _laid(at, held, float(grid[i]), 0.5 * float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)]))
+        laid += _laid(at, held, float(grid[i]), 0.5 * abs(float(grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)])))
     best, value, width = max(laid, key=lambda each: each[0].best.evidence)
     phase, further = best.best.phase(np.array([value, value + 1e-6]), per_um)
     image = value + 2e-6 * (np.round(phase / np.pi) * np.pi - phase) / (further - phase)
@@ -238,7 +258,7 @@ def _set_out(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fi
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
     found = at(value, best.best, None, whole)
     told = replace(found.best, ends_variance=float(share @ change**2 / share.sum()))
-    return Followed(replace(found, fits=(told,)), per_um, set_out=value)
+    return Followed(replace(found, fits=(told,)), per_um, *((-1.0, value) if stops else (value, 1.0)))
 
 
 def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:

@@ -72,7 +72,8 @@ def read_index(
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
     reader = _IndexReader(index, cell, settings)
-    before, after = reader.scans()
+    before = reader.scans(index.sweeps.q_start, index.scans_before)
+    after = reader.scans(index.sweeps.q_end, index.scans_after)
     recorded = reader.recorded(estimate, before, after)
     optics = cell.interferometer
     found = read_traces(
@@ -122,13 +123,8 @@ class _IndexReader:
             raise InputError(f"{index.sweeps.file}: {error}") from error
         self.share = np.hypot(settings.wavelength_sd / self.vacuum, settings.index_sd / self.air)
 
-    def scans(self) -> tuple[tuple[ScanReading | None, ...], tuple[ScanReading | None, ...]]:
-        """Readings of the scans before and after each row."""
-        sweeps = self.index.sweeps
-        before = self._scans(sweeps.q_start, self.index.scans_before)
-        return before, self._scans(sweeps.q_end, self.index.scans_after)
-
-    def _scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
+    def scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
+        """Readings of the scans at poses `q` (n_rows, n_joints)."""
         index, optics = self.index, self.cell.interferometer
         readings: list[ScanReading | None] = [None] * len(scans)
         if not any(scans):
@@ -304,13 +300,14 @@ def _warnings(
             continue
         told = f"{last.length - first.length:.3f} +- {np.hypot(first.sigma, last.sigma):.3f} um"
         said.append(f"{sweeps.label[i]}: no sign: the scans say {told}, the trace +-{reading.dl:.3f} um")
-    astray = [each for each in readings if each is not None and each.good and (each.uneven or each.set_out > -1.0)]
+    astray = [each for each in readings if each is not None and each.good and (each.uneven or each.late)]
     if astray:
         names = _some([each.label for each in astray])
-        late = max(abs(np.diff(lengths_at(each.profile, np.array([-1.0, each.set_out])))[0]) for each in astray)
+        ends = [lengths_at(each.profile, np.array([-1.0, each.set_out, each.stop, 1.0])) for each in astray]
+        missed = max(float(np.abs(np.diff(lengths)[::2]).sum()) for lengths in ends)
         said.append(
-            f"in {len(astray)} sweeps the mirror does not follow its joint (up to {late:.2f} um late: {names}): dL "
-            "is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
+            f"in {len(astray)} sweeps the mirror does not follow its joint ({names}; it misses up to {missed:.2f} um): "
+            "dL is the mirror's by its fringes, the joint's ends are not held to it; fpcal trace shows them"
         )
     if (sweeps.group != "").any():
         said.append("groups of the index are dropped: each trace has a start of its own")

@@ -18,6 +18,8 @@ from fpcal_bayes.fringes.samples import Samples
 
 #: Blocks of a trace; the first and the last are halved this many times more towards the ends, where mirrors linger.
 _BLOCKS, _HALVINGS = 24, 5
+_ENDS = 2.0 ** -np.arange(_HALVINGS, -1.0, -1.0) / _BLOCKS
+_EDGES = np.concatenate([[0.0], _ENDS, np.arange(2, _BLOCKS - 1) / _BLOCKS, 1.0 - _ENDS[::-1], [1.0]])
 #: Samples in a row that a jump of the light spoils beyond what a course follows.
 _IN_A_ROW = 8
 #: Odds that a scan is straight.
@@ -109,15 +111,6 @@ class PhaseErrors:
         share /= share.sum()
         mean = float(share @ slope)
         return mean, float(np.sqrt(share @ (factor * variance + (slope - mean) ** 2))), factor
-
-
-def _edges() -> Floats:
-    ends = 2.0 ** -np.arange(_HALVINGS, -1.0, -1.0) / _BLOCKS
-    inner = np.arange(2, _BLOCKS - 1) / _BLOCKS
-    return np.concatenate([[0.0], ends, inner, 1.0 - ends[::-1], [1.0]])
-
-
-_EDGES = _edges()
 
 
 def fringes_seen(samples: Samples) -> float:

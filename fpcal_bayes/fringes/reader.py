@@ -8,7 +8,7 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
-from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden_start
+from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden
 from fpcal_bayes.fringes.misfit import fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples, fault
@@ -40,6 +40,8 @@ _ASTRAY = 2.0
 _TURNED = 0.005
 #: A turn this near to an extreme of the fringe, in half fringes, may be none.
 _AT_EXTREME = 0.15
+#: A late start below this, in um, is left to the uncertainty.
+_SHORT = 0.01
 #: What an uneven course adds to the standard deviation of an expected change, in um.
 _UNEVEN = 0.5
 #: Standard deviation of an estimate's prediction is doubled, with this much added, in um: the cell drifts.
@@ -115,22 +117,23 @@ def _followed(
     """The course of the mirror: the joint's where that explains the trace."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
     if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
-        hidden = hidden_start(smooth.solution.best, each.samples, each.phase_per_um)
-        fits = tuple(replace(fit, ends_variance=fit.ends_variance + hidden) for fit in smooth.solution.fits)
-        return replace(smooth, solution=replace(smooth.solution, fits=fits))
+        both = [hidden(smooth.solution.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
+        # The start and the end are fitted where it matters.
+        if not any(likely and variance > _SHORT**2 for likely, variance in both):
+            return _widened(smooth, both[0][1] + both[1][1])
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution
     found = follow(each.samples, each.profile, each.phase_per_um, course, nuisance, sd, mirror_light, errs=each.errs)
     if smooth is not None and (found is None or not found.astray):
-        found = smooth
+        # Another course may still be nearly as likely.
+        apart = 0.0 if found is None else found.solution.best.ends_variance
+        found = _widened(smooth, apart)
     if found is None:
         return None
     # What is left beyond noise counts as slow noise, and either end may be off by as much as the blocks are.
-    errors, solution = (
-        found.errors,
-        rescaled(found.solution, max(1.0, found.errors.excess) ** 0.5 * found.solution.best.noise),
-    )
+    errors = found.errors
+    solution = rescaled(found.solution, max(1.0, errors.excess) ** 0.5 * found.solution.best.noise)
     best = found.solution.best
     slopes = slopes_at(best.profile, np.array(best.ends)) * 2.0 / (each.end - each.start)
     added = each.ripple**2 * float(slopes @ slopes)
@@ -140,8 +143,12 @@ def _followed(
         if jumps:
             # A hop leaves half of itself to either side, at half height of the fringe.
             added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
-    wide = tuple(replace(fit, ends_variance=fit.ends_variance + added) for fit in solution.fits)
-    return replace(found, solution=replace(solution, fits=wide))
+    return _widened(replace(found, solution=solution), added)
+
+
+def _widened(found: Followed, variance: float) -> Followed:
+    fits = tuple(replace(fit, ends_variance=fit.ends_variance + variance) for fit in found.solution.fits)
+    return replace(found, solution=replace(found.solution, fits=fits))
 
 
 def _faint(fit: Fit, samples: Samples) -> bool:
@@ -256,7 +263,8 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
         turns=tuple(turns.tolist()),
         reversals=tuple(((each.start + each.end) / 2.0 + turns * (each.end - each.start) / 2.0).tolist()),
         set_out=found.set_out,
-        late=(found.set_out + 1.0) / 2.0 * abs(each.end - each.start),
+        stop=found.stop,
+        late=(found.set_out - found.stop + 2.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
         doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),
@@ -292,7 +300,9 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the phase hops by {abs(found.hop):.2g} rad: the laser or the mirror jumps"
     if late > _ASTRAY * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
-    if missing > 3.0 * sd:
+    if found.stop < 1.0 and missing > _ASTRAY * fringe:
+        return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
+    if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
     more = _TURNED + _turned_back(each.profile.mean, found)
     if found.uneven and _turned_back(verdict.fit.profile, found) > more:

@@ -38,7 +38,7 @@ class Samples:
     def __len__(self) -> int:
         return len(self.signal)
 
-    def part(self, kept: NDArray[np.bool_]) -> "Samples":
+    def part(self, kept: NDArray[np.bool_] | slice) -> "Samples":
         """Those samples that are kept."""
         spread = self.spread if isinstance(self.spread, float) else self.spread[kept]
         return Samples(self.s[kept], self.time[kept], self.signal[kept], self.count[kept], spread)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -83,20 +84,10 @@ def with_noise(
     solution: FringeSolution, profile: DisplacementProfile, phase_per_um: float, noise: float, mirror_light: float = 0.0
 ) -> FringeSolution:
     """The same profiles fitted anew with the standard deviation `noise` (V) of one reading."""
-    fits = [
-        fit_course(
-            solution.samples,
-            profile,
-            fit.profile,
-            phase_per_um,
-            nuisance=fit.nuisance,
-            noise=noise,
-            mirror_light=mirror_light,
-            warm=fit,
-        )
-        for fit in solution.fits
-    ]
-    return FringeSolution(tuple(_distinct(fits)), solution.samples)
+    samples = solution.samples
+    again = partial(fit_course, samples, profile, phase_per_um=phase_per_um, noise=noise, mirror_light=mirror_light)
+    fits = [again(fit.profile, nuisance=fit.nuisance, warm=fit) for fit in solution.fits]
+    return FringeSolution(tuple(_distinct(fits)), samples)
 
 
 def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:

@@ -54,9 +54,11 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
         axis.grid(alpha=0.3)
     if reading.turns:
         trace.plot([], [], color=VERMILION, label="L turns")
-    if reading.set_out > -1.0:
-        place = (start + end) / 2.0 + reading.set_out * (end - start) / 2.0
-        trace.axvspan(start, place, color=VERMILION, alpha=0.15, linewidth=0, label="the mirror stands still")
+    if reading.late:
+        moves = ((start + end) / 2.0 + place * (end - start) / 2.0 for place in (reading.set_out, reading.stop))
+        for joint_end, place in zip((start, end), moves, strict=True):
+            trace.axvspan(joint_end, place, color=VERMILION, alpha=0.15, linewidth=0)
+        trace.plot([], [], color=VERMILION, alpha=0.15, linewidth=6.0, label="the mirror stands still")
     trace.legend(loc="upper right", fontsize=7, ncols=4)
     return figure
 

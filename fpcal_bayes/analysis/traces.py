@@ -115,13 +115,11 @@ def trace_rows(
             places = _places(fit.modes.shape[1])
             changes, common = fit.told(places)
         # The expectation orders the signs within a sweep; which of both courses it was, only the reading may say.
-        signed = reading.signed
-        rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(
-            changes if signed else np.abs(changes), _LEFT
-        )
+        changes = np.copysign(1.0, changes[-1] * reading.dl) * changes if reading.signed else np.abs(changes)
+        rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
         wide = np.pad(common, ((0, 0), (0, DEGREE - common.shape[1])))
         used.append(i)
-        along.append(replace(rows, common=wide, signed=np.full(len(places), signed)))
+        along.append(replace(rows, common=wide, signed=np.full(len(places), reading.signed)))
     if not used:
         raise InputError(f"{sweeps.file}: no trace is the course of its joint: expected traces that are")
     said = []

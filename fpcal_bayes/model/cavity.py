@@ -19,11 +19,12 @@ from fpcal_bayes.model.kernels.lengths import (
     RUNOUT_COS,
     STRIDE,
     THETA,
+    Question,
     R,
     batch_lengths,
+    batch_mirrors,
     few_vector_lengths,
 )
-from fpcal_bayes.model.kernels.mirror import batch_mirrors
 from fpcal_bayes.model.kernels.point import batch_points, point_columns
 from fpcal_bayes.model.parameters import ParameterSet
 
@@ -80,10 +81,6 @@ def _changes(rows: Floats) -> Bools:
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (rows[1:] != rows[:-1]).any(axis=1)
     return new
-
-
-#: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
-_Arguments = tuple[Floats, Ints, Floats, int, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
 
 
 @dataclass(frozen=True)
@@ -151,10 +148,6 @@ class CavityModel:
         return not self.held[own].any() and not np.isin(own, self.free.slots).any()
 
     @cached_property
-    def _axis_is_z(self) -> bool:
-        return self.cell.optical_axis == "z"
-
-    @cached_property
     def _columns(self) -> Ints:
         return self._columns_of(self.free.slots)
 
@@ -220,7 +213,7 @@ class CavityModel:
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
-            result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
+            result = (few_vector_lengths if groups_fill else batch_lengths)(self._question(many, rows))
         else:
             result, _ = self._differentiated(many, rows, self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
@@ -248,7 +241,7 @@ class CavityModel:
 
     def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
         kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
-        return kernel(*self._arguments(values, rows), columns)
+        return kernel(self._question(values, rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
         """Derivatives of the length by the joints at poses (n_poses, n_joints), by the number of each pose's beam."""
@@ -291,8 +284,18 @@ class CavityModel:
         points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
-    def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
-        cell, groups = self.cell, rows.poses
-        turned = groups.group_q, groups.group_cos, groups.group_sin, groups.group_start, groups.prismatic_q
-        path = self._path, self._axis_is_z, cell.revolute
-        return (self.held, self.free.slots, values, *path, *turned, rows.starts, rows.ends)
+    def _question(self, values: Floats, rows: Rows) -> Question:
+        cell, poses = self.cell, rows.poses
+        groups = poses.group_q, poses.group_cos, poses.group_sin, poses.group_start, poses.prismatic_q
+        axis_is_z = cell.optical_axis == "z"
+        return (
+            self.held,
+            self.free.slots,
+            values,
+            self._path,
+            axis_is_z,
+            cell.revolute,
+            groups,
+            rows.starts,
+            rows.ends,
+        )

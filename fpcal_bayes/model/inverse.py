@@ -16,7 +16,7 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse_few import FewJoints
 from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
-from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
+from fpcal_bayes.model.kernels.pose import batch_tool_poses
 
 __all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
 
@@ -137,7 +137,7 @@ class InverseModel:
             q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
         else:
             limits = cell.revolute, cell.low, cell.high
-            q, status, joint = batch_inverse(many, *limits, targets, near, follow, self._starts, -1)
+            q, status, joint = batch_inverse(many, limits, targets, near, follow, self._starts, -1)
         if np.ndim(poses) == 2:
             q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
         if np.ndim(vectors) == 1:
@@ -153,11 +153,15 @@ class InverseModel:
 
 def check_poses(poses: ArrayLike) -> None:
     """Raise `InputError` at the first of `poses` (..., 4, 4) that is no pose, naming it by its number from 1."""
-    stack = np.ascontiguousarray(poses, dtype=float)
+    stack = np.asarray(poses, dtype=float)
     if stack.shape[-2:] != (4, 4):
         raise InputError(f"a pose has shape {stack.shape[-2:]}, expected a 4 x 4 transform")
-    bad = first_bad_pose(stack.reshape(-1, 4, 4), ROTATION_TOLERANCE)
-    if bad >= 0:
-        raise InputError(
-            f"pose {bad + 1}: expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
-        )
+    stack = stack.reshape(-1, 4, 4)
+    turns = stack[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        missed = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2))
+        good = (missed <= ROTATION_TOLERANCE) & (np.linalg.det(turns) > 0) & np.isfinite(stack[:, :3, 3]).all(axis=1)
+    good &= (stack[:, 3] == [0.0, 0.0, 0.0, 1.0]).all(axis=1)
+    if not good.all():
+        what = "expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
+        raise InputError(f"pose {np.argmin(good) + 1}: {what}")

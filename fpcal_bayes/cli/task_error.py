@@ -9,7 +9,6 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
-from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report.tasks import (
     budget_content,
@@ -28,11 +27,6 @@ from fpcal_bayes.report.tasks import (
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    sweeps = None
-    if options.sweeps is not None:
-        sweeps = read_sweeps(options.sweeps, cell).of_session(options.session)
-    if options.sweeps is not None and not options.budget:
-        raise InputError(f"{options.sweeps}: --sweeps is taken with --budget only")
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
@@ -56,14 +50,12 @@ def run(options: argparse.Namespace) -> int:
             content[task.name]["tolerance_exceeds_probability"] = found
             lines += tolerance_lines(own[name], found)
         if options.budget and estimate.trust.usable:
-            budget = budget_of(estimate, driven, sweeps=sweeps)
+            budget = budget_of(estimate, driven)
             content[task.name]["budget"] = budget_content(budget)
             budgets.append(budget)
 
     if not predictions:
         raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
-    if sweeps is not None and estimate.mechanics is not None:
-        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
     warnings += [reason.text for reason in estimate.trust.reasons]
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"

@@ -39,10 +39,7 @@ class Sight:
 
 
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Direction of each joint's axis and a point on it, in the world frame, shape (n_joints, 3) each.
-
-    Positive joint values move along the unit vectors, or turn about them by the right hand; points are in um.
-    """
+    """Direction of each joint's positive motion or right-hand turn, and a point of its axis, (n_joints, 3) each."""
     pose, directions, points = np.eye(4), [], []
     for i, joint in enumerate(cell.joints):
         link = vector[_STRIDE * i : _STRIDE * (i + 1)]

@@ -264,9 +264,9 @@ class CavityModel:
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror, columns three and four of wTt; `InputError` for a point.
+        """Normals and origins of the first beam's mirror at poses (n_poses, n_joints), columns three and four of wTt.
 
-        Of poses (n_poses, n_joints): each (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        Each (n_poses, 3), with a leading axis n_vectors where `values` has one; `InputError` for a point.
         """
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")

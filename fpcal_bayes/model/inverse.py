@@ -122,9 +122,8 @@ class InverseModel:
     ) -> JointSolutions:
         """IGM: joint values at which the tool frame takes `poses` wTe, shape (..., 4, 4), by one or many model vectors.
 
-        near: of several solutions inside the limits the one nearest to these joint values is taken, by default `home`.
-        follow: poses are points of a path: each is solved near the one before it.
-        Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
+        near: the nearest of several solutions is taken, by default to `home`; follow: each near the pose before it.
+        Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
         check_poses(poses)
         near = self.home if near is None else np.ascontiguousarray(near, dtype=float)

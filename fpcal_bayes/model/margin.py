@@ -114,8 +114,7 @@ def margin(
 ) -> Margin:
     """What a path leaves between mirror and fibre, with `draws` (n_draws, n_free) of the model's parameters.
 
-    exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
-    rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+    exact: the draws know the gap, as a simulated truth does. rows: how many share the risk (Bonferroni).
     boxes: poses that a box around many of them shows to be inside need no sizes of their own, which are NaN then.
     """
     envelope = require_envelope(model.cell)
@@ -151,10 +150,9 @@ def _room(sizes: Floats, envelope: Envelope) -> Floats:
 
 
 def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float], gap: bool) -> Bools:
-    """Which poses (n_poses, n_joints) need a look of their own: no box of joints around many of them stays inside.
+    """Which poses need a look of their own: no box of joints around many of them stays inside; `gap`: it is known.
 
-    Boxes are halved while that costs less than a look at their poses; between the values that are looked at a quantity
-    may bend twice as much as it does on them. `gap` is false where the gap is not known.
+    Boxes are halved while that pays; between what is looked at a quantity may bend twice as much as it does there.
     """
     cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
     groups = [np.arange(len(q))]
@@ -207,10 +205,7 @@ def _sizes(known: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float
 
 
 def _far(samples: Floats, z: float, extra_sd: float = 0.0) -> Floats:
-    """Upper end at `z` standard deviations of samples (n, m) with an independent normal part added; shape (m,).
-
-    A tilt times an offset is no normal quantity: the quantile follows skewness and kurtosis (Cornish and Fisher 1938).
-    """
+    """Upper end at `z` sd of samples (n, m) plus a normal part, (m,), also of skew ones (Cornish and Fisher 1938)."""
     mean, sd = samples.mean(axis=0), samples.std(axis=0)
     both = np.maximum(np.hypot(sd, extra_sd), 1e-12)
     away = (samples - mean) / both

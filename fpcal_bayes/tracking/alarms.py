@@ -131,10 +131,7 @@ def extend(
     limits: Limits,
     drift: DriftModel,
 ) -> Monitor:
-    """Take a session, `hours` after the one before, into the memory of the tests.
-
-    `matrix` is the transition of the state over them; `innovation` and Kalman `gain` belong together.
-    """
+    """Take a session into the memory of the tests, `hours` and the transition `matrix` after the one before."""
     fresh = _fresh(session, hours, limits, drift)
     onsets = [onset.with_session(innovation, gain, matrix @ onset.response) for onset in monitor.onsets]
     onsets.append(fresh.with_session(innovation, gain, fresh.response))
@@ -166,8 +163,7 @@ def _summed(total: float, squared: float, dof: int) -> float:
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    A change of the robot before an earlier session counts only if it raises the log likelihood by more than
-    `step_gain`, as a knock just before the last one does.
+    An earlier change of the robot counts only if it gains more log likelihood than a knock just before, `step_gain`.
     """
     last, found = monitor.onsets[-1], []
     for onset in monitor.onsets:
@@ -207,10 +203,7 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
 
 
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
-    """Probability that a session shows a jump, by its size in `Limits.jump`, of each parameter, shape (n_parameters,).
-
-    The session, `hours` after the one before, may be measured or planned. Zero for extrinsic parameters.
-    """
+    """Probability that a session, measured or planned, shows a jump of each parameter (n,); zero for extrinsic ones."""
     intrinsic = ~drift.extrinsic
     onset = _fresh("", hours, limits, drift)
     onset = onset.with_session(innovation, np.zeros((drift.n_states, len(innovation.misfit))), onset.response)
@@ -264,10 +257,7 @@ def _explained(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[float, int]:
 
 
 def _single_jumps(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
-    """A jump of each intrinsic parameter alone: standard score, size, information, gain in log likelihood.
-
-    By regression that allows for a jump of the extrinsic ones at the same session.
-    """
+    """Score, size, information, log likelihood gain of a jump of each intrinsic parameter beside an extrinsic one."""
     e, i = np.flatnonzero(extrinsic), np.flatnonzero(~extrinsic)
     own = onset.information[np.ix_(e, e)] + np.eye(len(e)) / _NUISANCE**2
     cross = onset.information[np.ix_(e, i)]

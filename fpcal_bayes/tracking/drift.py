@@ -47,9 +47,8 @@ class Transition:
 class DriftModel:
     """Drift of a set of parameters.
 
-    The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
-    the error motions of the joints, which stay as they are, then what drives the parameters: rates, returning motions,
-    temperature coefficients, each in units of its own standard deviation.
+    The state holds the parameters, from nominal in prior standard deviations, the error motions, which stay, then what
+    drives the parameters: rates, returning motions, temperature coefficients, in their own standard deviations.
     """
 
     parameters: ParameterSet  # the parameters that are followed
@@ -138,10 +137,7 @@ class DriftModel:
         return tuple(np.flatnonzero(part).tolist() for part in parts)
 
     def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """Mean (n_states,) and covariance of the state after a calibration, given those in um and rad.
-
-        What drives the parameters starts at its prior: a calibration at one time says nothing about it.
-        """
+        """Mean and covariance of the state after a calibration in um and rad; what drives it starts at its prior."""
         n = self.n_parameters
         mean, full = np.zeros(self.n_states), np.eye(self.n_states)
         mean[:n] = (values - self.parameters.nominal) / self.scale

@@ -33,10 +33,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Innovation:
-    """What rows say beyond the prediction, linearised at it.
-
-    For many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
-    """
+    """What rows say beyond the prediction, linearised at it; of many rows the `equivalent_rows`."""
 
     # misfit, jacobian: whitened measurement minus prediction (n_equivalent,), and derivatives by the state
     # (n_equivalent, n_states)
@@ -102,10 +99,7 @@ class Update:
 
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
-    """The state at a later time, before anything is measured then.
-
-    `temperature_c` is logged at that time, or NaN: the temperature is then taken as unchanged.
-    """
+    """The state at a later time, before anything is measured then; an unlogged temperature is NaN, unchanged."""
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
     known = state.temperature_c if isnan(temperature_c) else temperature_c

@@ -16,12 +16,9 @@ _ROWS_PER_STATE = 2
 
 
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """Few whitened rows that say the same about the state as many.
+    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states).
 
-    A rotation that makes ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state
-    explains, and rows of zeros, which are dropped (square-root information filter, Bierman 1977). Sums of squares and
-    determinants stay. Given are whitened measurement minus prediction (n_rows,) and its derivatives (n_rows, n_states);
-    at most twice as many rows as states are given back as they are.
+    A triangle of ``[jacobian, misfit]``, rows of zeros dropped (square-root information filter, Bierman 1977).
     """
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:

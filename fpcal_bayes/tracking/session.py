@@ -61,10 +61,7 @@ class SessionOutcome:
 def take_in(
     drift: DriftModel, model: CavityModel, limits: Limits, state: State, monitor: Monitor, sweeps: Sweeps
 ) -> SessionOutcome:
-    """Take in the sweeps of one session, measured later than `state`; rows of kind ``path`` are not used.
-
-    `drift` and `model` are of the same parameters; `state` and `monitor` stand after the session before.
-    """
+    """Take in the sweeps of one session later than `state`, which stands with `monitor` after the one before."""
     session, time_h, temperature = str(sweeps.session[0]), float(sweeps.time_h.max()), mean_temperature(sweeps)
     hours = time_h - state.time_h
     predicted = predict(drift, state, time_h, temperature)
@@ -178,10 +175,7 @@ class _Judge:
     def explain(
         self, measurement: SweepMeasurement, found: list[Finding]
     ) -> tuple[SessionVerdict, list[Finding], Floats]:
-        """What moved, why, and by how much the state is to be widened.
-
-        The rows are not linear over a jump, so the tests are made again where the best knock leads.
-        """
+        """What moved, why, and the sd of the widening; the tests are made again where the best knock leads."""
         tried = []
         for size in _STEP_SIZES:
             wide = inflate(self.predicted, self.step(size))

@@ -23,8 +23,7 @@ _UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
     """The sweeps of each session, in order of time; `InputError` where they break the rules of a history.
 
-    Sessions may stand in any order, are measured, do not overlap or repeat each other, and their clock times run as
-    ``time_h`` does. None lies after `now_h`, or without it after this machine's clock where rows carry ``utc``.
+    Sessions are measured, do not overlap or repeat, and their clocks run as ``time_h`` does, none later than now.
     """
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
@@ -58,10 +57,7 @@ def mean_temperature(sweeps: Sweeps) -> float:
 
 
 def hours_of(text: str, sweeps: Sweeps) -> float:
-    """A time that a user gives, hours or clock time, in hours since the campaign began.
-
-    `InputError` for a clock time where no session carries one.
-    """
+    """A user's time, hours or clock time, in hours of the campaign; `InputError` if no session has a clock."""
     wanted = read_time(text)
     if isinstance(wanted, float):
         return wanted

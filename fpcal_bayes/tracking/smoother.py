@@ -43,11 +43,9 @@ class Smoothed:
 
 
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
-    """States after each session given all sessions, in order of time.
+    """States after each session given all sessions, in order of time; widenings are noise of the step before.
 
-    Widenings after a jump count as noise of the step before their session. `outcomes` begin with the calibration and
-    hold their measurements (else `ValueError`: see `tracker.smooth_track`); without that of the calibration its state
-    is taken as it is.
+    `outcomes` begin with the calibration, whose state is taken as it is without its measurement; others hold theirs.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -206,10 +204,7 @@ _AFTER_JUMP = 8
 def follow_sessions(
     drift: DriftModel, model: CavityModel, limits: Limits, known: Sequence[SessionOutcome], parts: Sequence[Sweeps]
 ) -> list[SessionOutcome]:
-    """Take in the sessions after those that are known, at least the calibration.
-
-    `drift` has its `hidden` noise; `parts` are the sweeps of all sessions, in order of time.
-    """
+    """Take in the sessions `parts`, in order of time, after those that are known; `drift` has its `hidden` noise."""
     outcomes = list(known)
     for part in parts[len(outcomes) :]:
         before = outcomes[-1]
@@ -222,10 +217,7 @@ def follow_sessions(
 
 
 def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
-    """The last outcome; where a look is due, with the state to which the sessions lead together.
-
-    `outcomes` begin with the calibration and hold the measurements of the last sessions.
-    """
+    """The last outcome; where a look is due, with the state to which all sessions lead together."""
     last = outcomes[-1]
     if not _is_due(outcomes):
         return last

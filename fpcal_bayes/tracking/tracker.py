@@ -110,11 +110,7 @@ def estimate_of(
     data: dict[str, str] | None = None,
     valid_until_h: float | None = None,
 ) -> Estimate:
-    """A state as an estimate, in um and rad.
-
-    `status` is that of each parameter after the calibration; what the data no longer halve the variance of becomes
-    weak.
-    """
+    """A state as an estimate; `status` is that after the calibration, weak where the variance is no longer halved."""
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
     now = tuple(
@@ -139,12 +135,10 @@ def track(
     known: Track | None = None,
     now_h: float | None = None,
 ) -> Track:
-    """Follow the free parameters of a cell, with its drift sizes, through the measured sweeps of a campaign.
+    """Follow the free parameters of a cell through the measured sweeps of a campaign, whose first session is full.
 
-    The first session is the full calibration. `drift` stands in place of the cell's own, to which `likely_drift` adds
-    terms if a temperature is logged; `known` is an earlier track of the first sessions, which are not taken in again;
-    sessions after `now_h` are refused. `InputError` if the cell states no drift, sessions overlap, repeat or lie in the
-    future, or the first session is no calibration.
+    `drift` stands in place of `likely_drift`; sessions of `known`, an earlier track, are not taken in again; none may
+    be after `now_h`. `InputError` for a cell without drift, sessions out of order, a first that is no calibration.
     """
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
@@ -178,8 +172,7 @@ def calibrate(
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
     """Identify all parameters from the first session; `InputError` if it determines too little.
 
-    Gives its outcome, the status of each parameter, and where the posterior has several minima the outcome from each of
-    them alone and its share of the posterior.
+    Gives its outcome, the status of each parameter, and of several minima the outcome of each and its share.
     """
     found, warnings = _identified(cell, drift, sweeps)
     if found.spectrum.rank < _CALIBRATED * len(drift.parameters):

@@ -97,8 +97,7 @@ TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, all of these (the default)
 The task error is the change of cavity length along the task that the controller does not know of, where the joints can
 follow. It is worked out from posterior draws, which an estimate of fpcal identify holds too (500); from an estimate
 without draws, to first order from its covariance. --budget prints the uncertainty budget of the worst point (GUM, JCGM
-100 and 101), always to first order; with --sweeps, the file that the estimate was made from, it tells the noise, the
-prior and the wavelength apart.
+100 and 101), always to first order.
 
 Of bands of 95 % after the paper's end-point sweeps 94 to 95 % hold the true value in simulation, for every task; to
 first order from the covariance 91 % do for spin, 93 to 95 % for the others (fpcal study coverage).
@@ -117,8 +116,6 @@ def task_error(commands: Commands) -> None:
     add("--draws", type=count, default=10_000, help="errors to draw from a covariance (default: 10000)")
     add("--seed", type=seed, default=0, help="of these draws (default: 0)")
     add("--budget", action="store_true", help="print the uncertainty budget of each task")
-    add("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
-    add("--session", metavar="NAME", help="session of these sweeps (default: the first)")
     add_json(parser)
 
 

@@ -308,10 +308,7 @@ def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
 def _fit(
     problem: Problem, first: Floats, rng: np.random.Generator, max_starts: int
 ) -> tuple[Problem, Solution, list[Solution], int]:
-    """Minimise from `first`, from its mirror images, and from draws of the prior while the fit is worse than chance.
-
-    Returns the problem and its lowest minimum, every minimum that was found, and the number of starting points.
-    """
+    """Lowest minimum from `first`, its images, and prior draws while the fit is poor; all minima, number of starts."""
     problem, solution = _converge(problem, first)
     found = [solution]
     found += [minimise(problem, image) for image in sign_images(problem, solution)[: max_starts - 1]]

@@ -19,9 +19,8 @@ from fpcal_bayes.model.cavity import CavityModel
 class Batch:
     """Groups of equally many rows, each row whitened given those before it in its group.
 
-    In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
-    have in common, of unit variance. What the rows before it tell about z is taken off (a Kalman filter on z), which
-    is the inverse Cholesky factor of the group's covariance without forming it.
+    In units of its own error a row is ``shared @ z`` plus that error, z common to the group, of unit variance. What
+    earlier rows tell of z is taken off (a Kalman filter on z): the inverse Cholesky factor, without forming it.
     """
 
     members: Ints  # positions of the rows, shape (n_groups, n_members)

@@ -51,8 +51,7 @@ def hold_rest(
 ) -> tuple[CavityModel, Considered | None]:
     """The model with the parameters outside `chosen` held at `start`, or at nominal, and what is unknown of them.
 
-    A parameter that `start` knows is considered, in linear rows around its value. One that only its prior tells of may
-    be off by degrees, where no line holds: it is free in the model beside the chosen ones, whatever is stated of it.
+    What `start` knows is considered, linear around its value; what only its prior tells stays free, for no line holds.
     """
     known = start.parameters.names if start is not None else ()
     vector = cell.parameters.nominal.copy()
@@ -239,10 +238,7 @@ class Problem:
         return np.vstack([self.data_jacobian(unknowns), np.eye(self.n_unknowns)])
 
     def covariance(self, unknowns: Floats) -> Floats:
-        """Laplace covariance of free and considered parameters in um and rad, shape (n_unknowns, n_unknowns).
-
-        The block of the considered parameters is the covariance they came with, and the cross block is Schmidt's.
-        """
+        """Laplace covariance of free and considered parameters in um and rad, with Schmidt's cross block."""
         jacobian = self.data_jacobian(unknowns)
         inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(self.n_unknowns))
         scaled = inverse @ inverse.T

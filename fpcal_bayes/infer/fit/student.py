@@ -68,10 +68,7 @@ class StudentTangent:
 
 @dataclass(frozen=True)
 class StudentProblem(Problem):
-    """A problem whose whitened rows have Student-t errors.
-
-    For rows that share a reading, what the rows before it do not explain of a row has them.
-    """
+    """A problem with Student-t errors of whitened rows; of rows that share a reading, of what those before leave."""
 
     dof: float = DOF
 
@@ -107,10 +104,9 @@ class StudentProblem(Problem):
 
 
 def robust_minimum(problem: StudentProblem, start: Floats) -> Solution:
-    """The lowest minimum found from `start` (n_unknowns,) and from the prior's middle.
+    """The lowest minimum found from `start` (n_unknowns,) and from the prior's middle, at first with much wider noise.
 
-    Outliers give the sum of squares many minima: the search begins with noise so wide that there are none, and narrows
-    it down (graduated non-convexity, Blake and Zisserman 1987).
+    Graduated non-convexity (Blake and Zisserman 1987): outliers give the sum of squares many minima.
     """
     found = [minimise(problem, start)]
     for begin in (start, np.zeros(problem.n_unknowns)):

@@ -67,8 +67,7 @@ class Posterior(Result):
     def trust(self) -> Trust:
         """What is held against the draws.
 
-        Second solutions and doubtful signs are sampled, and a poor fit to Gaussian noise says nothing of rows that may
-        slip or have heavy tails.
+        Not second solutions and doubtful signs, which are sampled, nor a poor Gaussian fit where rows may be otherwise.
         """
         told = {"second-solution", "signs"}
         if isinstance(self.target, SlipTarget) or self.target.dof is not None:
@@ -145,10 +144,7 @@ class WeightedDraws:
 
 
 def smoothed_weights(log_weights: Floats, independent: float = 1.0) -> tuple[Floats, float]:
-    """Log weights (n_points,) that add up to one, their tail smoothed, and the shape k of that tail.
-
-    A k that is infinite stands for weights of which one outweighs all others.
-    """
+    """Log weights that add up to one, their tail smoothed, and its shape k; infinite where one outweighs all others."""
     # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
@@ -201,10 +197,9 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
-    """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
+    """Draws as JSON, in um and deg: names and one row per draw; empty where the covariance has to do.
 
-    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
-    the data speak about these; or if the draws stand with those of the mechanics.
+    That is so for a fit that did not converge, held parameters, or draws that stand with those of the mechanics.
     """
     free = found.free
     if not found.converged or found.machine is not None or free.names != found.estimate.parameters.names:

@@ -164,10 +164,7 @@ def _left_out(
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
-    """Log of the mean of exp(`without`) (m,) under normalised weights that are worth `effective` independent draws.
-
-    It is steadied by log densities `with_row` (n,) at draws that the row itself has pulled near.
-    """
+    """Log mean of exp(`without`) under `weights`, steadied by log densities at draws that the row pulled near."""
     share = len(with_row) / (len(with_row) + effective)
     log_weights = np.log(np.maximum(weights, 1e-300))
     ratio = float(special.logsumexp(without + log_weights))

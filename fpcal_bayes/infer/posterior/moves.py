@@ -14,8 +14,8 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
     """Metropolis-Hastings with independent proposals from an atlas; those of `ahead` steps are made at once.
 
-    Each walker carries the log density with which the atlas proposes its place (the blob), so that the step is exact
-    also for walkers outside every chart: from there any move inside is refused. Another move brings them in and out.
+    Each walker carries the log density with which the atlas proposes its place (the blob): the step is exact outside
+    every chart, too, where any move inside is refused and another move leads.
     """
 
     def __init__(self, atlas: ProposalMixture, ahead: int = 1) -> None:

@@ -22,11 +22,9 @@ _NARROWING = 0.6
 
 
 class SlipTarget(PosteriorTarget):
-    """The posterior of a problem whose rows may have slipped.
+    """The posterior of a problem whose rows may have slipped; `slips` that were found only say where to look first.
 
     Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
-
-    slips: corrections that were found; they only say where to look first.
     """
 
     def __init__(self, slips: Slips) -> None:

@@ -50,8 +50,8 @@ def pose_changes(
 ) -> tuple[Floats, Floats]:
     """Difference between the mirror as it stands and as the estimate expects it, for many truths; as in `task_errors`.
 
-    Tilts of the mirror normal, each seen from its own fibre frame, along the expected mirror's X and Y, in rad, shape
-    (n_draws, n_points, 2), and the changes since the start as in `PoseErrors`.
+    Tilts of the normal, seen from its own fibre frame, along the expected mirror's X and Y, in rad, shape (n_draws,
+    n_points, 2), and the changes since the start as in `PoseErrors`.
     """
     task_rows(model, task)
     true, place = _mirrors(model, np.atleast_2d(truth_values), task)
@@ -102,10 +102,7 @@ def pose_errors(
 
 
 def _mirrors(model: CavityModel, values: Floats, task: Task) -> tuple[Floats, Floats]:
-    """Mirror orientations (n_draws, 1 + n_points, 3, 3) and places of its point (..., 3) in the fibre frame.
-
-    Both at the start and along the path.
-    """
+    """Mirror orientations (n_draws, 1 + n_points, 3, 3) and places of its point, in the fibre frame, start first."""
     vectors, cell = np.array([model.vector(v) for v in values]), model.cell
     joints = np.vstack([np.zeros_like(task.start), task.start, task.q])
     tools = InverseModel(cell).tool_poses(vectors, joints)

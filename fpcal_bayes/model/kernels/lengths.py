@@ -106,7 +106,6 @@ def carry_plane(
 
     used: whether an entry of the model vector may differ from zero in some lane, shape (model size,).
     plane, slope: written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
-    n_lanes: columns in use; the others are neither read nor written.
     """
     vector, cosine, sine = block
     joint_q, joint_cos, joint_sin = joints

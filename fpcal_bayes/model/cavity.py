@@ -34,11 +34,9 @@ class PoseGroups:
     """Distinct poses, sorted by group."""
 
     q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
-    #: group_q, group_cos, group_sin: Joint values of each group and their cosines and sines, shape (n_groups,
-    #: n_joints); zero, one, zero at prismatic joints.
-    group_q: Floats
-    group_cos: Floats
-    group_sin: Floats
+    group_q: Floats  # joint values of each group, (n_groups, n_joints), zero where prismatic
+    group_cos: Floats  # their cosines
+    group_sin: Floats  # their sines
     group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
     prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
     inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
@@ -90,8 +88,7 @@ class Rows:
     poses: PoseGroups
     starts: Ints
     ends: Ints
-    #: In a cell with further beams: the rows of each beam, their positions, and number of the beam.
-    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()
+    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()  # beam's number, positions, rows, of further beams
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ class Estimate(Result):
     valid_until_h: float | None = None  # until when it may be used, or None where nobody has worked that out
     data: dict[str, str] = field(default_factory=dict)  # name and hash of the file it was made from
     trust: Trust = field(default_factory=Trust)  # whether it may be used, and what is held against it
-    # what is known of the error motions with these parameters; None: the mechanism is taken as perfect
-    mechanics: MechanicsKnowledge | None = None
+    mechanics: MechanicsKnowledge | None = None  # error motions with these parameters; None: perfect mechanism
 
     @property
     def sd(self) -> Floats:

@@ -29,15 +29,14 @@ _FAR_TURN, _FAR_TRAVEL = np.pi, 1000.0
 
 @dataclass(frozen=True)
 class JointSolutions:
-    """Joint values of poses, and what became of each pose."""
+    """Joint values of poses, and what became of each pose; nothing is clipped: drive to those that are `ok` only."""
 
     cell: Cell  # whose joints they are
     #: Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
     #: saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
     q: Floats
     status: Ints  # `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...)
-    #: Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
-    joint: Ints
+    joint: Ints  # the one farthest beyond its limit where a pose is saturated, else -1, shape (...)
 
     @property
     def ok(self) -> NDArray[np.bool_]:

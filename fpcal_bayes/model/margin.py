@@ -38,15 +38,11 @@ _WORTH = 6
 class Margin:
     """What is left at each pose; lengths in um, angles in rad."""
 
-    # gap, gap_sd, least_gap: clearance between mirror and fibre, edges included: expected, its standard deviation, and
-    # what it is at `SIGMAS` standard deviations, shape (n_poses,)
-    gap: Floats
-    gap_sd: Floats
-    least_gap: Floats
-    # tilt, most_tilt: angle between light and mirror normal, expected and at `SIGMAS` standard deviations, shape
-    # (n_poses,)
-    tilt: Floats
-    most_tilt: Floats
+    gap: Floats  # clearance between mirror and fibre, edges included, expected, shape (n_poses,)
+    gap_sd: Floats  # its standard deviation
+    least_gap: Floats  # what it is at `SIGMAS` standard deviations
+    tilt: Floats  # angle between light and mirror normal, expected, shape (n_poses,)
+    most_tilt: Floats  # the same at `SIGMAS` standard deviations
     most_aside: Floats  # distance of the reflection point from the mirror's origin, likewise
     rate: Floats  # half waves a second on each step of the path, likewise, shape (n_steps,)
     known: bool  # whether the gap is measured; if not, `gap` counts from the nominal one
@@ -77,9 +73,8 @@ class Known:
 
     model: CavityModel  # cavity model of the parameters
     draws: Floats  # shape (n_draws, n_free), in um and rad
-    # fibre, light: end of the fibre and direction of its light at each draw, shape (n_draws, 1, 3)
-    fibre: Floats
-    light: Floats
+    fibre: Floats  # its end at each draw, shape (n_draws, 1, 3)
+    light: Floats  # direction of its light, likewise
 
     @classmethod
     def of(cls, model: CavityModel, draws: Floats) -> "Known":
@@ -89,10 +84,9 @@ class Known:
         return cls(model, draws, vectors[:, None, -3:], chain.optical_axis(model.cell, vectors)[:, None])
 
     def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
+        """How mirror and fibre stand at each draw and pose, in um, shape (n_draws, n_poses) each.
 
-        Distance of the fibre before the mirror's plane, cosine of the tilt, distance of the reflection point from the
-        mirror's origin, distance of that origin along the light.
+        Fibre before the mirror's plane, cosine of the tilt, offset of the reflection point, mirror's origin along it.
         """
         normals, origins = self.model.mirrors(self.draws, q)
         light = np.swapaxes(self.light, 1, 2)

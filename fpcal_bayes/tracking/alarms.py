@@ -31,17 +31,13 @@ HOURS_PER_WEEK = 168.0
 class Limits:
     """When a session is called inconsistent."""
 
-    # full_per_week, extrinsic_per_week: false alarms a week that call for a full calibration, and that only widen the
-    # extrinsic parameters
-    full_per_week: float = 0.014
-    extrinsic_per_week: float = 0.02
+    full_per_week: float = 0.014  # false alarms a week that call for a full calibration
+    extrinsic_per_week: float = 0.02  # those that only widen the extrinsic parameters
     looks: int = 3  # for how many sessions a jump is looked for after it
     window: int = 6  # number of sessions whose innovations are summed
-    # knock_deg, knock_um: standard deviation of a jump of an extrinsic parameter
-    knock_deg: float = 0.1
+    knock_deg: float = 0.1  # standard deviation of a jump of an extrinsic parameter
     knock_um: float = 20.0
-    # change_deg, change_um: the same of an intrinsic parameter
-    change_deg: float = 0.1
+    change_deg: float = 0.1  # the same of an intrinsic parameter
     change_um: float = 2.0
 
     def jump(self, drift: DriftModel) -> Floats:
@@ -65,12 +61,10 @@ class Onset:
     hours: float  # time since the session before it
     age: int  # number of sessions since, itself included
     response: Floats  # what is left of a jump in the error of the state now, shape (n_states, n_parameters)
-    # information, score: of the regression, shapes (n_parameters, n_parameters) and (n_parameters,)
-    information: Floats
-    score: Floats
-    # squared, dof: sum of normalised innovations squared since, and of their degrees of freedom
-    squared: float
-    dof: int
+    information: Floats  # of the regression, shape (n_parameters, n_parameters)
+    score: Floats  # likewise, shape (n_parameters,)
+    squared: float  # sum of normalised innovations squared since
+    dof: int  # of their degrees of freedom
 
     def with_session(self, innovation: Innovation, gain: Floats, predicted_response: Floats) -> "Onset":
         """With one more session, taken in by `gain`; `predicted_response` is `response` carried to its time."""
@@ -102,11 +96,9 @@ class Monitor:
     """What the tests remember from session to session."""
 
     onsets: tuple[Onset, ...] = ()  # sessions that may hold a jump, oldest first
-    # normalised innovation squared and degrees of freedom of the last sessions, oldest first
-    recent: tuple[tuple[float, int], ...] = ()
-    # cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest
-    cusum_extrinsic: float = 0.0
-    cusum_residual: float = 0.0
+    recent: tuple[tuple[float, int], ...] = ()  # innovation squared and degrees of freedom, oldest first
+    cusum_extrinsic: float = 0.0  # cumulative sum of normal scores: of what extrinsic parameters could explain
+    cusum_residual: float = 0.0  # of the rest
 
 
 #: A cumulative sum of normal scores above 0.5 that reaches this does so by chance once in 2,000 weeks of 8-hourly

@@ -28,15 +28,13 @@ class RowChanges:
     ``H = Q R`` the rows' inverse covariance is ``I - Q M Q'``, ``M = I - (I + R P R')^-1`` with a row per state.
     """
 
-    # squared, along, size: normalised innovation squared with the changes made so far, and see above, shape (n_rows,)
-    squared: float
-    along: Floats
-    size: Floats
+    squared: float  # normalised innovation squared, with the changes made so far
+    along: Floats  # see above, shape (n_rows,)
+    size: Floats  # likewise
     # product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero
     own: sparse.csc_array
-    # seen, weighed: half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states)
-    seen: Floats
-    weighed: Floats
+    seen: Floats  # half a wavelength of each row along Q, shape (n_rows, n_states)
+    weighed: Floats  # the same times M
 
     def taken_off(self, row: int, waves: int) -> Self:
         """With whole half wavelengths taken off one row."""
@@ -51,8 +49,7 @@ def row_changes(measurement: SweepMeasurement, predicted: State) -> RowChanges:
     """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
     half_wave, whitening = measurement.model.half_waves(measurement.rows), measurement.whitening
     misfit, jacobian = measurement.linearise(predicted.mean)
-    mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
-    waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
+    waves = sparse.csr_array(whitening.as_matrix @ sparse.diags_array(half_wave))
     directions, triangle = np.linalg.qr(jacobian)
     spread = np.eye(len(triangle)) + triangle @ predicted.covariance @ triangle.T
     explained = np.eye(len(triangle)) - np.linalg.inv(spread)
@@ -192,10 +189,7 @@ def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, 
 
 
 def _most(evidence: float, log_odds: float, innovation: Innovation, squared: float, left: Floats) -> float:
-    """How much the log likelihood can rise at most by the slips found so far and further ones.
-
-    Among few rows one more may explain all that is left; among many each shows by itself.
-    """
+    """Most that slips can raise the log likelihood; among few rows one more may explain all that is left."""
     if len(innovation.misfit) == innovation.dof:
         return evidence + log_odds + 0.5 * innovation.squared
     falls = squared - left.min(axis=0)

@@ -27,9 +27,8 @@ class State:
     """What is known at a time."""
 
     time_h: float  # hours since the campaign began
-    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
-    mean: Floats
-    covariance: Floats
+    mean: Floats  # of the states of a `DriftModel`, shape (n_states,)
+    covariance: Floats  # shape (n_states, n_states)
     temperature_c: float = float("nan")  # last temperature that was logged, or NaN
 
 
@@ -37,9 +36,8 @@ class State:
 class Transition:
     """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`."""
 
-    # matrix, noise: shape (n_states, n_states)
-    matrix: Floats
-    noise: Floats
+    matrix: Floats  # shape (n_states, n_states)
+    noise: Floats  # likewise
     shift: Floats  # shape (n_states,)
 
 
@@ -57,8 +55,7 @@ class DriftModel:
     # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
     motions: MotionStates | None = field(default=None, compare=False)  # of a machine, as its calibration found them
-    # how many times as fast as stated robot, and mirror and fibre walk (see `with_learnt_pace`)
-    pace: tuple[float, float] = (1.0, 1.0)
+    pace: tuple[float, float] = (1.0, 1.0)  # robot's, and mirror's and fibre's, times the stated walk
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":

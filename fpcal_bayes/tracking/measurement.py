@@ -31,9 +31,8 @@ def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
 class LinearMeasurement:
     """Rows ``z = H x + e`` with e of unit covariance."""
 
-    # z, h: whitened, shapes (n_rows,) and (n_rows, n_states)
-    z: Floats
-    h: Floats
+    z: Floats  # whitened, shape (n_rows,)
+    h: Floats  # likewise, shape (n_rows, n_states)
     log_volume: float = 0.0  # logarithm of the determinant of the whitening
 
     def misfit(self, mean: Floats) -> Floats:
@@ -49,13 +48,10 @@ class LinearMeasurement:
 class SweepMeasurement:
     """The changes of cavity length of a session's sweeps."""
 
-    # drift, model: what the state means, and the cavity model of the same parameters
-    drift: DriftModel
-    model: CavityModel
-    # rows, target, whitening: sweeps laid out for the kernels, their measured changes with sign (n_rows,), their
-    # whitening
-    rows: Rows
-    target: Floats
+    drift: DriftModel  # what the state means
+    model: CavityModel  # cavity model of the same parameters
+    rows: Rows  # sweeps laid out for the kernels
+    target: Floats  # their measured changes with sign, shape (n_rows,)
     whitening: Whitening
     motions: Floats | None = None  # derivatives by the states of the error motions, shape (n_rows, n_motions), in um
 

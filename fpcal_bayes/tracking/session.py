@@ -31,23 +31,18 @@ _MOST_OUTLIERS, _SET_ASIDE = 2, 1e3
 class SessionOutcome:
     """What a session said and what was made of it."""
 
-    # session, time_h, utc: its name, its last time in hours, and the same as clock time or empty
-    session: str
-    time_h: float
-    utc: str
-    # predicted, state: before and after the session; the first holds no widening
-    predicted: State
-    state: State
-    # standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled
-    jump: Floats
+    session: str  # its name
+    time_h: float  # its last time
+    utc: str  # the same as clock time, or empty
+    predicted: State  # before the session, without a widening
+    state: State  # after it
+    jump: Floats  # sd by which the predicted state was widened, shape (n_states,); zero if all is as modelled
     monitor: Monitor = field(default_factory=Monitor)  # memory of the tests after it
     n_sweeps: int = 0  # rows that were used
-    # nis, dof: normalised innovation squared (not divided) and its degrees of freedom
-    nis: float = 0.0
-    dof: int = 0
-    # verdict, evidence: whether all is as modelled, and in words what speaks against it
-    verdict: SessionVerdict = "as-modelled"
-    evidence: tuple[str, ...] = ()
+    nis: float = 0.0  # normalised innovation squared, not divided
+    dof: int = 0  # its degrees of freedom
+    verdict: SessionVerdict = "as-modelled"  # whether all is as modelled
+    evidence: tuple[str, ...] = ()  # in words what speaks against it
     warnings: tuple[str, ...] = ()  # sentences about rows that were corrected or left out
     log_likelihood: float = 0.0  # of the rows given all sessions before
     converged: bool = True  # whether the update came to rest

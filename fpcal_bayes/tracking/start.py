@@ -40,10 +40,7 @@ _JITTER = 1e-18
 
 
 def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
-    """The maximum of the posterior, with the covariance by which its linearised predictions spread as the draws do.
-
-    `draws` (n_draws, n), in um and rad, more than n; `sweeps` are those of the calibration.
-    """
+    """The maximum of the posterior, with the covariance by which its linear predictions spread as `draws` do."""
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
     sd = parameters.prior_sd

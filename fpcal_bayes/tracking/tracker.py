@@ -20,7 +20,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
-from fpcal_bayes.tracking.filter import kalman
+from fpcal_bayes.tracking.filter import kalman, take_rows
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
@@ -39,9 +39,8 @@ _CALIBRATED = 0.6
 class Track(Result):
     """What following a campaign gave."""
 
-    # cell, drift: what was followed, and how it drifts
-    cell: Cell
-    drift: DriftModel
+    cell: Cell  # what was followed
+    drift: DriftModel  # how it drifts
     outcomes: tuple[SessionOutcome, ...]  # one per session, in order of time; the first is the calibration
     status: tuple[str, ...]  # of each parameter after the calibration
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
@@ -170,10 +169,7 @@ def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session; `InputError` if it determines too little.
-
-    Gives its outcome, the status of each parameter, and of several minima the outcome of each and its share.
-    """
+    """Outcome of the full first session, or `InputError`; status by parameter; of several minima outcome and share."""
     found, warnings = _identified(cell, drift, sweeps)
     if found.spectrum.rank < _CALIBRATED * len(drift.parameters):
         raise InputError(
@@ -211,9 +207,8 @@ def _machine_outcome(
     taken = SweepMeasurement.of(drift, problem.model, problem.sweeps, first.state.mean)
     misfit, jacobian = replace(taken, target=problem.target).linearise(first.state.mean)
     rows, derivatives = equivalent_rows(misfit + jacobian @ first.state.mean, jacobian)
-    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)), 1)
-    filtered.dim_z = len(rows)
-    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)))
+    take_rows(filtered, rows, derivatives)
     measurement = replace(SweepMeasurement.of(drift, problem.model, problem.sweeps, filtered.x), target=problem.target)
     return replace(
         first,

@@ -48,14 +48,12 @@ class Identification(Result):
     """Result of `identify`."""
 
     estimate: Estimate  # maximum of the posterior with its Laplace covariance
-    # problem, solution: the least-squares problem as it was solved last, and its minimum
-    problem: Problem
-    solution: Solution
+    problem: Problem  # the least-squares problem as it was solved last
+    solution: Solution  # its minimum
     free: ParameterSet  # the parameters that were identified
     spectrum: Spectrum  # what the data tell about them
     fit: GoodnessOfFit  # how well the data are met
-    # further minima of the sum of squares that count for the posterior, lowest first
-    other_minima: tuple[Solution, ...]
+    other_minima: tuple[Solution, ...]  # further ones that count for the posterior, lowest first
     signs: SignDecision | None  # how the unsigned rows were decided, or None
     starts: int  # number of starting points that were tried
     seconds: float  # time of the identification itself
@@ -270,10 +268,9 @@ def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
     """Scaled unknowns (n_unknowns,) of `start`, or the middle of the prior."""
     if start is None:
         return np.zeros(problem.n_unknowns)
-    values = problem.values(np.zeros(problem.n_unknowns))
-    for i, name in enumerate(problem.model.free.names):
-        if name in start.parameters:
-            values[i] = start.values[start.parameters.position(name)]
+    values, free = problem.values(np.zeros(problem.n_unknowns)), problem.model.free
+    known = [name for name in free.names if name in start.parameters]
+    values[free.positions(known)] = start.block(known)[0]
     return problem.unknowns(values)
 
 

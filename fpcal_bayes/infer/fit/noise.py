@@ -25,10 +25,8 @@ class Batch:
 
     members: Ints  # positions of the rows, shape (n_groups, n_members)
     own: Floats  # one over the standard deviation of each row's own error, same shape
-    # shared, gain: shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier
-    # rows of `shared` times the row
-    shared: Floats
-    gain: Floats
+    shared: Floats  # effect of the common errors on each row, shape (n_groups, n_members, n_common)
+    gain: Floats  # times the sum over earlier rows of `shared` times the row: the prediction of a row
     scale: Floats  # one over the standard deviation of what is left, shape (n_groups, n_members)
 
     @classmethod
@@ -155,8 +153,7 @@ class Whitening:
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
     """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
-    A row's variance is that of its reading plus the joints' repeatability at both ends. Rows of a group share the
-    reading and the joint errors at their start, which gives equal readings a correlation of 1/2.
+    Rows of a group share reading and joint errors at their start: equal readings have a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
     starts = ends = np.zeros((len(sweeps), 0))

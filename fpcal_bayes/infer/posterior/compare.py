@@ -178,16 +178,12 @@ class ModelResult:
 class Difference:
     """How much better one model predicts than another."""
 
-    # better, worse: the models
     better: ModelSpec
     worse: ModelSpec
-    # elpd, se: sum over the rows of the difference of their log densities, and its standard error
-    elpd: float
-    se: float
+    elpd: float  # sum over the rows of the difference of their log densities
+    se: float  # its standard error
     at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
-    # whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
-    # which makes its standard error large, not the verdict doubtful
-    rejected: bool = False
+    rejected: bool = False  # whether only the better one fits: a few rows may then make up the difference and its se
 
     @property
     def clear(self) -> bool:

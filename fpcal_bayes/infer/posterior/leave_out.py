@@ -43,8 +43,7 @@ class LeaveOneOut:
     """Log density of each row given all others."""
 
     elpd_rows: Floats  # shape (n_rows,), per um
-    # log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`
-    bound_rows: Floats
+    bound_rows: Floats  # given all rows, itself among them: never below the exact value of `elpd_rows`
     pareto_k: Floats  # shape of the tail of each row's weights, shape (n_rows,)
     good_k: float  # up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024)
     refitted: Bools  # rows that were left out in earnest, shape (n_rows,)

@@ -98,9 +98,8 @@ def _column(reader: Reader, group: Any, name: str, unit: str) -> Floats:
 class PosteriorSummary:
     """Draws of a posterior and what they are worth."""
 
-    # file, sha256: name without folder, and hash of the bytes
-    file: str
-    sha256: str
+    file: str  # name without folder
+    sha256: str  # hash of the bytes
     parameters: ParameterSet
     draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
     prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)

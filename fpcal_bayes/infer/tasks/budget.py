@@ -74,10 +74,8 @@ class Budget:
     along: float  # where on it the worst point stands, in `unit`
     unit: str
     lines: tuple[Line, ...]
-    # correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n)
-    correlation: Floats
-    # probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um
-    interval: tuple[float, float]
+    correlation: Floats  # of the inputs' contributions, signs of the sensitivities included, shape (n, n)
+    interval: tuple[float, float]  # probabilistically symmetric, by Monte Carlo, in um
 
     @property
     def combined(self) -> float:

@@ -63,10 +63,8 @@ class Knowledge:
     """What is known of a cell's parameters when a task is planned."""
 
     cell: Cell
-    # what the controller holds, or None: then the draws themselves say, task by task (see `central_draw`)
-    estimate: Estimate | None
-    # of the posterior, from its own file or from the estimate's; None where there is only the covariance
-    draws: PosteriorDraws | None
+    estimate: Estimate | None  # what the controller holds; None: the draws say (see `central_draw`)
+    draws: PosteriorDraws | None  # of the posterior; None where there is only the covariance
 
     def held(self, task: str, *, radius: float | None = None) -> Estimate:
         """The estimate that the controller holds for a task."""
@@ -102,10 +100,7 @@ class Knowledge:
     def plan(
         self, task: str, *, radius: float | None = None, n_points: int | None = None, compensate: bool = True
     ) -> tuple[Estimate, Task]:
-        """The estimate that the controller holds for a task, and the joint path it makes with it.
-
-        With `compensate` the path makes up for known error motions, where that gains.
-        """
+        """The estimate that the controller holds, and its path, which makes up for error motions where that gains."""
         estimate = self.held(task, radius=radius)
         n_points = n_points or path_points(estimate)
         found = find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)

@@ -158,10 +158,7 @@ def newton(chain: Turned, revolute: Bools, length: float, target: Floats, q: Flo
 
 @compiled
 def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
-    """Tool frames wTe, paper equation (12), of model vectors; shape (n_vectors, n_poses, 4, 4).
-
-    q: joint vectors, shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
-    """
+    """Tool frames wTe, paper (12), (n_vectors, n_poses, 4, 4), at joints `q` of each vector, or one set for all."""
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], q.shape[1]
     poses = np.zeros((n_vectors, n_poses, 4, 4))
     joint_cos, joint_sin = np.empty(n), np.empty(n)

@@ -68,13 +68,6 @@ The way through, here on a simulated cell:
   or         fpcal week -o week                            the paper's whole week at once
 """
 
-_EPILOG = """\
-Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5). More: fpcal COMMAND --help.
-Tables are coloured on a terminal only; NO_COLOR=1 turns that off. Warnings and errors go to stderr.
-Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used; 130 interrupted
-(143 by SIGTERM, 129 by SIGHUP).
-"""
-
 
 class _Completion(argparse.Action):
     """Print a script that completes commands and options in a shell."""
@@ -85,7 +78,12 @@ class _Completion(argparse.Action):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, like every other error of the program."""
+    """A parser whose errors are one line, and whose help ends with what ``help.toml`` says of the command."""
+
+    def format_help(self) -> str:
+        """The help, with the text that is read only where it is asked for."""
+        self.epilog = _load("fpcal_bayes.core.resources").help_text(self.prog.split()[-1])
+        return super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
@@ -95,11 +93,7 @@ class Parser(argparse.ArgumentParser):
 def make_parser() -> Parser:
     """Build the parser of all commands."""
     parser = Parser(
-        prog="fpcal",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
+        prog="fpcal", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
     parser.add_argument("--traceback", action="store_true", help="show where in the program an internal error arose")

@@ -21,3 +21,9 @@ def built_in_cells() -> list[str]:
 def paper_tables() -> dict[str, Any]:
     """Tables of Bettahar et al., as ``data/bettahar.toml`` holds them, in um and deg."""
     return tomllib.loads(data_file("bettahar.toml").read_text(encoding="utf-8"))
+
+
+def help_text(command: str) -> str | None:
+    """What stands below the options in the help of a command, or of ``fpcal`` itself."""
+    found: str | None = tomllib.loads(data_file("help.toml").read_text(encoding="utf-8")).get(command)
+    return found

@@ -16,13 +16,12 @@ class Folder(Path):
     """A folder that a command fills."""
 
 
-def add_command(commands: Commands, name: str, summary: str, epilog: str = "") -> argparse.ArgumentParser:
+def add_command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=summary,
         description=summary[0].upper() + summary[1:] + ".",
-        epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

@@ -16,15 +16,6 @@ from fpcal_bayes.cli.arguments.common import (
     share,
 )
 
-_IDENTIFY = """\
---free takes groups and names, for example `--free extrinsic` or `--free all,gain_4`. Parameters that are not free are
-held at --start (or at nominal), and their uncertainty reaches the result; --hold exact takes them as known.
-
-Status of a parameter: identified (the data tell it); weak (the data halve its prior variance at best); gauge (the data
-see it only together with others: its value is the prior's); fixed (held).
-"""
-
-
 _TRACES = "take every sample of recorded traces in place of rows (FILE: what fpcal ingest reads or made)"
 
 
@@ -36,7 +27,7 @@ def _add_sweeps(parser: ArgumentParser) -> None:
 
 def identify(commands: Commands) -> None:
     """Add ``fpcal identify``."""
-    parser = add_command(commands, "identify", "find the parameters of a cell from sweeps", _IDENTIFY)
+    parser = add_command(commands, "identify", "find the parameters of a cell from sweeps")
     add = parser.add_argument
     _add_sweeps(parser)
     add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
@@ -48,15 +39,9 @@ def identify(commands: Commands) -> None:
     add_json(parser)
 
 
-_SAMPLE = """\
-Blocks of draws are kept in FILE.blocks until FILE is written. A run that was killed goes on with --resume and gives the
-same draws as one that was not.
-"""
-
-
 def sample(commands: Commands) -> None:
     """Add ``fpcal sample``."""
-    parser = add_command(commands, "sample", "draw from the posterior of a cell", _SAMPLE)
+    parser = add_command(commands, "sample", "draw from the posterior of a cell")
     add = parser.add_argument
     _add_sweeps(parser)
     add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
@@ -70,19 +55,9 @@ def sample(commands: Commands) -> None:
     add_json(parser)
 
 
-_COMPARE = """\
-Models stand between commas, settings of one model between plus signs: `opd=axis,opd=perpendicular`, or
-`likelihood=gaussian,opd=perpendicular+likelihood=slip`. What is not set is the cell's path model and Gaussian noise.
-
-Models are compared by how well they predict each row from all others (leave-one-out): elpd is the sum of these log
-densities, per um. Rows whose Pareto k is too large for importance sampling ("bad k") are left out in earnest
-("refitted"). A difference below 4, or below twice its standard error, tells nothing.
-"""
-
-
 def compare(commands: Commands) -> None:
     """Add ``fpcal compare``."""
-    parser = add_command(commands, "compare", "say which of several models the data favour", _COMPARE)
+    parser = add_command(commands, "compare", "say which of several models the data favour")
     add = parser.add_argument
     _add_sweeps(parser)
     add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
@@ -91,23 +66,9 @@ def compare(commands: Commands) -> None:
     add_json(parser)
 
 
-_TASK_ERROR = """\
-TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, all of these (the default), or a PATH.csv (see fpcal control).
-
-The task error is the change of cavity length along the task that the controller does not know of, where the joints can
-follow. It is worked out from posterior draws, which an estimate of fpcal identify holds too (500); from an estimate
-without draws, to first order from its covariance. --budget prints the uncertainty budget of the worst point (GUM, JCGM
-100 and 101), always to first order; with --sweeps, the file that the estimate was made from, it tells the noise, the
-prior and the wavelength apart.
-
-Of bands of 95 % after the paper's end-point sweeps 94 to 95 % hold the true value in simulation, for every task; to
-first order from the covariance 91 % do for spin, 93 to 95 % for the others (fpcal study coverage).
-"""
-
-
 def task_error(commands: Commands) -> None:
     """Add ``fpcal task-error``."""
-    parser = add_command(commands, "task-error", "predict by how much tasks will be off", _TASK_ERROR)
+    parser = add_command(commands, "task-error", "predict by how much tasks will be off")
     add = parser.add_argument
     add("file", metavar="ESTIMATE|POSTERIOR", help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=False)
@@ -122,19 +83,9 @@ def task_error(commands: Commands) -> None:
     add_json(parser)
 
 
-_VERIFY = """\
-CALIBRATION is what `fpcal identify --json` wrote, or a campaign, whose first session counts. Its parameters foresee the
-sweeps of --validation, which it was not made from; the cell's drift between two sessions is allowed for.
-
-FAIL: they are off by more than one good calibration in 200. PASS: they are not, and would have shown an error that
-brings the task beyond the tolerance and three times its own band. NOT EVALUATED: they might have missed one.
-`fpcal plan --validation N` chooses sweeps that would not.
-"""
-
-
 def verify(commands: Commands) -> None:
     """Add ``fpcal verify``."""
-    parser = add_command(commands, "verify", "hold a calibration against sweeps it was not made from", _VERIFY)
+    parser = add_command(commands, "verify", "hold a calibration against sweeps it was not made from")
     add = parser.add_argument
     add("file", metavar="CALIBRATION", help="estimate JSON, or sweeps: CSV or HDF5 campaign")
     add("--validation", required=True, metavar="SESSION|FILE", help="session of the campaign, or a file of sweeps")
@@ -145,22 +96,9 @@ def verify(commands: Commands) -> None:
     add_json(parser)
 
 
-_CONTROL = """\
-TASK is circle, line-x, line-z, tilt-x, tilt-z, spin, or a PATH.csv with the columns x_um,y_um,z_um,rx_deg,ry_deg,rz_deg
-in the fibre frame, relative to the aligned pose, turns in the order x, y, z about the reflection point.
-
-JOINTS has the columns q1_um .. q6_deg, status (ok, or the reason), predicted_sd_nm (what the cavity length may be off
-by, one standard deviation, from the aligned pose to this one). Points that are not ok have neither joint values nor a
-prediction, and do not count for the peak to peak.
-
-With mechanics the joints make up for the error motions that the estimate knows, by the direction from which each comes;
-the prediction is that of the path as it is driven, and what is gained is said. Joints that are better left alone are.
-"""
-
-
 def control(commands: Commands) -> None:
     """Add ``fpcal control``."""
-    parser = add_command(commands, "control", "find the joint path of a task", _CONTROL)
+    parser = add_command(commands, "control", "find the joint path of a task")
     add = parser.add_argument
     add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=True)
@@ -169,18 +107,9 @@ def control(commands: Commands) -> None:
     add_json(parser)
 
 
-_CERTIFICATE = """\
-DIR gets certificate.json (calibrated or not, since when, until when, under which conditions, how uncertain each
-parameter and task is, hashes), chain.csv (the links in the parameters of Khalil and Kleinfinger) and, with mechanics,
-q1.csv and so on: error motions over the joint, named after ISO 230-1: EYX_nm is what an axis along X moves along Y,
-EAX_urad how it turns about X, each with the edges of its 95 % band. An estimate that is not to be used gets no such
-tables, and its certificate says so. One that a verification contradicts is not called calibrated either.
-"""
-
-
 def certificate(commands: Commands) -> None:
     """Add ``fpcal certificate``."""
-    parser = add_command(commands, "certificate", "hand a calibration over", _CERTIFICATE)
+    parser = add_command(commands, "certificate", "hand a calibration over")
     add = parser.add_argument
     add("file", metavar="ESTIMATE", help="estimate JSON")
     add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
@@ -189,29 +118,9 @@ def certificate(commands: Commands) -> None:
     add_json(parser)
 
 
-_CHECK = """\
-TRACE is a CSV with the columns part,t_s,q1_um .. q6_deg,irradiance_v. Lines of part `reference` come first: the robot
-stands at the start of the path, and the joint along the optical axis (q2) goes through one fringe or more and back.
-Lines of part `path` follow: the path that the controller drove with the estimate (fpcal control). A second reference
-scan after the path is welcome: it tells how the signal drifted. `fpcal simulate --path JOINTS.csv --traces` makes such
-a file on the simulated cell.
-
-Start at half fringe height (quadrature): move q2 there before the path. At the fringe's maximum 20 nm change the signal
-by 0.7 % of its height only, at half height by 8 %.
-
-A calibration is refuted if an error as large as the one measured would be less probable than --level, did the estimate
-hold; what the estimate predicts is worked out from its posterior draws, or to first order from its covariance. With
---time-h the cell may have drifted since the time of the estimate as it states; without, the check asks whether the
-estimate holds as it is.
-
--o writes the check as a row of kind `path` for a campaign: dl_um is the peak to peak of the error, signed 0. --points N
-adds N sweeps from the path's start to points along it, in one group, which `fpcal track` takes in as measurements.
-"""
-
-
 def check(commands: Commands) -> None:
     """Add ``fpcal check``."""
-    parser = add_command(commands, "check", "check a calibration by a path recorded on the cell", _CHECK)
+    parser = add_command(commands, "check", "check a calibration by a path recorded on the cell")
     add = parser.add_argument
     add("trace", metavar="TRACE", help="recorded path: .csv")
     add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")

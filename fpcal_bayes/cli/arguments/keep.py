@@ -15,32 +15,10 @@ from fpcal_bayes.cli.arguments.common import (
     seed,
 )
 
-_PLAN = """\
-Sweeps are chosen such that the worst task, in units of what the paper's 69 sweeps leave, is expected to be known best.
-The search starts at many places among random candidates; the best of them descend together to where the criterion is
-smallest nearby. One joint moves at a time; with --coordinated, or where the cell's envelope lets axes move together,
-several joints of one controller also do, and both kinds of plan are compared.
-Without an estimate the plan is averaged over draws of the prior, and judged on others that it is not made for. With
-mechanics the error motions that the cell states count, in the sweeps and in what they leave of the tasks.
-
---reach tilt-x=5nm,circle=1nm asks for the fewest sweeps that are expected to reach these standard deviations at each
-task's worst point, --minutes M for the most sweeps in that time, --frontier for a picture of both.
---for extrinsic plans a re-identification: --estimate says what is known, --hours how long ago. --after FILE are sweeps
-that come first: measured ones are identified, and the plan holds the best next sweeps; with --reach it holds none, and
-should_stop is true in the JSON, once the targets are reached.
-
---commission writes small safe moves around joint zero for a new cell: once they are measured, fpcal doctor says which
-axis counts the other way, is swapped with another, or stands in another unit, and what to look at: lengths cannot tell
-the cell from its mirror images.
-
-SWEEPS holds whole sweeps with the column `readings`, which every command that takes a plan obeys. --rows writes the
-readings of each as rows of one group, for other programs.
-"""
-
 
 def plan(commands: Commands) -> None:
     """Add ``fpcal plan``."""
-    parser = add_command(commands, "plan", "choose which sweeps to measure", _PLAN)
+    parser = add_command(commands, "plan", "choose which sweeps to measure")
     add = parser.add_argument
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
@@ -72,24 +50,9 @@ def plan(commands: Commands) -> None:
     add_json(parser)
 
 
-_TRACK = """\
-The first session of CAMPAIGN is the full calibration, the following ones update it: any number of sweeps, at any time.
-Sessions may stand in any order; one that arrives late takes its place. In an HDF5 campaign the states are saved, and
-the next run takes in what is new; a CSV is never changed.
-
-Verdict of a session: as-modelled; extrinsics-moved (mirror or fibre moved more than their drift: their uncertainty is
-widened and the session taken in anew); intrinsics-moved (the robot itself changed: a full calibration is due);
-mechanics-moved (the error motions of its joints changed: the same). With mechanics the error motions are followed too.
-
-ESTIMATE is replaced as a whole, so a controller may read it at any time; with --watch that happens after every new
-session. It holds until the probability that a task's error passes the tolerance reaches the level (valid_until_h);
-fpcal decide says what to do then.
-"""
-
-
 def track(commands: Commands) -> None:
     """Add ``fpcal track``."""
-    parser = add_command(commands, "track", "follow the parameters from session to session", _TRACK)
+    parser = add_command(commands, "track", "follow the parameters from session to session")
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
@@ -106,19 +69,11 @@ def track(commands: Commands) -> None:
 
 
 _NOW = "for which time (default: this clock where rows carry utc, else the last session)"
-_DECIDE = """\
-hold: nothing is to be measured before the time that is said; extrinsic: a few sweeps now, chosen to leave the least
-error of the tasks; full: calibrate in full, since the robot itself moved or no few sweeps reach the tolerance.
-
-The error of a task is what the controller does not know of the cavity length along its path, peak to peak. LEVEL is the
-probability of being out of tolerance that is accepted before the next measurement; the share of time spent outside is
-about a third of it.
-"""
 
 
 def decide(commands: Commands) -> None:
     """Add ``fpcal decide``."""
-    parser = add_command(commands, "decide", "decide whether to measure now, and what", _DECIDE)
+    parser = add_command(commands, "decide", "decide whether to measure now, and what")
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add_goal(parser)
@@ -128,21 +83,9 @@ def decide(commands: Commands) -> None:
     add_json(parser)
 
 
-_KEEP = """\
-Does what `fpcal track`, `fpcal decide` and `fpcal report` do, again whenever CAMPAIGN has changed and every MIN
-minutes: estimate and ticket are replaced in one step, states are saved in an HDF5 campaign. Whoever measures does so
-when TICKET has rows, and hands over by `fpcal append CAMPAIGN SESSION --ticket TICKET`, which empties the ticket. A
-ticket that is being measured stays as it is until its session has come, or it expires. Where the campaign cannot be
-read or the tolerance cannot be met the ticket is emptied. Whatever is in the way is said once and waited for. Rows need
-no clock times: the clock runs on from when a session was first seen.
-
---rig measures each ticket on the live cell and hands it over. Ends with Ctrl-C.
-"""
-
-
 def keep(commands: Commands) -> None:
     """Add ``fpcal keep``."""
-    parser = add_command(commands, "keep", "keep a cell calibrated: track, decide, publish, again and again", _KEEP)
+    parser = add_command(commands, "keep", "keep a cell calibrated: track, decide, publish, again and again")
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--ticket", metavar="TICKET.csv", type=Path, required=True, help="what to measure now, or a header alone")
@@ -157,17 +100,9 @@ def keep(commands: Commands) -> None:
     add_costs(parser)
 
 
-_APPEND = """\
-MEASURED holds sessions that CAMPAIGN does not hold yet, CSV or HDF5; what it holds stands where it was. With --ticket
-every row must be one that the ticket asks for, under the ticket's session name and before it expires. A ticket without
-rows asks for nothing, and nothing is done. A row that is there already, a session that begins before another one ends,
-or clock times that contradict `time_h` are refused, and CAMPAIGN stays as it was.
-"""
-
-
 def append(commands: Commands) -> None:
     """Add ``fpcal append``."""
-    parser = add_command(commands, "append", "add a measured session to a campaign", _APPEND)
+    parser = add_command(commands, "append", "add a measured session to a campaign")
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
     add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
@@ -175,33 +110,17 @@ def append(commands: Commands) -> None:
     add_json(parser)
 
 
-_EXPORT = """\
-MOVES has a row per axis and pose, in the controllers' own names, channels, units, signs and zeros as the cell states
-them: move, controller, channel, unit, position, and speed, dwell_s, reading. Rows of one move are driven in order,
-in step where in_step is 1. `fpcal import` reads such a file, or a log with the columns
-move,controller,channel,unit,position,utc and, if the length was read there, length_um and sigma_um (of the
-change).
-"""
-
-
 def export(commands: Commands) -> None:
     """Add ``fpcal export``."""
-    parser = add_command(commands, "export", "write a plan or joint path as moves of the controllers", _EXPORT)
+    parser = add_command(commands, "export", "write a plan or joint path as moves of the controllers")
     add = parser.add_argument
     add("file", metavar="PLAN|JOINTS", help="plan or ticket (CSV), or joint path of fpcal control -o (CSV)")
     add("-o", dest="output", metavar="MOVES", type=Path, required=True, help="moves to write: .csv or .mat")
 
 
-_IMPORT = """\
-LOG has the columns move,controller,channel,unit,position and, if known, utc, reading, length_um, sigma_um, as `fpcal
-export` explains. Without `reading`, moves 1 and 2, 3 and 4 and so on are start and end of sweeps. Where lengths were
-read SWEEPS is measured, else a plan of what was driven.
-"""
-
-
 def import_(commands: Commands) -> None:
     """Add ``fpcal import``."""
-    parser = add_command(commands, "import", "read what the controllers logged as sweeps", _IMPORT)
+    parser = add_command(commands, "import", "read what the controllers logged as sweeps")
     add = parser.add_argument
     add("log", metavar="LOG", help="moves: .csv or .mat")
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="sweeps to write: .csv or .h5")
@@ -209,19 +128,9 @@ def import_(commands: Commands) -> None:
     add("--time-h", type=float, default=0.0, metavar="H", help="of the first move, likewise (default: 0)")
 
 
-_REPORT = """\
-The page holds the verdict (hold, re-identify, recalibrate), the error of each task against the tolerance, parameters
-with intervals, what the calibration can tell, residuals, drift with alarms, the log of all sessions, an uncertainty
-budget and where every number comes from. It needs no network, and prints well.
-
-A calibration that did not converge or does not fit is said to be of no use; the exit status is then 1. The numbers of
-the page are those of fpcal track, decide, task-error and observe with the same options.
-"""
-
-
 def report(commands: Commands) -> None:
     """Add ``fpcal report``."""
-    parser = add_command(commands, "report", "write a campaign's report as one HTML page", _REPORT)
+    parser = add_command(commands, "report", "write a campaign's report as one HTML page")
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
@@ -232,23 +141,9 @@ def report(commands: Commands) -> None:
     add_json(parser)
 
 
-_WEEK = """\
-The truth goes through the paper's tables on days 0, 1, 2 and 8. It is lived through three times: by the paper's
-protocol (69 sweeps on days 0, 1, 2, 7 and 8, the extrinsic parameters alone on day 7), by a filter that takes in the
-same sweeps, and under the policy of fpcal decide, which holds a circle of 100 um radius within 50 nm
-(a machine that cannot meet that: one and a half times the least that it can).
-
-Writes into DIR: campaign.h5 (sweeps of the paper's protocol, truth, an estimate a session, and the filter's track),
-policy.h5 (day 0 and the policy's sweeps, truth, its track and decisions), an estimate JSON a session, estimate.json
-(the policy's last), report.html (fpcal report of campaign.h5), report.txt (the paper's Tables II to VII anew beside the
-truth, circles, what each way held and cost, and the posterior of day 0), posterior.nc (its draws), circles/ (the
-irradiance along each circle, for fpcal check), courses.svg (error and sweeps of the three ways).
-"""
-
-
 def week(commands: Commands) -> None:
     """Add ``fpcal week``."""
-    parser = add_command(commands, "week", "run the paper's week on a simulated cell", _WEEK)
+    parser = add_command(commands, "week", "run the paper's week on a simulated cell")
     add = parser.add_argument
     add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
@@ -256,19 +151,9 @@ def week(commands: Commands) -> None:
     add("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 
-_STUDY = """\
-coverage  does the truth lie in the predicted bands of each task?
-sbc       simulation-based calibration: are the truths uniformly ranked among posterior draws?
-
-Replicate K is the same whenever it runs. Each is put into STORE, a line of JSON, as soon as it is there. A study that
-was stopped, or killed, goes on when the command is given again, and leaves the same file byte for byte; a larger
---replicates adds to it.
-"""
-
-
 def study(commands: Commands) -> None:
     """Add ``fpcal study``."""
-    parser = add_command(commands, "study", "run many independent replicates of a question", _STUDY)
+    parser = add_command(commands, "study", "run many independent replicates of a question")
     add = parser.add_argument
     add("study", metavar="NAME", choices=("coverage", "sbc"), help="coverage or sbc")
     add("--replicates", type=count, required=True, metavar="N", help="how many in all")

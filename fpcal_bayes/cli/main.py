@@ -16,40 +16,10 @@ from importlib import import_module
 from keyword import iskeyword
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli.arguments import identify, keep, live, measure
+from fpcal_bayes.cli.arguments import identify, keep, measure
+from fpcal_bayes.cli.arguments.common import add_command
 from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.version import __version__
-
-#: In the order of the work.
-_COMMANDS = (
-    measure.cell,
-    measure.simulate,
-    measure.ingest,
-    measure.trace,
-    measure.doctor,
-    measure.observe,
-    identify.identify,
-    identify.sample,
-    identify.compare,
-    identify.verify,
-    identify.task_error,
-    identify.control,
-    identify.check,
-    identify.certificate,
-    keep.plan,
-    keep.track,
-    keep.decide,
-    keep.append,
-    keep.keep,
-    keep.export,
-    keep.import_,
-    live.measure,
-    live.rig,
-    live.serve,
-    keep.report,
-    keep.week,
-    keep.study,
-)
 
 _DESCRIPTION = """\
 Calibrate a micro- or nano-positioning robot from one-dimensional Fabry-Perot measurements.
@@ -104,8 +74,8 @@ def make_parser() -> Parser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for add in _COMMANDS:
-        add(commands)
+    for name, summary, add in (*measure.COMMANDS, *identify.COMMANDS, *keep.COMMANDS):
+        add(add_command(commands, name, summary))
     return parser
 
 

@@ -66,17 +66,21 @@ def new_cell_text(
     sds = {"z_et": _OFFSET_SD, **dict.fromkeys(("x_wf", "y_wf", "z_wf"), across_sd)}
     sds[beam] = round(min(200.0, layout.gap / 4.0), 3)
     drift = {stem: size for stem, size in _DRIFT.items() if stem in layout.free}
-    return data_file("new-cell.txt").read_text(encoding="utf-8").format(
-        title="; ".join(f"q{i} {word}" for i, word in enumerate(words, 1)),
-        name=name,
-        wavelength=wavelength_nm,
-        opd=f'"{opd}"'.ljust(28),
-        joints="".join(_joint(layout, i, word, directions[i]) for i, word in enumerate(words)),
-        side=side,
-        extrinsic="\n".join(_parameter(s, values[s], s in layout.free, sds.get(s, _ANGLE_SD)) for s in EXTRINSICS),
-        drift="\n".join(f"{stem} = {{ walk_{UNITS[stem]} = {size:g} }}" for stem, size in drift.items()),
-        least_gap=f"{layout.gap / 4.0:g}".ljust(19),
-        gap=(_GAP if gap_sd_um is None else _MEASURED_GAP).format(gap=layout.gap, sd=gap_sd_um),
+    return (
+        data_file("new-cell.txt")
+        .read_text(encoding="utf-8")
+        .format(
+            title="; ".join(f"q{i} {word}" for i, word in enumerate(words, 1)),
+            name=name,
+            wavelength=wavelength_nm,
+            opd=f'"{opd}"'.ljust(28),
+            joints="".join(_joint(layout, i, word, directions[i]) for i, word in enumerate(words)),
+            side=side,
+            extrinsic="\n".join(_parameter(s, values[s], s in layout.free, sds.get(s, _ANGLE_SD)) for s in EXTRINSICS),
+            drift="\n".join(f"{stem} = {{ walk_{UNITS[stem]} = {size:g} }}" for stem, size in drift.items()),
+            least_gap=f"{layout.gap / 4.0:g}".ljust(19),
+            gap=(_GAP if gap_sd_um is None else _MEASURED_GAP).format(gap=layout.gap, sd=gap_sd_um),
+        )
     )
 
 

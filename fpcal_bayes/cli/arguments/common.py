@@ -2,10 +2,11 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-Commands = Any  # argparse names the type of its subparsers only privately
+Commands = tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None]], ...]
 
 
 #: Error motions of the mechanism where the option is not given.
@@ -16,7 +17,7 @@ class Folder(Path):
     """A folder that a command fills."""
 
 
-def add_command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
+def add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
     """Add a command with the options that every command takes."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name,

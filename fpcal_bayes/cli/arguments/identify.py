@@ -6,7 +6,6 @@ from pathlib import Path
 from fpcal_bayes.cli.arguments.common import (
     Commands,
     Folder,
-    add_command,
     add_json,
     add_prior,
     add_task_options,
@@ -25,9 +24,7 @@ def _add_sweeps(parser: ArgumentParser) -> None:
     parser.add_argument("--session", metavar="NAME", help=sessions)
 
 
-def identify(commands: Commands) -> None:
-    """Add ``fpcal identify``."""
-    parser = add_command(commands, "identify", "find the parameters of a cell from sweeps")
+def _identify(parser: ArgumentParser) -> None:
     add = parser.add_argument
     _add_sweeps(parser)
     add("--free", default="all", metavar="all|intrinsic|extrinsic|NAME,..", help="what to identify")
@@ -39,9 +36,7 @@ def identify(commands: Commands) -> None:
     add_json(parser)
 
 
-def sample(commands: Commands) -> None:
-    """Add ``fpcal sample``."""
-    parser = add_command(commands, "sample", "draw from the posterior of a cell")
+def _sample(parser: ArgumentParser) -> None:
     add = parser.add_argument
     _add_sweeps(parser)
     add("-o", dest="output", metavar="POSTERIOR.nc", type=Path, required=True, help="draws to write")
@@ -55,9 +50,7 @@ def sample(commands: Commands) -> None:
     add_json(parser)
 
 
-def compare(commands: Commands) -> None:
-    """Add ``fpcal compare``."""
-    parser = add_command(commands, "compare", "say which of several models the data favour")
+def _compare(parser: ArgumentParser) -> None:
     add = parser.add_argument
     _add_sweeps(parser)
     add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
@@ -66,9 +59,18 @@ def compare(commands: Commands) -> None:
     add_json(parser)
 
 
-def task_error(commands: Commands) -> None:
-    """Add ``fpcal task-error``."""
-    parser = add_command(commands, "task-error", "predict by how much tasks will be off")
+def _verify(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("file", metavar="CALIBRATION", help="estimate JSON, or sweeps: CSV or HDF5 campaign")
+    add("--validation", required=True, metavar="SESSION|FILE", help="session of the campaign, or a file of sweeps")
+    add("--task", metavar="TASK", action="append", help="whose error counts (default: all that the cell can do)")
+    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
+    add("--tolerance-nm", type=positive, default=50.0, help="error of a task that is worth finding (default: 50)")
+    add("--seed", type=seed, default=0, help="of the errors that are tried (default: 0)")
+    add_json(parser)
+
+
+def _task_error(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="ESTIMATE|POSTERIOR", help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=False)
@@ -83,22 +85,7 @@ def task_error(commands: Commands) -> None:
     add_json(parser)
 
 
-def verify(commands: Commands) -> None:
-    """Add ``fpcal verify``."""
-    parser = add_command(commands, "verify", "hold a calibration against sweeps it was not made from")
-    add = parser.add_argument
-    add("file", metavar="CALIBRATION", help="estimate JSON, or sweeps: CSV or HDF5 campaign")
-    add("--validation", required=True, metavar="SESSION|FILE", help="session of the campaign, or a file of sweeps")
-    add("--task", metavar="TASK", action="append", help="whose error counts (default: all that the cell can do)")
-    add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
-    add("--tolerance-nm", type=positive, default=50.0, help="error of a task that is worth finding (default: 50)")
-    add("--seed", type=seed, default=0, help="of the errors that are tried (default: 0)")
-    add_json(parser)
-
-
-def control(commands: Commands) -> None:
-    """Add ``fpcal control``."""
-    parser = add_command(commands, "control", "find the joint path of a task")
+def _control(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--estimate", metavar="ESTIMATE|POSTERIOR", required=True, help="estimate JSON, or posterior draws (.nc)")
     add_task_options(parser, required=True)
@@ -107,20 +94,7 @@ def control(commands: Commands) -> None:
     add_json(parser)
 
 
-def certificate(commands: Commands) -> None:
-    """Add ``fpcal certificate``."""
-    parser = add_command(commands, "certificate", "hand a calibration over")
-    add = parser.add_argument
-    add("file", metavar="ESTIMATE", help="estimate JSON")
-    add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
-    add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
-    add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
-    add_json(parser)
-
-
-def check(commands: Commands) -> None:
-    """Add ``fpcal check``."""
-    parser = add_command(commands, "check", "check a calibration by a path recorded on the cell")
+def _check(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("trace", metavar="TRACE", help="recorded path: .csv")
     add("--estimate", metavar="ESTIMATE", required=True, help="estimate JSON that the path was made with")
@@ -134,3 +108,25 @@ def check(commands: Commands) -> None:
         add(f"--{name}", type=float, metavar="X", help=f"of the air in {unit}; all three or none")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
     add_json(parser)
+
+
+def _certificate(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("file", metavar="ESTIMATE", help="estimate JSON")
+    add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
+    add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
+    add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
+    add_json(parser)
+
+
+#: Names, summaries and options, in the order of the work.
+COMMANDS: Commands = (
+    ("identify", "find the parameters of a cell from sweeps", _identify),
+    ("sample", "draw from the posterior of a cell", _sample),
+    ("compare", "say which of several models the data favour", _compare),
+    ("verify", "hold a calibration against sweeps it was not made from", _verify),
+    ("task-error", "predict by how much tasks will be off", _task_error),
+    ("control", "find the joint path of a task", _control),
+    ("check", "check a calibration by a path recorded on the cell", _check),
+    ("certificate", "hand a calibration over", _certificate),
+)

@@ -1,24 +1,14 @@
-"""Options of the commands that keep a cell calibrated, and of those that simulate weeks of it."""
+"""Options of the commands that keep a cell calibrated, drive it, and simulate weeks of it."""
 
-import argparse
+from argparse import ArgumentParser, BooleanOptionalAction
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import (
-    Commands,
-    Folder,
-    add_command,
-    add_costs,
-    add_goal,
-    add_json,
-    count,
-    positive,
-    seed,
-)
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_costs, add_goal, add_json, count, positive, seed
+
+_NOW = "for which time (default: this clock where rows carry utc, else the last session)"
 
 
-def plan(commands: Commands) -> None:
-    """Add ``fpcal plan``."""
-    parser = add_command(commands, "plan", "choose which sweeps to measure")
+def _plan(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="plan to write: .csv or .h5")
     add("--n", type=count, metavar="N", help="number of sweeps (with --reach: at most)")
@@ -33,7 +23,7 @@ def plan(commands: Commands) -> None:
     add("--hours", type=positive, metavar="H", help="with --for extrinsic: drift since (default: 24)")
     add("--after", metavar="FILE", help="sweeps, measured or planned, that come first")
     add("--session", metavar="NAME", help="session of these (default: the first)")
-    add("--midpoints", action=argparse.BooleanOptionalAction, default=True, help="read each sweep at its middle too")
+    add("--midpoints", action=BooleanOptionalAction, default=True, help="read each sweep at its middle too")
     add("--readings", type=seed, metavar="K", help="of a sweep after its start, evenly spaced; 0: the whole trace")
     add("--absolute", action="store_true", help="suppose one absolute length, known to lambda/8")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
@@ -41,7 +31,7 @@ def plan(commands: Commands) -> None:
     add("--draws", type=count, metavar="N", help="of the prior (default: 192; with mechanics 24)")
     add("--max-tilt-deg", type=positive, metavar="A", help="of mirror against light (default: 4.3)")
     add("--max-fringe-rate", type=positive, metavar="HZ", help="that is counted (default: 1000)")
-    add("--coordinated", action=argparse.BooleanOptionalAction, help="joints of one controller may move together")
+    add("--coordinated", action=BooleanOptionalAction, help="joints of one controller may move together")
     add("--single-joints", dest="coordinated", action="store_const", const=False, help="as --no-coordinated")
     add("--seed", type=seed, default=0, help="of the search (default: 0)")
     add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
@@ -50,9 +40,7 @@ def plan(commands: Commands) -> None:
     add_json(parser)
 
 
-def track(commands: Commands) -> None:
-    """Add ``fpcal track``."""
-    parser = add_command(commands, "track", "follow the parameters from session to session")
+def _track(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--estimate", metavar="OUT", type=Path, help="write the current best estimate as JSON")
@@ -68,12 +56,7 @@ def track(commands: Commands) -> None:
     add_json(parser)
 
 
-_NOW = "for which time (default: this clock where rows carry utc, else the last session)"
-
-
-def decide(commands: Commands) -> None:
-    """Add ``fpcal decide``."""
-    parser = add_command(commands, "decide", "decide whether to measure now, and what")
+def _decide(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add_goal(parser)
@@ -83,9 +66,15 @@ def decide(commands: Commands) -> None:
     add_json(parser)
 
 
-def keep(commands: Commands) -> None:
-    """Add ``fpcal keep``."""
-    parser = add_command(commands, "keep", "keep a cell calibrated: track, decide, publish, again and again")
+def _append(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
+    add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
+    add("--ticket", metavar="TICKET.csv", help="what was to be measured, of fpcal decide")
+    add_json(parser)
+
+
+def _keep(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("--ticket", metavar="TICKET.csv", type=Path, required=True, help="what to measure now, or a header alone")
@@ -100,27 +89,13 @@ def keep(commands: Commands) -> None:
     add_costs(parser)
 
 
-def append(commands: Commands) -> None:
-    """Add ``fpcal append``."""
-    parser = add_command(commands, "append", "add a measured session to a campaign")
-    add = parser.add_argument
-    add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
-    add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
-    add("--ticket", metavar="TICKET.csv", help="what was to be measured, of fpcal decide")
-    add_json(parser)
-
-
-def export(commands: Commands) -> None:
-    """Add ``fpcal export``."""
-    parser = add_command(commands, "export", "write a plan or joint path as moves of the controllers")
+def _export(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="PLAN|JOINTS", help="plan or ticket (CSV), or joint path of fpcal control -o (CSV)")
     add("-o", dest="output", metavar="MOVES", type=Path, required=True, help="moves to write: .csv or .mat")
 
 
-def import_(commands: Commands) -> None:
-    """Add ``fpcal import``."""
-    parser = add_command(commands, "import", "read what the controllers logged as sweeps")
+def _import(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("log", metavar="LOG", help="moves: .csv or .mat")
     add("-o", dest="output", metavar="SWEEPS", type=Path, required=True, help="sweeps to write: .csv or .h5")
@@ -128,9 +103,36 @@ def import_(commands: Commands) -> None:
     add("--time-h", type=float, default=0.0, metavar="H", help="of the first move, likewise (default: 0)")
 
 
-def report(commands: Commands) -> None:
-    """Add ``fpcal report``."""
-    parser = add_command(commands, "report", "write a campaign's report as one HTML page")
+def _measure(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("ticket", metavar="TICKET", help="ticket or plan: CSV without measured values")
+    add("--rig", metavar="RIG", required=True, help="devices: RIG.toml")
+    add("-o", dest="output", metavar="SESSION", type=Path, required=True, help="session to write: .h5 or .csv")
+    add("--campaign", metavar="C", help="campaign that the session will belong to: its clock, its past")
+    add("--estimate", metavar="ESTIMATE", help="geometry that tells the gap (default: the nominal one)")
+    add("--dry-run", action="store_true", help="look at every move and make none")
+
+
+def _rig(parser: ArgumentParser) -> None:
+    parser.add_argument("--emulate", metavar="RIG", required=True, help="devices to emulate: RIG.toml")
+    written = "rig file to write (default: RIG_live.toml)"
+    parser.add_argument("-o", dest="output", metavar="LIVE", type=Path, help=written)
+
+
+def _serve(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--campaign", metavar="C", type=Path, required=True, help="campaign that sweeps are added to: HDF5 or CSV")
+    add("--estimate", metavar="E", required=True, help="the current best estimate, which fpcal keep replaces")
+    add("--ticket", metavar="TICKET.csv", type=Path, help="what was to be measured: sweeps keep to it, and empty it")
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
+    add("--port", type=count, default=8765, metavar="P", help="to listen on (default: 8765)")
+    add("--token", metavar="FILE", help="text of 16 characters or more that every request must carry")
+    add("--rig", metavar="RIG", help="take the time from this rig, as fpcal keep --rig does: RIG.toml")
+    add_goal(parser)
+    add_costs(parser)
+
+
+def _report(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("campaign", metavar="CAMPAIGN", help="sweeps of all sessions: HDF5 campaign, or CSV")
     add("-o", dest="output", metavar="REPORT.html", type=Path, required=True, help="the page")
@@ -141,9 +143,7 @@ def report(commands: Commands) -> None:
     add_json(parser)
 
 
-def week(commands: Commands) -> None:
-    """Add ``fpcal week``."""
-    parser = add_command(commands, "week", "run the paper's week on a simulated cell")
+def _week(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("-o", dest="output", metavar="DIR", type=Folder, default=Folder("week"), help="folder (default: week)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
@@ -151,9 +151,7 @@ def week(commands: Commands) -> None:
     add("--no-page", dest="page", action="store_false", help="leave out report.html")
 
 
-def study(commands: Commands) -> None:
-    """Add ``fpcal study``."""
-    parser = add_command(commands, "study", "run many independent replicates of a question")
+def _study(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("study", metavar="NAME", choices=("coverage", "sbc"), help="coverage or sbc")
     add("--replicates", type=count, required=True, metavar="N", help="how many in all")
@@ -165,3 +163,21 @@ def study(commands: Commands) -> None:
     add("--protocol", default="paper", metavar="paper|paper-mid|SWEEPS", help="to calibrate with; sbc also: random")
     add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
     add_json(parser)
+
+
+#: Names, summaries and options, in the order of the work.
+COMMANDS: Commands = (
+    ("plan", "choose which sweeps to measure", _plan),
+    ("track", "follow the parameters from session to session", _track),
+    ("decide", "decide whether to measure now, and what", _decide),
+    ("append", "add a measured session to a campaign", _append),
+    ("keep", "keep a cell calibrated: track, decide, publish, again and again", _keep),
+    ("export", "write a plan or joint path as moves of the controllers", _export),
+    ("import", "read what the controllers logged as sweeps", _import),
+    ("measure", "drive a ticket on the live cell", _measure),
+    ("rig", "emulate the devices of a cell", _rig),
+    ("serve", "answer controllers over HTTP from the current best estimate", _serve),
+    ("report", "write a campaign's report as one HTML page", _report),
+    ("week", "run the paper's week on a simulated cell", _week),
+    ("study", "run many independent replicates of a question", _study),
+)

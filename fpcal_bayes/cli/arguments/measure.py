@@ -1,16 +1,15 @@
 """Options of the commands that measure, and look at what was measured."""
 
+from argparse import ArgumentParser
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_command, add_json, columns, count, positive, seed
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_json, columns, count, positive, seed
 
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
 
 
-def cell(commands: Commands) -> None:
-    """Add ``fpcal cell``."""
-    parser = add_command(commands, "cell", "look at a cell, or make one from its axes")
+def _cell(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="CELL", nargs="?", help="cell TOML file, or built-in cell (femto-st)")
     add("--at", metavar="Q", help="joint values, in um and deg (default: joint zero)")
@@ -27,9 +26,7 @@ def cell(commands: Commands) -> None:
     add_json(parser)
 
 
-def simulate(commands: Commands) -> None:
-    """Add ``fpcal simulate``."""
-    parser = add_command(commands, "simulate", "measure sweeps on a simulated cell")
+def _simulate(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
     add("--truth", metavar="TOML", help="true parameters (default: those of the paper)")
@@ -43,9 +40,7 @@ def simulate(commands: Commands) -> None:
     add("--time-h", type=float, metavar="T", help="with --path: hours since day 0 (default: 0)")
 
 
-def ingest(commands: Commands) -> None:
-    """Add ``fpcal ingest``."""
-    parser = add_command(commands, "ingest", "read sweeps from recorded irradiance")
+def _ingest(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("index", metavar="INDEX", help="recorded sweeps: CSV, HDF5 or MATLAB file")
     add("-o", dest="output", metavar="FILE", type=Path, required=True, help="sweeps to write: .csv or .h5")
@@ -65,9 +60,7 @@ def ingest(commands: Commands) -> None:
     add_json(parser)
 
 
-def trace(commands: Commands) -> None:
-    """Add ``fpcal trace``."""
-    parser = add_command(commands, "trace", "look at recorded irradiance")
+def _trace(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="recorded sweeps: CSV, HDF5 or MATLAB file")
     called = "what the files of traces call t, joint and irradiance"
     parser.add_argument("--columns", metavar="t=NAME,..", type=columns, help=called)
@@ -76,19 +69,26 @@ def trace(commands: Commands) -> None:
     add_json(parser)
 
 
-def doctor(commands: Commands) -> None:
-    """Add ``fpcal doctor``."""
-    parser = add_command(commands, "doctor", "say what is wrong with a campaign, and what to do about it")
+def _doctor(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
     add_json(parser)
 
 
-def observe(commands: Commands) -> None:
-    """Add ``fpcal observe``."""
-    parser = add_command(commands, "observe", "say what sweeps can tell about a cell, measured or not")
+def _observe(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
     add("--session", metavar="NAME", help="session to use (default: the first)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)")
     add("--html", metavar="OUT", type=Path, help="write a page with figures")
     add_json(parser)
+
+
+#: Names, summaries and options, in the order of the work.
+COMMANDS: Commands = (
+    ("cell", "look at a cell, or make one from its axes", _cell),
+    ("simulate", "measure sweeps on a simulated cell", _simulate),
+    ("ingest", "read sweeps from recorded irradiance", _ingest),
+    ("trace", "look at recorded irradiance", _trace),
+    ("doctor", "say what is wrong with a campaign, and what to do about it", _doctor),
+    ("observe", "say what sweeps can tell about a cell, measured or not", _observe),
+)

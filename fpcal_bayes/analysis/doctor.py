@@ -23,18 +23,7 @@ _LEAST_REPEATS = 4
 
 
 def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
-    """What there is to say of the sweeps of all sessions, measured or planned; problems first.
-
-    Parameters
-    ----------
-    sweeps
-        Sweeps of one session or several.
-
-    Raises
-    ------
-    InputError
-        If the sweeps break a rule of the cell.
-    """
+    """What there is to say of the sweeps of all sessions, measured or planned; problems first."""
     found = [*_times(sweeps), *_rows(sweeps, cell)]
     if sweeps.measured:
         found += [*_repeats(sweeps, cell), *session_fits(sweeps, cell)]

@@ -25,10 +25,7 @@ def cell_of(options: argparse.Namespace) -> Cell:
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or that are inputs or one another, before any work is done.
-
-    Paths among the options are outputs, but for folders; texts may name inputs.
-    """
+    """Refuse outputs, paths but for folders, that cannot be written, or that are inputs (texts) or one another."""
     given = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
     outputs = [value for value in given if isinstance(value, Path) and not isinstance(value, Folder)]
     for i, output in enumerate(outputs):

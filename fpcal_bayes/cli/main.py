@@ -147,12 +147,7 @@ def _guarded() -> Iterator[_Terminal]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    arguments: without the program's name; by default those of the process.
-    Returns exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, or the output cannot be printed, 128
-    + the signal that interrupted.
-    """
+    """Run one command, by default the process's own `arguments`; the exit status, as the help of ``fpcal`` says."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     with _guarded() as out:
         try:

@@ -69,8 +69,6 @@ def load_cell(
 
     Parameters
     ----------
-    source
-        ``femto-st`` or the path of a TOML file.
     opd
         Overrides the path model of the file.
     mechanics

@@ -48,8 +48,7 @@ def write_joints(
 ) -> None:
     """Write a joint path (n_points, n_joints), whole or not at all, as ``.csv`` or ``.mat``.
 
-    Joint values are left empty, or NaN, where the status is not ``ok``, so that nobody drives there; `predicted_sd` is
-    in um, NaN where there is none.
+    Joints are left empty, or NaN, where the status is not ``ok``; `predicted_sd` is in um, NaN where there is none.
     """
     path = Path(path)
     check_suffix(path)

@@ -128,7 +128,7 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
     """Sweeps of what controllers logged, CSV or MATLAB; measured where the log holds lengths, else a plan.
 
-    `session` and `time_h` hold where the log does not say; with clock times, `time_h` is that of the first row.
+    `session` and `time_h`, with clock times that of the first row, hold where the log does not say.
     """
     path = Path(path)
     table, rows = _read(path)

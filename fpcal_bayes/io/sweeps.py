@@ -73,27 +73,10 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str =
 
 
 def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:
-    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes.
+    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes; all that it holds now.
 
-    Parameters
-    ----------
-    path
-        CSV, or campaign whose other content is kept.
-    sweeps
-        Sessions that the file does not hold yet.
-    check
-        Called with all sweeps before anything is written; it raises `InputError` if they do not go together.
-
-    Returns
-    -------
-    Sweeps
-        All that the file holds now.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are not measured, a session is there already, another program writes the file, or it cannot be
-        read or written; the file is then as it was.
+    `check` is called with all sweeps before anything is written; where it or this raises `InputError` the file is as it
+    was. Other content of a campaign is kept.
     """
     path = Path(path)
     if not sweeps.measured:

@@ -12,19 +12,10 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth from a TOML file.
+    """Read a truth from a TOML file, in um, deg or ppm.
 
-    Parameters
-    ----------
-    path
-        Either a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each
-        with ``time_h`` and a table ``[epoch.parameters]``. Values in um, deg or ppm; in each of these tables what is
-        not named is nominal.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not TOML, or holds anything else; the message names the key.
+    It has a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each with
+    ``time_h`` and a table ``[epoch.parameters]``; what a table does not name is nominal.
     """
     path = Path(path)
     try:

@@ -63,10 +63,7 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 
 
 class Agenda:
-    """The orders of a ticket and what came of them, with a journal beside the session's file `output`.
-
-    Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
-    """
+    """The orders of a ticket and what came of them, with a journal beside the session's file `output`."""
 
     def __init__(self, ticket: Ticket, cell: Cell, rig: Rig, output: Path, origin: Origin, command: str = "") -> None:
         self.ticket = ticket

@@ -95,10 +95,7 @@ class Bench:
         return q
 
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
-        """Move to a pose and wait until it is reached and held; the joint values read back.
-
-        With `watch` it raises `Disturbed`, at the target, if the fringes were lost on the way.
-        """
+        """Move to a pose and hold it; joint values read back. With `watch`, `Disturbed` there if fringes were lost."""
         self._log.check()
         here = self.position()
         # Where the joints were sent they stand; the encoders' last digits are no motion.

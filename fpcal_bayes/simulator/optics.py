@@ -23,8 +23,7 @@ _COARSE = 257
 class RecorderSettings:
     """Motion, disturbances and noise of a recording; the defaults are those of a good laboratory.
 
-    With the defaults the fastest of the paper's sweeps, 40 um along the optical axis, has 35 samples a fringe, all
-    others more than 50.
+    With them the fastest of the paper's sweeps has 35 samples a fringe, all others more than 50.
     """
 
     duration_s: float = 10.0  # of the motion of a sweep or a path

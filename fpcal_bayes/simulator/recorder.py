@@ -52,8 +52,8 @@ def record_sweeps(
 ) -> TraceIndex:
     """Record sweeps on the simulated cell; one with mechanics is a machine that is drawn by `seed`.
 
-    sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
-    Joints reach either end with the cell's repeatability; traces hold the positions that the controller believes.
+    sweeps: a plan of sweeps of one joint each, and of absolute lengths. Joints reach either end with the cell's
+    repeatability; traces hold the positions that the controller believes.
     scans: which sweeps have a wavelength scan before and after, shape (n,); absolute lengths have one in any case.
     """
     settings = RecorderSettings() if settings is None else settings

@@ -57,10 +57,7 @@ class Axis:
 
 
 class SimulatedCell:
-    """A cell with a truth through time, as its devices see it; `machine` holds mechanics beyond the geometry.
-
-    `noise` is the standard deviation of one position that the interferometer reads, in um; axes ring for `settle_s`.
-    """
+    """A cell with a truth through time, as its devices see it; `noise` is the sd of one reading of length, in um."""
 
     def __init__(
         self,

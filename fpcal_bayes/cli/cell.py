@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.analysis.cell_view import view_cell
-from fpcal_bayes.cli.common import check_suffix, console, write_result
+from fpcal_bayes.cli.common import check_suffix, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import write_text
@@ -39,9 +39,7 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
     if options.figure is not None:
         save_figure(cell_figure(view), options.figure)
     write_result(options.json, "cell", view.content())
-    out = console(options)
-    for line in cell_words(view):
-        out.say(line)
+    show(options, cell_words(view))
     if view.refused:
         raise InputError(f"{source}: {view.refused}")
     return 0

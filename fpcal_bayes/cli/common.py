@@ -76,3 +76,11 @@ def console(options: argparse.Namespace) -> Output:
     """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
     terminal = sys.stdout.isatty()
     return Output(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+
+
+def show(options: argparse.Namespace, parts: Iterable[object], warnings: Iterable[str] = ()) -> None:
+    """Print tables, sentences as they are, and then warnings."""
+    out = console(options)
+    for part in parts:
+        out.say(part) if isinstance(part, str) else out.print(part)
+    warn(warnings)

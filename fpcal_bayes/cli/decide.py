@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from fpcal_bayes.analysis.campaign import Followed, follow
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Goal
@@ -35,12 +35,9 @@ def run(options: argparse.Namespace) -> int:
     if options.output is not None:
         write_ticket(options.output, ticket, cell)
     write_result(options.json, "decide", found.estimate().content() | content)
-    out = console(options)
-    out.print(outlook_table(decision, goal, found))
-    if decision.sweeps is not None and decision.action == "extrinsic":
-        out.print(sweep_table(decision.sweeps, cell))
-    out.say(decision_sentence(decision, found))
-    warn(content["warnings"])
+    few = decision.sweeps if decision.action == "extrinsic" else None
+    tables = [outlook_table(decision, goal, found), *([] if few is None else [sweep_table(few, cell)])]
+    show(options, [*tables, decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1
 
 
@@ -53,7 +50,7 @@ def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -
     warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
     estimate = found.estimate()
     trust = estimate.trust
-    warnings += [reason.text for reason in trust.reasons if reason.text not in warnings]
+    warnings += [text for text in trust.texts if text not in warnings]
     for name in goal.tasks:
         task = find_task(found.cell, estimate.vector(), name, radius=goal.radius_um, n_points=8)
         if not task.ok.any():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, check_suffix, show, write_result
 from fpcal_bayes.core.files import make_folder, replacing
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
@@ -145,7 +145,6 @@ def _number(value: float) -> float | None:
 
 def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:
     readings = [reading for reading in found.readings if reading is not None and reading.good]
-    out = console(options)
     sentences = [
         f"{counted(len(found.sweeps), 'row')} from {counted(len(found.readings), 'recording')} -> {options.output}"
     ]
@@ -160,6 +159,4 @@ def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -
     if len(found.doubtful):
         where = f", drawn in {folder}" if folder else ""
         sentences.append(f"{len(found.doubtful)} doubtful, left out{where}")
-    for sentence in sentences:
-        out.say(sentence)
-    warn(found.warnings)
+    show(options, sentences, found.warnings)

@@ -142,7 +142,7 @@ def _plan(
     plan_validation.write_planned(options, planned, cell)
     if frontier is not None:
         report.save_figure(report.draw_frontier(frontier, points), options.frontier)
-    warnings += [reason.text for reason in trust.reasons]
+    warnings += trust.texts
     content = plan_content(
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
     )

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from fpcal_bayes.analysis.tasks import judged
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
-    out, content, predictions, budgets, warnings = console(options), {}, [], [], []
+    content, predictions, budgets, warnings = {}, [], [], []
     own, tolerances, lines = {task.name: task for task in cell.tasks}, [], []
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(
@@ -64,16 +64,17 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
     if sweeps is not None and estimate.mechanics is not None:
         warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
-    warnings += [reason.text for reason in estimate.trust.reasons]
+    warnings += estimate.trust.texts
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
-    out.print(prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"))
-    out.print(freedom_table(predictions))
-    for line in [not_evaluated_line(cell), *lines, *mechanism_lines(predictions)]:
-        out.say(line)
+    title = f"{Path(options.file).name}: task errors {source}"
+    shown: list[object] = [
+        prediction_table(predictions, tolerances, title),
+        freedom_table(predictions),
+        not_evaluated_line(cell),
+    ]
+    shown += [*lines, *mechanism_lines(predictions)]
     for budget in budgets:
-        out.print(budget_table(budget))
-        for line in correlation_lines(budget):
-            out.say(line)
-    warn(warnings)
+        shown += [budget_table(budget), *correlation_lines(budget)]
+    show(options, shown, warnings)
     return 0

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, check_suffix, show, write_result
 from fpcal_bayes.cli.ingest import drawn_sweep, recordings_content
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.fringes.ingest import read_index
@@ -41,6 +41,5 @@ def run(options: argparse.Namespace) -> int:
         turns = ", ".join(f"{turn:.4g}" for turn in row["reversals"])
         late = f"{row['lost_motion']:.3g}" if row["lost_motion"] else ""
         table.add_row(row["label"], *("" if x is None else f"{x:.5g}" for x in numbers), turns, late)
-    console(options).print(table)
-    warn(found.warnings)
+    show(options, [table], found.warnings)
     return 0

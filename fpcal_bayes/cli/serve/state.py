@@ -203,7 +203,7 @@ class Served:
             "predicted_sd_nm": list(map(known, sd.tolist())),
             "estimate": self.estimate()[0][CONTENT_HASH],
             "trust": trust.content(),
-            "warnings": [*current.warnings, *reach_warnings(task), *(reason.text for reason in trust.reasons)],
+            "warnings": [*current.warnings, *reach_warnings(task), *trust.texts],
         }
 
     def decision(self) -> dict[str, Any]:

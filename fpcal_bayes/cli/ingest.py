@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,9 @@ from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
 from fpcal_bayes.fringes.kernels import fit_signal
 from fpcal_bayes.fringes.wavelength_scan import ScanReading
-from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
-from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.compile import needs_compilation
@@ -51,24 +48,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell: Cell) -> None:
-    if options.output.suffix.lower() in HDF5_SUFFIXES:
-        extras = [
-            f"--points {options.points}" if options.points else "",
-            "--absolute" if options.absolute else "",
-            f"--wavelength-sd-pm {options.wavelength_sd_pm:g}" if options.wavelength_sd_pm else "",
-            f"--index-sd {options.index_sd:g}" if options.index_sd else "",
-            "--columns " + ",".join(f"{k.split('_')[0]}={v}" for k, v in options.columns.items())
-            if options.columns
-            else "",
-            f"--estimate {Path(options.estimate).name}" if options.estimate else "",
-        ]
-        command = " ".join(["fpcal ingest", Path(options.index).name, *filter(None, extras)])
-        campaign = Campaign.of(found.sweeps, cell, command=command)
-        doubtful = found.doubtful if len(found.doubtful) else None
-        campaign = replace(campaign, recordings=index, doubtful=doubtful, about=options.about)
-        write_campaign(options.output, campaign, cell)
-    else:
-        write_sweeps(options.output, found.sweeps, cell)
+    said = {name: getattr(options, name) for name in ("points", "absolute", "wavelength_sd_pm", "index_sd")}
+    said["columns"] = ",".join(f"{key.split('_')[0]}={name}" for key, name in (options.columns or {}).items())
+    said["estimate"] = options.estimate and Path(options.estimate).name
+    texts = {
+        name: "" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}"
+        for name, value in said.items()
+        if value
+    }
+    words = [f"--{name.replace('_', '-')}{text}" for name, text in texts.items()]
+    command = " ".join(["fpcal ingest", Path(options.index).name, *words])
+    beside = {"recordings": index, "doubtful": found.doubtful if len(found.doubtful) else None}
+    write_sweeps(options.output, found.sweeps, cell, command=command, about=options.about, **beside)
 
 
 def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:

@@ -74,8 +74,8 @@ def make_parser() -> Parser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for name, summary, add in (*measure.COMMANDS, *identify.COMMANDS, *keep.COMMANDS):
-        add(add_command(commands, name, summary))
+    for command in (*measure.COMMANDS, *identify.COMMANDS, *keep.COMMANDS):
+        add_command(commands, *command)
     return parser
 
 

@@ -7,13 +7,11 @@ from fpcal_bayes.cli.common import cell_of, check_suffix, console
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
-from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.joint_paths import read_joint_path
 from fpcal_bayes.io.recordings import write_recordings
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
 from fpcal_bayes.io.traces import write_path_trace
 from fpcal_bayes.io.truth import read_truth, write_truth
-from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, default_truth
@@ -75,11 +73,7 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     command += "" if cell.mechanics is None else " --mechanics stated"
-    if options.output.suffix.lower() in HDF5_SUFFIXES:
-        campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record())
-        write_campaign(options.output, campaign, cell)
-    else:
-        write_sweeps(options.output, sweeps, cell)
+    write_sweeps(options.output, sweeps, cell, command=command, seed=options.seed, truth=truth.record())
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
     console(options).say(

@@ -5,6 +5,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import exclusive, require_readable
@@ -50,13 +51,13 @@ def read_sweeps(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool
     return read_csv(path, cell, plan=plan, whole=whole)
 
 
-def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str = "", seed: int | None = None) -> None:
+def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, **beside: Any) -> None:
     """Write sweeps in the format that the file's suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
 
     Parameters
     ----------
-    command, seed
-        How the sweeps came about; kept in a campaign file only.
+    beside
+        What a campaign file alone keeps: ``command``, ``seed``, ``truth``, ``recordings``, ``doubtful``, ``about``.
 
     Raises
     ------
@@ -65,7 +66,7 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str =
     """
     suffix = Path(path).suffix.lower()
     if suffix in HDF5_SUFFIXES:
-        write_campaign(path, Campaign.of(sweeps, cell, command=command, seed=seed), cell)
+        write_campaign(path, Campaign.of(sweeps, cell, **beside), cell)
     elif suffix == ".csv":
         write_csv(path, sweeps, cell)
     else:

@@ -19,12 +19,12 @@ from fpcal_bayes.core.files import read_text, require_writable
 from fpcal_bayes.core.times import clock as read_clock
 from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.recordings import write_recordings
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Order, Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.rig.results import doubtful_of, recordings_of, sweeps_of, write_session
+from fpcal_bayes.rig.results import doubtful_of, recordings_of, sweeps_of
 from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 SCHEMA = "fpcal-measure/1"
@@ -154,7 +154,8 @@ class Agenda:
         if isinstance(self.rig.instrument, IDSDevice):
             found = self.sweeps()
             if found is not None:
-                write_session(self.output, found, doubtful_of(self.orders, self.outcomes), self.cell, self._command)
+                doubtful = doubtful_of(self.orders, self.outcomes)
+                write_sweeps(self.output, found, self.cell, command=self._command, doubtful=doubtful)
         else:
             found = recordings_of(self.orders, self.outcomes, self.cell, self.folder, self.origin.moment_s)
             if found is not None:

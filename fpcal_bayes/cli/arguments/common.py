@@ -9,6 +9,8 @@ from typing import Any
 Commands = tuple[tuple[str, str, Callable[[argparse.ArgumentParser], None]], ...]
 
 
+#: Commands whose result is another file, or none.
+_WITHOUT_JSON = ("simulate", "export", "import", "keep", "measure", "rig", "serve", "week")
 #: Error motions of the mechanism where the option is not given.
 MECHANICS = "stated"
 
@@ -17,8 +19,8 @@ class Folder(Path):
     """A folder that a command fills."""
 
 
-def add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
-    """Add a command with the options that every command takes."""
+def add_command(commands: Any, name: str, summary: str, options: Callable[[argparse.ArgumentParser], None]) -> None:
+    """Add a command with the options that every command takes, and its own."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
         help=summary,
@@ -32,12 +34,9 @@ def add_command(commands: Any, name: str, summary: str) -> argparse.ArgumentPars
     motions = "error motions as the cell states them (default), or a mechanism that is perfect"
     add("--mechanics", choices=("stated", "none"), default=MECHANICS, help=motions)
     add("--quiet", action="store_true", help="print warnings and errors only")
-    return parser
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--json``."""
-    parser.add_argument("--json", metavar="OUT", type=Path, help="write the result as JSON")
+    options(parser)
+    if name not in _WITHOUT_JSON:
+        add("--json", metavar="OUT", type=Path, help="write the result as JSON")
 
 
 def add_prior(parser: argparse.ArgumentParser) -> None:

@@ -3,17 +3,7 @@
 from argparse import ArgumentParser
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import (
-    Commands,
-    Folder,
-    add_json,
-    add_prior,
-    add_task_options,
-    count,
-    positive,
-    seed,
-    share,
-)
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_prior, add_task_options, count, positive, seed, share
 
 _TRACES = "take every sample of recorded traces in place of rows (FILE: what fpcal ingest reads or made)"
 
@@ -33,7 +23,6 @@ def _identify(parser: ArgumentParser) -> None:
     add("--hold-out", type=share, metavar="SHARE", help="leave this share of the sweeps out, and verify with them")
     add("--hold", choices=("consider", "exact"), default="consider", help="how to hold the rest")
     add("--traces", action="store_true", help=_TRACES)
-    add_json(parser)
 
 
 def _sample(parser: ArgumentParser) -> None:
@@ -47,7 +36,6 @@ def _sample(parser: ArgumentParser) -> None:
     add("--likelihood", choices=("gaussian", "student", "slip"), default="gaussian", help=kinds)
     add_prior(parser)
     add("--resume", action="store_true", help="go on with a run that was killed")
-    add_json(parser)
 
 
 def _compare(parser: ArgumentParser) -> None:
@@ -56,7 +44,6 @@ def _compare(parser: ArgumentParser) -> None:
     add("--models", required=True, metavar="MODEL,MODEL,..", help="e.g. opd=axis,opd=perpendicular,likelihood=slip")
     add("--draws", type=count, default=2000, help="effective draws of every parameter (default: 2000)")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    add_json(parser)
 
 
 def _verify(parser: ArgumentParser) -> None:
@@ -67,7 +54,6 @@ def _verify(parser: ArgumentParser) -> None:
     add("--radius-um", type=positive, metavar="R", help="of the circle (default: 100, or what the limits allow)")
     add("--tolerance-nm", type=positive, default=50.0, help="error of a task that is worth finding (default: 50)")
     add("--seed", type=seed, default=0, help="of the errors that are tried (default: 0)")
-    add_json(parser)
 
 
 def _task_error(parser: ArgumentParser) -> None:
@@ -82,7 +68,6 @@ def _task_error(parser: ArgumentParser) -> None:
     add("--budget", action="store_true", help="print the uncertainty budget of each task")
     add("--sweeps", metavar="FILE", help="with --budget: sweeps that the estimate was made from")
     add("--session", metavar="NAME", help="session of these sweeps (default: the first)")
-    add_json(parser)
 
 
 def _control(parser: ArgumentParser) -> None:
@@ -91,7 +76,6 @@ def _control(parser: ArgumentParser) -> None:
     add_task_options(parser, required=True)
     add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="JOINTS", type=Path, required=True, help=".csv or .mat to write")
-    add_json(parser)
 
 
 def _check(parser: ArgumentParser) -> None:
@@ -107,7 +91,6 @@ def _check(parser: ArgumentParser) -> None:
     for name, unit in (("temperature-c", "C"), ("pressure-hpa", "hPa"), ("humidity-pct", "%%")):
         add(f"--{name}", type=float, metavar="X", help=f"of the air in {unit}; all three or none")
     add("--seed", type=seed, default=0, help="of the draws (default: 0)")
-    add_json(parser)
 
 
 def _certificate(parser: ArgumentParser) -> None:
@@ -116,7 +99,6 @@ def _certificate(parser: ArgumentParser) -> None:
     add("--verification", metavar="VERIFIED.json", help="of the same session, of fpcal verify")
     add("--now", metavar="TIME_H|UTC", help="whether it is still valid then (default: this clock, where it is known)")
     add("-o", dest="output", metavar="DIR", type=Folder, required=True, help="folder to write, made if it is not there")
-    add_json(parser)
 
 
 #: Names, summaries and options, in the order of the work.

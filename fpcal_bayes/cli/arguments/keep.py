@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, BooleanOptionalAction
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_costs, add_goal, add_json, count, positive, seed
+from fpcal_bayes.cli.arguments.common import Commands, Folder, add_costs, add_goal, count, positive, seed
 
 _NOW = "for which time (default: this clock where rows carry utc, else the last session)"
 
@@ -37,7 +37,6 @@ def _plan(parser: ArgumentParser) -> None:
     add("--rows", metavar="OUT", type=Path, help="write the readings as rows: .csv or .h5")
     add("--figure", metavar="OUT", type=Path, help="draw the plan: .svg or .png")
     add("--frontier", metavar="OUT", type=Path, help="draw accuracy against sweeps and minutes: .svg or .png")
-    add_json(parser)
 
 
 def _track(parser: ArgumentParser) -> None:
@@ -53,7 +52,6 @@ def _track(parser: ArgumentParser) -> None:
     add("--fit-drift", action="store_true", help="say which drift sizes the sessions support, beside those of the cell")
     add("-o", "--output", metavar="CELL.toml", type=Path, help="with --fit-drift: write the cell with these sizes")
     add("--force", action="store_true", help="write over CELL.toml")
-    add_json(parser)
 
 
 def _decide(parser: ArgumentParser) -> None:
@@ -63,7 +61,6 @@ def _decide(parser: ArgumentParser) -> None:
     add("--now", metavar="TIME_H|UTC", help=_NOW)
     add_costs(parser)
     add("-o", dest="output", metavar="TICKET.csv", type=Path, help="write what to measure; on hold a header alone")
-    add_json(parser)
 
 
 def _append(parser: ArgumentParser) -> None:
@@ -71,7 +68,6 @@ def _append(parser: ArgumentParser) -> None:
     add("campaign", metavar="CAMPAIGN", type=Path, help="HDF5 campaign, or CSV")
     add("measured", metavar="MEASURED", help="sweeps of the new session: CSV or HDF5")
     add("--ticket", metavar="TICKET.csv", help="what was to be measured, of fpcal decide")
-    add_json(parser)
 
 
 def _keep(parser: ArgumentParser) -> None:
@@ -140,7 +136,6 @@ def _report(parser: ArgumentParser) -> None:
     add("--verification", metavar="VERIFIED.json", help="of the first session, of fpcal verify or identify --hold-out")
     add_goal(parser)
     add("--now", metavar="TIME_H|UTC", help=_NOW)
-    add_json(parser)
 
 
 def _week(parser: ArgumentParser) -> None:
@@ -162,7 +157,6 @@ def _study(parser: ArgumentParser) -> None:
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation of each dL (default: 5)")
     add("--protocol", default="paper", metavar="paper|paper-mid|SWEEPS", help="to calibrate with; sbc also: random")
     add("--draws", type=count, default=400, help="sbc: effective draws of a posterior (default: 400)")
-    add_json(parser)
 
 
 #: Names, summaries and options, in the order of the work.

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser
 from pathlib import Path
 
-from fpcal_bayes.cli.arguments.common import Commands, Folder, add_json, columns, count, positive, seed
+from fpcal_bayes.cli.arguments.common import Commands, Folder, columns, count, positive, seed
 
 #: Standard deviation of each simulated dL where none is given.
 DEFAULT_SIGMA_NM = 5.0
@@ -23,7 +23,6 @@ def _cell(parser: ArgumentParser) -> None:
     add("--gap-um", type=positive, default=920.0, metavar="L", help="of the new cell (default: 920)")
     add("--gap-sd-um", type=positive, metavar="S", help="standard deviation of that gap, if measured")
     add("--wavelength-nm", type=positive, default=1550.0, metavar="W", help="of the new cell's laser (default: 1550)")
-    add_json(parser)
 
 
 def _simulate(parser: ArgumentParser) -> None:
@@ -57,7 +56,6 @@ def _ingest(parser: ArgumentParser) -> None:
         "--plots", metavar="DIR", type=Folder, help="folder for pictures of doubtful sweeps (default: FILE_doubtful)"
     )
     plots.add_argument("--no-plots", action="store_true", help="draw nothing")
-    add_json(parser)
 
 
 def _trace(parser: ArgumentParser) -> None:
@@ -66,12 +64,10 @@ def _trace(parser: ArgumentParser) -> None:
     parser.add_argument("--columns", metavar="t=NAME,..", type=columns, help=called)
     parser.add_argument("--label", metavar="NAME", help="this sweep alone")
     parser.add_argument("--figure", metavar="OUT", type=Path, help="draw a sweep: .svg or .png")
-    add_json(parser)
 
 
 def _doctor(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="sweeps or plan: CSV, or HDF5 campaign")
-    add_json(parser)
 
 
 def _observe(parser: ArgumentParser) -> None:
@@ -80,7 +76,6 @@ def _observe(parser: ArgumentParser) -> None:
     add("--session", metavar="NAME", help="session to use (default: the first)")
     add("--sigma-nm", type=positive, default=5.0, help="standard deviation supposed for rows of a plan (default: 5)")
     add("--html", metavar="OUT", type=Path, help="write a page with figures")
-    add_json(parser)
 
 
 #: Names, summaries and options, in the order of the work.

@@ -12,14 +12,7 @@ from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
 from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.report.track import (
-    decision_content,
-    decision_sentence,
-    outlook_table,
-    sweep_table,
-    time_text,
-    verdict_lines,
-)
+from fpcal_bayes.report import track as words
 from fpcal_bayes.tracking.sessions import hours_now
 
 
@@ -36,8 +29,8 @@ def run(options: argparse.Namespace) -> int:
         write_ticket(options.output, ticket, cell)
     write_result(options.json, "decide", found.estimate().content() | content)
     few = decision.sweeps if decision.action == "extrinsic" else None
-    tables = [outlook_table(decision, goal, found), *([] if few is None else [sweep_table(few, cell)])]
-    show(options, [*tables, decision_sentence(decision, found)], content["warnings"])
+    tables = [words.outlook_table(decision, goal, found), *([] if few is None else [words.sweep_table(few, cell)])]
+    show(options, [*tables, words.decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1
 
 
@@ -47,7 +40,8 @@ def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -
     if now_h is None:
         now_h = hours_now(sweeps, found.last.time_h)
     decision = decide_track(found, sweeps, goal, costs, now_h)
-    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
+    warnings = [*words.verdict_lines(found), *followed.notes]
+    warnings += [] if decision.attainable_nm is None else [decision.reason]
     estimate = found.estimate()
     trust = estimate.trust
     warnings += [text for text in trust.texts if text not in warnings]
@@ -57,9 +51,9 @@ def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -
             warnings.append(f"task {name!r} is judged as far as the joints turn: {task.status[0]}")
     until_h = valid_until(found, goal)
     if trust.usable and now_h > until_h:
-        until = time_text(until_h, found.outcomes)
+        until = words.time_text(until_h, found.outcomes)
         warnings.append(
             f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
         )
     ticket = ticket_of(decision, sweeps).content()
-    return decision, {"decision": decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}
+    return decision, {"decision": words.decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}

@@ -11,18 +11,7 @@ from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.motion.tasks import possible_tasks
-from fpcal_bayes.report.tasks import (
-    budget_content,
-    budget_table,
-    correlation_lines,
-    freedom_table,
-    mechanism_lines,
-    not_evaluated_line,
-    prediction_content,
-    prediction_table,
-    reach_warnings,
-    tolerance_lines,
-)
+from fpcal_bayes.report import tasks as words
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         estimate, task = knowledge.plan(
             name, radius=options.radius_um, n_points=options.points, compensate=options.compensate
         )
-        warnings += reach_warnings(task)
+        warnings += words.reach_warnings(task)
         if options.task == "all" and not task.ok.any():
             continue
         driven = task.driven()
@@ -50,14 +39,14 @@ def run(options: argparse.Namespace) -> int:
         predictions.append(prediction)
         stated = own[name].tolerances if name in own else {}
         tolerances.append(stated.get("beam") if given is None else given)
-        content[task.name] = prediction_content(prediction, tolerances[-1], task, stated)
+        content[task.name] = words.prediction_content(prediction, tolerances[-1], task, stated)
         if stated:
             found = judged(prediction, own[name])
             content[task.name]["tolerance_exceeds_probability"] = found
-            lines += tolerance_lines(own[name], found)
+            lines += words.tolerance_lines(own[name], found)
         if options.budget and estimate.trust.usable:
             budget = budget_of(estimate, driven, sweeps=sweeps)
-            content[task.name]["budget"] = budget_content(budget)
+            content[task.name]["budget"] = words.budget_content(budget)
             budgets.append(budget)
 
     if not predictions:
@@ -69,12 +58,12 @@ def run(options: argparse.Namespace) -> int:
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
     title = f"{Path(options.file).name}: task errors {source}"
     shown: list[object] = [
-        prediction_table(predictions, tolerances, title),
-        freedom_table(predictions),
-        not_evaluated_line(cell),
+        words.prediction_table(predictions, tolerances, title),
+        words.freedom_table(predictions),
+        words.not_evaluated_line(cell),
     ]
-    shown += [*lines, *mechanism_lines(predictions)]
+    shown += [*lines, *words.mechanism_lines(predictions)]
     for budget in budgets:
-        shown += [budget_table(budget), *correlation_lines(budget)]
+        shown += [words.budget_table(budget), *words.correlation_lines(budget)]
     show(options, shown, warnings)
     return 0

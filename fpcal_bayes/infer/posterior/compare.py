@@ -33,8 +33,6 @@ LEAST_ERRORS = 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
 _POOR_DRAWS, _POOR_REFITS = 400, 40
 _MOST_REFITS = 200
-#: Cavity shorter than this in um: mirror and fibre touch.
-_TOUCHING = 1.0
 
 _PATH_WORDS: dict[Opd, str] = {
     "axis": "the axis path",
@@ -135,11 +133,8 @@ class ModelResult:
         fit = self.identification.fit
         size = f"chi-square {fit.chi2_data:,.0f} where {fit.expected:.0f} is expected"
         if self.state == "no minimum":
-            touching = ", and the best of them leads the mirror onto the fibre" if self._touches() else ""
-            return (
-                f"{self.spec.words} does not fit: no minimum was found from {self.identification.starts} starting "
-                f"points{touching} ({size})"
-            )
+            starts = f"no minimum was found from {self.identification.starts} starting points"
+            return f"{self.spec.words} does not fit: {starts} ({size})"
         if self.misfit is not None:
             return f"{self.spec.words}: {self.misfit}"
         unsampled = f"its posterior could not be sampled ({'; '.join(self.failures)})" if self.failures else ""
@@ -170,25 +165,17 @@ class ModelResult:
             "converged": self.identification.converged and not self.failures,
         }
 
-    def _touches(self) -> bool:
-        problem, unknowns = self.identification.problem, self.identification.solution.unknowns
-        poses = problem.model.pose_rows(np.vstack([problem.sweeps.q_start, problem.sweeps.q_end]))
-        return bool(np.abs(problem.model.predict(problem.values(unknowns), poses)).min() < _TOUCHING)
-
 
 @dataclass(frozen=True)
 class Difference:
     """How much better one model predicts than another."""
 
-    # better, worse: the models
     better: ModelSpec
     worse: ModelSpec
-    # elpd, se: sum over the rows of the difference of their log densities, and its standard error
-    elpd: float
-    se: float
+    elpd: float  # sum over the rows of the difference of their log densities
+    se: float  # its standard error
     at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
-    # whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
-    # which makes its standard error large, not the verdict doubtful
+    # whether only the better one fits: a few rows may then make up most of the difference, and make its error large
     rejected: bool = False
 
     @property

@@ -24,6 +24,11 @@ def cell_of(options: argparse.Namespace) -> Cell:
     return load_cell(options.cell, opd=options.opd, mechanics=options.mechanics)
 
 
+def about(cell: Cell) -> dict[str, Any]:
+    """The cell in the JSON of a result that is no estimate."""
+    return {"cell": {"name": cell.name, "sha256": cell.sha256}}
+
+
 def check_outputs(options: argparse.Namespace) -> None:
     """Refuse outputs, paths but for folders, that cannot be written, or that are inputs (texts) or one another."""
     given = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]

@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 
 import fpcal_bayes.report as report
-from fpcal_bayes.cli.common import show, write_result
+from fpcal_bayes.cli.common import about, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -58,8 +58,7 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
     planned = Ticket(str(options.output), made.sweeps, np.full(len(made.sweeps), made.readings))
     write_planned(options, planned, cell)
     content = {"n_sweeps": len(made.sweeps), "readings": made.readings, "level": LEVEL, "power": made.power}
-    about = {"cell": {"name": cell.name, "sha256": cell.sha256}, **content, "warnings": warnings}
-    write_result(options.json, "plan", about, found.estimate.trust)
+    write_result(options.json, "plan", about(cell) | content | {"warnings": warnings}, found.estimate.trust)
     title = f"{options.output}: {counted(len(made.sweeps), 'sweep')} of {made.readings} readings"
     told = ", ".join(f"{task} {100 * p:.0f} %" for task, p in least.items())
     power = f"power at the kind of error found least likely: {told}"

@@ -31,18 +31,14 @@ def run(options: argparse.Namespace) -> int:
     if options.traces and options.path is None:
         cell.require_one_beam("a recording of sweeps (--traces)")
     protocol = options.protocol or "paper"
-    planned = protocol not in _PROTOCOLS
-    plan = None
-    if options.path is None:
-        plan = (
-            read_sweeps(protocol, cell, plan=True, whole=options.traces)
-            if planned
-            else protocol_by_name(protocol, cell)
-        )
-        plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = default_truth(cell, options.seed) if options.truth is None else read_truth(options.truth, cell)
-    if plan is None:
+    if options.path is not None:
         return _record_path(options, cell, truth)
+    if protocol in _PROTOCOLS:
+        plan = protocol_by_name(protocol, cell)
+    else:
+        plan = read_sweeps(protocol, cell, plan=True, whole=options.traces)
+    plan = plan if options.signs is None else mark_signs(plan, options.signs)
     require_drivable(cell, truth, plan)
     if options.traces:
         return _record(options, cell, truth, plan)
@@ -76,10 +72,8 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
     write_sweeps(options.output, sweeps, cell, command=command, seed=options.seed, truth=truth.record())
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
-    console(options).say(
-        f"{counted(len(sweeps), 'row')} simulated on cell {cell.name!r}{_machine(cell)}, "
-        f"sd {sigma_nm:g} nm{signs} -> {options.output}"
-    )
+    what = f"{counted(len(sweeps), 'row')} simulated on cell {cell.name!r}{_machine(cell)}"
+    console(options).say(f"{what}, sd {sigma_nm:g} nm{signs} -> {options.output}")
     return 0
 
 
@@ -91,11 +85,9 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     write_recordings(options.output, index, cell)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
+    what = f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}"
     samples = sum(map(len, index.traces))
-    console(options).say(
-        f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}, {samples} samples -> "
-        f"{options.output}, truth in {beside}"
-    )
+    console(options).say(f"{what}, {samples} samples -> {options.output}, truth in {beside}")
     return 0
 
 
@@ -108,8 +100,7 @@ def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     require_task_within_envelope(model, values, path, name=str(options.path), exact=True)
     trace = record_path(cell, truth, path, options.time_h or 0.0, seed=options.seed)
     write_path_trace(options.output, trace, cell)
-    console(options).say(
-        f"{len(trace)} samples recorded along {options.path}{_machine(cell)}, "
-        f"true change of length {1e3 * trace.length_change:.1f} nm peak to peak -> {options.output}"
-    )
+    what = f"{len(trace)} samples recorded along {options.path}{_machine(cell)}"
+    change = f"true change of length {1e3 * trace.length_change:.1f} nm peak to peak"
+    console(options).say(f"{what}, {change} -> {options.output}")
     return 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from fpcal_bayes.cli.common import cell_of, check_outputs, show, write_result
+from fpcal_bayes.cli.common import about, cell_of, check_outputs, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -56,7 +56,6 @@ def run(options: argparse.Namespace) -> int:
             "the mechanism of this study is perfect whatever the cell states: studies/mechanics_coverage.py has others"
         )
     content = {
-        "cell": {"name": cell.name, "sha256": cell.sha256},
         "study": study.name,
         "replicates": options.replicates,
         "settings": study.settings() | {"seed": study.seed},
@@ -64,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         "sentences": summary.sentences,
         "warnings": summary.warnings,
     }
-    write_result(options.json, "study", content, Trust())
+    write_result(options.json, "study", about(cell) | content, Trust())
     tables = []
     if summary.rows:
         tables = [plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])]

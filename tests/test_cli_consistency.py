@@ -21,7 +21,6 @@ def test_common_options_and_help(name):
     assert parser.description.endswith(".")
     for action in parser._actions:
         assert action.help, f"{name} {action.option_strings or action.dest} has no help"
-    parser.format_help()
     assert max(map(len, (parser.epilog or "").splitlines()), default=0) <= 120
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from fpcal_bayes.cli.arguments.common import Folder
+from fpcal_bayes.cli.arguments import Folder
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_writable, write_json
 from fpcal_bayes.io.cell import load_cell

@@ -16,27 +16,10 @@ from importlib import import_module
 from keyword import iskeyword
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli.arguments import identify, keep, measure
-from fpcal_bayes.cli.arguments.common import add_command
+from fpcal_bayes.cli.arguments import COMMANDS, add_command
 from fpcal_bayes.core.errors import InputError, reason
+from fpcal_bayes.core.resources import command_file
 from fpcal_bayes.core.version import __version__
-
-_DESCRIPTION = """\
-Calibrate a micro- or nano-positioning robot from one-dimensional Fabry-Perot measurements.
-
-The way through, here on a simulated cell:
-  measure    fpcal simulate -o sweeps.csv                  the paper's 69 sweeps; your traces: fpcal ingest
-  look       fpcal doctor sweeps.csv                       what is wrong, and what to do about it
-             fpcal observe sweeps.csv                      what these sweeps can tell
-  identify   fpcal identify sweeps.csv --json day0.json    the geometry, and how far to trust it
-             fpcal sample sweeps.csv -o posterior.nc       the whole posterior, by emcee
-  use        fpcal task-error day0.json --tolerance-nm 50  how many nanometres each task will be off
-             fpcal control --estimate day0.json --task circle -o joints.csv
-  keep       fpcal track campaign.h5                       the drift from session to session
-             fpcal decide campaign.h5 --tolerance-nm 50    hold, re-identify or recalibrate
-             fpcal report campaign.h5 -o report.html       all of it on one page
-  or         fpcal week -o week                            the paper's whole week at once
-"""
 
 
 class _Completion(argparse.Action):
@@ -48,22 +31,22 @@ class _Completion(argparse.Action):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, and whose help ends with what ``help.toml`` says of the command."""
-
-    def format_help(self) -> str:
-        """The help, with the text that is read only where it is asked for."""
-        self.epilog = _load("fpcal_bayes.core.resources").help_text(self.prog.split()[-1])
-        return super().format_help()
+    """A parser whose errors are one line, like every other error of the program."""
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
-def make_parser() -> Parser:
-    """Build the parser of all commands."""
+def make_parser(named: str | None = None) -> Parser:
+    """Build the parser of all commands, or of the one `named`."""
+    stated = command_file("fpcal")
     parser = Parser(
-        prog="fpcal", description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog="fpcal",
+        description=stated["summary"],
+        epilog=stated["help"],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
     parser.add_argument("--traceback", action="store_true", help="show where in the program an internal error arose")
@@ -74,8 +57,9 @@ def make_parser() -> Parser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for command in (*measure.COMMANDS, *identify.COMMANDS, *keep.COMMANDS):
-        add_command(commands, *command)
+    for name in COMMANDS:
+        # The other commands are known by their names alone.
+        add_command(commands, name) if named is None or name == named else commands.add_parser(name)
     return parser
 
 
@@ -182,7 +166,7 @@ def _run(words: list[str], *, alone: bool) -> int:
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")
-    options = make_parser().parse_args(words)
+    options = make_parser(words[0] if words and words[0] in COMMANDS else None).parse_args(words)
     name = options.command.replace("-", "_")
     command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
     if alone:

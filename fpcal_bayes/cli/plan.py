@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
-from fpcal_bayes.cli.arguments.common import positive
+from fpcal_bayes.cli.arguments import positive
 from fpcal_bayes.cli.common import about, cell_of, check_suffix, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError

@@ -2,7 +2,6 @@
 
 import argparse
 
-from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
 from fpcal_bayes.cli.common import cell_of, check_suffix, console
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -22,6 +21,8 @@ from fpcal_bayes.simulator.recorder import check_recordable, record_path, record
 from fpcal_bayes.simulator.sweeps import require_drivable, simulate_um
 
 _PROTOCOLS = ("paper", "paper-mid")
+#: Standard deviation of each simulated dL where none is given.
+_SIGMA_NM = 5.0
 
 
 def run(options: argparse.Namespace) -> int:
@@ -65,7 +66,7 @@ def _machine(cell: Cell) -> str:
 def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps, protocol: str) -> int:
     """Changes of length with Gaussian noise."""
     warm_up(cell)
-    sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
+    sigma_nm = _SIGMA_NM if options.sigma_nm is None else options.sigma_nm
     sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     command += "" if cell.mechanics is None else " --mechanics stated"

@@ -1,6 +1,7 @@
 """Data files that come with the program."""
 
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ def paper_tables() -> dict[str, Any]:
     return tomllib.loads(data_file("bettahar.toml").read_text(encoding="utf-8"))
 
 
-def help_text(command: str) -> str | None:
-    """What stands below the options in the help of a command, or of ``fpcal`` itself."""
-    found: str | None = tomllib.loads(data_file("help.toml").read_text(encoding="utf-8")).get(command)
-    return found
+@cache
+def command_file(name: str) -> dict[str, Any]:
+    """What a file of ``data/commands`` states: summary, options and help of a command."""
+    return tomllib.loads(data_file(f"commands/{name}.toml").read_text(encoding="utf-8"))

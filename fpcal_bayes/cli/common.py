@@ -49,13 +49,6 @@ def _is_same(target: Path, text: str) -> bool:
     return False
 
 
-def check_suffix(output: Path | None, *suffixes: str) -> None:
-    """Refuse an output whose name ends otherwise."""
-    if output is not None and output.suffix.lower() not in suffixes:
-        ends = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise InputError(f"{output}: expected a file name that ends in {ends}")
-
-
 def write_result(output: Path | None, command: str, content: dict[str, Any], trust: Trust | None = None) -> None:
     """Write the JSON of a command, if it is wanted; `trust` where the content is not that of an estimate."""
     if output is not None:

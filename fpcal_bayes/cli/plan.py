@@ -14,9 +14,10 @@ from rich.progress import Progress
 import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments import positive
-from fpcal_bayes.cli.common import about, cell_of, check_suffix, show, write_result
+from fpcal_bayes.cli.common import about, cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
@@ -69,9 +70,9 @@ def run(options: argparse.Namespace) -> int:
         )
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
-        check_suffix(rows, ".csv", *HDF5_SUFFIXES)
+        require_suffix(rows, ".csv", *HDF5_SUFFIXES)
     for figure in (options.figure, options.frontier):
-        check_suffix(figure, ".svg", ".png")
+        require_suffix(figure, ".svg", ".png")
     settings = _settings(options, cell)
     if options.commission:
         return _commission(options, cell, settings)

@@ -2,8 +2,9 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console
+from fpcal_bayes.cli.common import cell_of, console
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.joint_paths import read_joint_path
@@ -94,7 +95,7 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
 
 def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     """The trace of one path."""
-    check_suffix(options.output, ".csv")
+    require_suffix(options.output, ".csv")
     path = read_joint_path(options.path, cell)
     warm_up(cell)
     model, values = CavityModel.of(cell, truth.parameters), truth.at(options.time_h or 0.0)

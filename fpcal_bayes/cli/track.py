@@ -7,11 +7,12 @@ from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli.common import cell_of, show, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.cell import write_resized_cell
-from fpcal_bayes.io.flat import check_flat, write_flat
+from fpcal_bayes.io.flat import FLAT_SUFFIXES, write_flat
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
-    check_flat(options.flat)
+    require_suffix(options.flat, *FLAT_SUFFIXES)
     if options.output is not None:
         if not options.fit_drift or options.output.suffix.lower() != ".toml":
             raise InputError("-o CELL.toml: expected --fit-drift beside it, and a name that ends in .toml")

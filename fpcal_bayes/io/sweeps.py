@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import exclusive, require_readable
+from fpcal_bayes.core.files import exclusive, require_readable, require_suffix
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
 from fpcal_bayes.io.csv import read_records, table_text, write_table
@@ -64,13 +64,11 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, **beside: Any) ->
     InputError
         If the suffix is another one, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix in HDF5_SUFFIXES:
-        write_campaign(path, Campaign.of(sweeps, cell, **beside), cell)
-    elif suffix == ".csv":
+    require_suffix(Path(path), ".csv", *HDF5_SUFFIXES)
+    if Path(path).suffix.lower() == ".csv":
         write_csv(path, sweeps, cell)
     else:
-        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+        write_campaign(path, Campaign.of(sweeps, cell, **beside), cell)
 
 
 def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:

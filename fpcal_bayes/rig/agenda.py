@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text, require_writable
+from fpcal_bayes.core.files import read_text, require_suffix, require_writable
 from fpcal_bayes.core.times import clock as read_clock
 from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.recordings import write_recordings
@@ -77,8 +77,7 @@ class Agenda:
         self._journal = output.with_name(f"{output.name}.journal")
         self._disturbed = 0
         self._offered: set[int] = set()
-        if output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
-            raise InputError(f"{output}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+        require_suffix(output, ".csv", *HDF5_SUFFIXES)
         require_writable(output)
         whole = next((order.row for order in self.orders if order.whole), None)
         if whole is not None and isinstance(rig.instrument, IDSDevice):

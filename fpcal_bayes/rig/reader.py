@@ -2,14 +2,11 @@
 
 import math
 import time
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text, require_line_end
-from fpcal_bayes.io.validate import Tables, literal
+from fpcal_bayes.io.validate import Tables, literal, read_toml
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.joints import Joint
 from fpcal_bayes.rig import settings
@@ -29,16 +26,7 @@ _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "att
 def read_rig(source: str | Path, cell: Cell) -> settings.Rig:
     """Read the rig of `cell` from a TOML file; InputError if anything in it is not as documented."""
     cell.require_one_beam("a rig")
-    path = Path(source)
-    text = read_text(path)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{source}: not a TOML file: {error}") from error
-    rig = _Reader(str(source)).rig(table, cell)
-    if text[-1:].isdigit():
-        require_line_end(path, text)
-    return rig
+    return _Reader(str(source)).rig(read_toml(Path(source)), cell)
 
 
 class _Reader(Tables):

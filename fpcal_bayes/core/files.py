@@ -293,6 +293,13 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({reason(error)})") from error
 
 
+def require_suffix(path: Path | None, *suffixes: str) -> None:
+    """Raise `InputError` where the name of a file, if there is one, says none of these formats."""
+    if path is not None and path.suffix.lower() not in suffixes:
+        ends = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise InputError(f"{path}: expected a file name that ends in {ends}")
+
+
 def require_line_end(path: Path, text: str) -> None:
     """Raise `InputError` unless the last line of a text has an end: without it, its last value may be cut short."""
     if text and not text.endswith(("\n", "\r")):

@@ -238,7 +238,7 @@ def identify(
     )
     if trust.usable and fit.expected > LEAST_EXPECTED:
         trust = trust.because(*axis_rivals(problem, solution))
-    warnings += [reason.text for reason in trust.reasons]
+    warnings += trust.texts
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))

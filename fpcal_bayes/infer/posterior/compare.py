@@ -32,8 +32,6 @@ LEAST_ERRORS = 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
 _POOR_DRAWS, _POOR_REFITS = 400, 40
 _MOST_REFITS = 200
-#: Cavity shorter than this in um: mirror and fibre touch.
-_TOUCHING = 1.0
 
 _PATH_WORDS: dict[Opd, str] = {
     "axis": "the axis path",
@@ -134,11 +132,8 @@ class ModelResult:
         fit = self.identification.fit
         size = f"chi-square {fit.chi2_data:,.0f} where {fit.expected:.0f} is expected"
         if self.state == "no minimum":
-            touching = ", and the best of them leads the mirror onto the fibre" if self._touches() else ""
-            return (
-                f"{self.spec.words} does not fit: no minimum was found from {self.identification.starts} starting "
-                f"points{touching} ({size})"
-            )
+            starts = f"no minimum was found from {self.identification.starts} starting points"
+            return f"{self.spec.words} does not fit: {starts} ({size})"
         if self.misfit is not None:
             return f"{self.spec.words}: {self.misfit}"
         unsampled = f"its posterior could not be sampled ({'; '.join(self.failures)})" if self.failures else ""
@@ -167,11 +162,6 @@ class ModelResult:
             "fits": self.fits,
             "converged": self.identification.converged and not self.failures,
         }
-
-    def _touches(self) -> bool:
-        problem, unknowns = self.identification.problem, self.identification.solution.unknowns
-        poses = problem.model.pose_rows(np.vstack([problem.sweeps.q_start, problem.sweeps.q_end]))
-        return bool(np.abs(problem.model.predict(problem.values(unknowns), poses)).min() < _TOUCHING)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.report.track import (
     decision_content,
     decision_sentence,
+    next_sweeps_table,
     outlook_table,
-    sweep_table,
     time_text,
     verdict_lines,
 )
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     out = console(options)
     out.print(outlook_table(decision, goal, found))
     if decision.sweeps is not None and decision.action == "extrinsic":
-        out.print(sweep_table(decision.sweeps, cell))
+        out.print(next_sweeps_table(decision.sweeps, cell))
     out.say(decision_sentence(decision, found))
     warn(content["warnings"])
     return 0 if found.converged else 1

@@ -11,6 +11,8 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
+# Byte code is kept, else every program that a test starts compiles the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make week     the whole protocol on the simulated cell, with report, into week/"

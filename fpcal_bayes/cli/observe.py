@@ -3,10 +3,11 @@
 import argparse
 
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.core.files import write_text
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.io.sweeps import read_sweeps
-from fpcal_bayes.report.observe import print_observability, write_observe_html
+from fpcal_bayes.report.observe import observe_html, print_observability
 
 
 def run(options: argparse.Namespace) -> int:
@@ -18,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     title = f"{options.file}, session {','.join(sweeps.sessions)}"
     write_result(options.json, "observe", result.content(), result.trust)
     if options.html is not None:
-        write_observe_html(result, title, options.html)
+        write_text(options.html, observe_html(result, title))
     print_observability(result, title, console(options))
     warn(result.warnings)
     return 0 if result.identification is None or result.identification.converged else 1

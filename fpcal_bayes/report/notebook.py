@@ -13,12 +13,12 @@ from fpcal_bayes.analysis.files import CONTENTS
 from fpcal_bayes.analysis.files import arviz_tree as arviz_tree
 from fpcal_bayes.analysis.files import write as write
 from fpcal_bayes.analysis.history import session_bounds
-from fpcal_bayes.analysis.parameters import summarise
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.netcdf import summarise
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
@@ -114,9 +114,13 @@ def _(result: Posterior) -> Shown:
         numbers = {key: [each[key] for each in found.values()] for key in told}
         return {"parameter": list(found), "unit": [free[name].unit for name in found]} | numbers
 
-    return Shown(
-        posterior_table(result, repr(result)), columns, lambda: prior_posterior_figure(arviz_tree(result)), result.trust
-    )
+    def draw() -> Figure:
+        tree, free = arviz_tree(result), result.identification.free
+        names = [f"{parameter.name} [{parameter.unit}]" for parameter in free]
+        of = {kind: [tree[kind][name].to_numpy().ravel() for name in free.names] for kind in ("posterior", "prior")}
+        return prior_posterior_figure(names, np.array(of["posterior"]).T, np.array(of["prior"]).T)
+
+    return Shown(posterior_table(result, repr(result)), columns, draw, result.trust)
 
 
 @shown.register

@@ -1,13 +1,11 @@
 """An observability analysis in sentences and tables, on a terminal and as one page that needs nothing else."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
 from rich.console import Console
 
-from fpcal_bayes.core.files import write_text
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
 from fpcal_bayes.infer.observability.gauges import Gauge
@@ -232,13 +230,8 @@ def print_observability(result: Observability, title: str, out: Console) -> None
     out.print(bounds_table(result))
 
 
-def write_observe_html(result: Observability, title: str, path: Path) -> None:
-    """Write a page with text, tables and figures; the same analysis gives the same bytes."""
-    write_text(path, observe_html(result, title))
-
-
 def observe_html(result: Observability, title: str) -> str:
-    """The page as text."""
+    """A page with text, tables and figures; the same analysis gives the same text."""
     drawn = {
         "spectrum": figures.spectrum_figure(result),
         "contraction": figures.contraction_figure(result),

@@ -3,7 +3,6 @@
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import WEAK_SHARE, Status
 from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
@@ -97,16 +96,17 @@ def information_figure(result: Observability) -> str:
     n = len(information.labels)
     with svg_figure(9.6, 6.0) as (figure, svg):
         single, grown = figure.subplots(2, 1)
-        highest, first = largest_in_bins(information.bits, _MOST_BARS)
-        single.bar(first, highest, width=0.8 * max(1.0, n / _MOST_BARS), color=BLUE)
+        if n <= _MOST_BARS:
+            single.bar(np.arange(n), information.bits, color=BLUE)
+        else:
+            single.plot(information.bits, color=BLUE, linewidth=0.8)
         single.set_ylabel("information lost\nwithout the sweep [bits]")
         single.set_xlim(-0.6, n - 0.4)
         if n <= _MOST_LABELS:
             labels = [drawable(label) for label in information.labels]
             single.set_xticks(np.arange(n), labels, rotation=90, fontsize=7 if n > 40 else 8, parse_math=False)
         else:
-            binned = f"; each bar is the largest of {-(-n // _MOST_BARS)}" if n > _MOST_BARS else ""
-            single.set_xlabel(f"sweep, in order of measurement{binned}")
+            single.set_xlabel("sweep, in order of measurement")
         grown.plot(information.cumulative_rows, information.cumulative_bits, color=VERMILION)
         grown.set_xlim(0, int(information.cumulative_rows[-1]))
         grown.set_ylim(bottom=0)
@@ -115,11 +115,3 @@ def information_figure(result: Observability) -> str:
         single.grid(axis="y", alpha=0.3)
         grown.grid(alpha=0.3)
     return svg[0]
-
-
-def largest_in_bins(values: Floats, most: int) -> tuple[Floats, Floats]:
-    """The largest value of each of at most `most` runs of equal length, and where the middle of each run is."""
-    length = max(1, -(-len(values) // most))
-    starts = np.arange(0, len(values), length)
-    middles = (starts + np.minimum(starts + length, len(values)) - 1) / 2.0
-    return np.maximum.reduceat(values, starts), middles

@@ -43,14 +43,15 @@ def svg_figure(width: float, height: float) -> Iterator[tuple[Figure, list[str]]
     with matplotlib.rc_context(_SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, svg
-        svg.append(_svg_text(figure))
+        svg.append(svg_text(figure))
 
 
-def _svg_text(figure: Figure) -> str:
+def svg_text(figure: Figure) -> str:
     """The SVG element of a figure; the same figure gives the same text."""
     buffer = io.StringIO()
-    # The date would make two runs differ.
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    with matplotlib.rc_context(_SETTINGS):
+        # The date would make two runs differ.
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)

@@ -1,13 +1,14 @@
 """A posterior as a table and as densities, and a model comparison."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.analysis.parameters import summarise, tree_draws
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
 from fpcal_bayes.infer.posterior.draws import Posterior
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, summarise
 from fpcal_bayes.report.pages import BLUE, VERMILION
 from fpcal_bayes.report.table import Table, number, plain_table
 
@@ -16,24 +17,22 @@ _SHOWN_DRAWS = 1000
 _N_COLUMNS = 4
 
 
-def prior_posterior_figure(tree: Any) -> Figure:
-    """Densities of prior and posterior over what the posterior covers; a far wider prior lies flat."""
+def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) -> Figure:
+    """Densities of draws and of prior draws `before`, (n, n_names), over what the draws cover."""
     # ArviZ takes seconds to import: only figures pay for it.
     from arviz_stats.base import array_stats
 
-    names, draws = tree_draws(tree)
-    _, prior = tree_draws(tree, "prior")
     rows = -(-len(names) // _N_COLUMNS)
     figure = Figure(figsize=(11.0, 0.5 + 1.9 * rows), layout="constrained")
     axes = figure.subplots(rows, _N_COLUMNS, squeeze=False).ravel()
-    for axis, name, own, before in zip(axes, names, draws, prior, strict=False):
-        styles = {"prior": (before, VERMILION, "--"), "posterior": (own, BLUE, "-")}
+    for axis, name, own, prior in zip(axes, names, draws.T, before.T, strict=False):
+        styles = {"prior": (prior, VERMILION, "--"), "posterior": (own, BLUE, "-")}
         for label, (values, colour, style) in styles.items():
-            grid, density, _ = array_stats.kde(values.ravel()[:: -(-values.size // _SHOWN_DRAWS)])
+            grid, density, _ = array_stats.kde(values[:: -(-values.size // _SHOWN_DRAWS)], grid_len=200)
             axis.plot(grid, density, style, color=colour, linewidth=1.4, label=label)
         low, high = np.quantile(own, [0.002, 0.998])
         axis.set_xlim(low - 0.2 * (high - low), high + 0.2 * (high - low))
-        axis.set_xlabel(f"{name} [{tree['posterior'][name].attrs['units']}]")
+        axis.set_xlabel(name)
         axis.set_yticks([])
         axis.grid(alpha=0.3)
     for axis in axes[len(names) :]:
@@ -43,14 +42,15 @@ def prior_posterior_figure(tree: Any) -> Figure:
     return figure
 
 
-def posterior_table(posterior: Posterior, title: str) -> Table:
+def posterior_table(posterior: Posterior | PosteriorSummary, title: str) -> Table:
     """Mean, standard deviation and interval of each parameter, with what the draws are worth."""
+    parameters = posterior.identification.free if isinstance(posterior, Posterior) else posterior.parameters
     columns = ["parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "ess bulk", "ess tail", "R-hat"]
     table = plain_table(title, columns)
     for name, found in summarise(posterior).items():
         shown = [number(found[key], found["sd"]) for key in ("mean", "sd", "q05", "q50", "q95")]
         worth = [f"{found['ess_bulk']:.0f}", f"{found['ess_tail']:.0f}", f"{found['rhat']:.4f}"]
-        table.add_row(name, posterior.identification.free[name].unit, *shown, *worth)
+        table.add_row(name, parameters[name].unit, *shown, *worth)
     return table
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.analysis.tasks import FreedomNumbers, TaskNumbers, correlated_inputs, freedom_numbers
+from fpcal_bayes.analysis.tasks import FreedomNumbers, TaskNumbers, correlated_inputs, freedom_numbers, variance_shares
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND, TaskPrediction
@@ -230,13 +230,13 @@ def budget_content(budget: Budget) -> dict[str, Any]:
 
 
 def budget_table(budget: Budget) -> Table:
-    """One line per input, then what they combine to."""
-    place = f"{budget.along:.4g} {budget.unit}"
-    table = plain_table(
-        f"uncertainty budget of {budget.task} along the beam at {place}: change of cavity length since aligned",
-        ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"],
-    )
-    for line in budget.lines:
+    """One line per input, with its share where the inputs are independent, then what they combine to."""
+    shares = variance_shares(budget)
+    heads = ["input", "type", "distribution", "estimate", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
+    title = f"Uncertainty budget of {budget.task} along the beam at {budget.along:.4g} {budget.unit}: change of cavity "
+    title += "length since aligned"
+    table = plain_table(title, [*heads, *([] if shares is None else ["share of the variance"])], words=(0, 1, 2))
+    for i, line in enumerate(budget.lines):
         table.add_row(
             line.name,
             line.evaluation,
@@ -245,10 +245,12 @@ def budget_table(budget: Budget) -> Table:
             f"{line.standard_uncertainty:.3g} {line.unit}",
             f"{1e3 * line.sensitivity:.3g} / {line.unit}",
             f"{1e3 * line.contribution:.3g}",
+            *([] if shares is None else [f"{100 * shares[i]:.1f} %"]),
         )
     low, high = budget.interval
-    table.add_row("combined standard uncertainty", "", "", "", "", "", f"{1e3 * budget.combined:.3g}")
-    table.add_row(f"{COVERAGE:.0%} coverage interval", "", "", "", "", "", f"{1e3 * low:.3g} .. {1e3 * high:.3g}")
+    none = [""] * (len(table.columns) - 7)
+    table.add_row("combined standard uncertainty", *[""] * 5, f"{1e3 * budget.combined:.3g}", *none)
+    table.add_row(f"{COVERAGE:.0%} coverage interval", *[""] * 5, f"{1e3 * low:.3g} .. {1e3 * high:.3g}", *none)
     return table
 
 

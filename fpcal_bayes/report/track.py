@@ -10,7 +10,7 @@ from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.report.plan import add_sweeps
+from fpcal_bayes.report.plan import sweeps_table
 from fpcal_bayes.report.table import Table, plain_table
 from fpcal_bayes.report.table import TableCell as Entry
 from fpcal_bayes.tracking.alarms import ROBOT_MOVED
@@ -118,11 +118,10 @@ def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
     return {name: held for name, held in found.items() if held}
 
 
-def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
+def next_sweeps_table(sweeps: Sweeps, cell: Cell) -> Table:
     """One line per sweep, the most useful first."""
-    table = plain_table("sweeps, the most useful first", ["sweep", "moves", *cell.joint_columns])
-    add_sweeps(table, sweeps, cell, [str(i) for i in range(1, len(sweeps) + 1)])
-    return table
+    numbers = [str(i) for i in range(1, len(sweeps) + 1)]
+    return sweeps_table(cell, sweeps, "sweeps, the most useful first", numbers)
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, file_sha256, replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.core.version import __version__
-from fpcal_bayes.infer.posterior.diagnostics import diagnose
+from fpcal_bayes.infer.posterior.diagnostics import Diagnostics, diagnose
 from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.proposal import in_parts
 from fpcal_bayes.infer.posterior.target_slip import SlipTarget
@@ -104,10 +104,7 @@ class PosteriorSummary:
     draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
     prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
     n_ensembles: int  # independent ensembles; chains of one ensemble interact
-    # rhat, ess_bulk, ess_tail: nested R-hat and effective sizes, shape (n,)
-    rhat: Floats
-    ess_bulk: Floats
-    ess_tail: Floats
+    diagnostics: Diagnostics
     residuals: Floats  # measured less predicted, in standard deviations of the prediction, shape (n_rows,)
     command: str  # that made the file
 
@@ -136,7 +133,6 @@ def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
     if n_ensembles < 1 or len(draws) % n_ensembles:
         raise InputError(f"{path}: attribute n_ensembles: expected a divisor of {len(draws)} chains")
     walkers = draws.reshape(n_ensembles, -1, draws.shape[1], draws.shape[2]).transpose(0, 2, 1, 3)
-    found = diagnose(walkers)
     return PosteriorSummary(
         file=path.name,
         sha256=file_sha256(path),
@@ -144,9 +140,7 @@ def read_posterior_summary(path: str | Path, cell: Cell) -> PosteriorSummary:
         draws=draws,
         prior=prior,
         n_ensembles=n_ensembles,
-        rhat=found.rhat,
-        ess_bulk=found.ess_bulk,
-        ess_tail=found.ess_tail,
+        diagnostics=diagnose(walkers),
         residuals=residuals,
         command=command,
     )
@@ -159,10 +153,13 @@ _LEAST_SLIP = 0.01
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def summarise(posterior: Posterior) -> dict[str, dict[str, float]]:
+def summarise(posterior: Posterior | PosteriorSummary) -> dict[str, dict[str, float]]:
     """Mean, sd, quantiles, effective sizes and nested R-hat of each parameter, in the units a person reads."""
-    parameters = posterior.identification.free
-    draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    if isinstance(posterior, Posterior):
+        parameters = posterior.identification.free
+        draws = parameters.to_shown(posterior.values().reshape(-1, len(parameters)))
+    else:
+        parameters, draws = posterior.parameters, posterior.draws.reshape(-1, len(posterior.parameters))
     diagnostics = posterior.diagnostics
     return {
         p.name: {

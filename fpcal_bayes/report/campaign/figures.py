@@ -7,8 +7,9 @@ import numpy as np
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.analysis.motions import MotionCurve
-from fpcal_bayes.analysis.parameters import intervals
-from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
+from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure, svg_text
+from fpcal_bayes.report.posterior import prior_posterior_figure
 
 _MOST_SESSIONS, _MOST_LABELS, _MOST_MOTIONS = 6, 80, 12
 _HOURS_PER_DAY = 24.0
@@ -161,23 +162,8 @@ def _chosen(parts: list[SessionResiduals], alarmed: set[str]) -> list[SessionRes
     return [parts[i] for i in sorted(set(wanted))]
 
 
-def posterior_figure(facts: CampaignFacts) -> str:
-    """Intervals of prior, draws and normal approximation of each parameter, in prior standard deviations."""
-    found = facts.posterior
-    assert found is not None
-    n = len(found.parameters)
-    with svg_figure(7.2, 1.0 + 0.26 * n) as (figure, svg):
-        axis = figure.subplots()
-        place = np.arange(n)
-        styles = ((GREY, 5.0, 0.25, 0.0), (ORANGE, 1.2, 1.0, 0.18), (BLUE, 2.2, 1.0, -0.18))
-        edges_of = intervals(found, facts.calibration.estimate)
-        for (label, edges), (colour, width, alpha, shift) in zip(edges_of.items(), styles, strict=True):
-            axis.hlines(place + shift, edges[0], edges[2], color=colour, linewidth=width, alpha=alpha, label=label)
-            if label != "prior":
-                axis.plot(edges[1], place + shift, "o" if shift < 0 else "|", color=colour, markersize=3.5)
-        axis.set_yticks(place, found.parameters.names)
-        axis.set_ylim(n - 0.4, -0.6)
-        axis.set_xlabel("95 % interval, from nominal [prior sd]")
-        axis.grid(axis="x", alpha=0.3)
-        figure.legend(loc="outside upper center", ncols=3, frameon=False)
-    return svg[0]
+def posterior_figure(found: PosteriorSummary) -> str:
+    """Densities of prior and draws of each parameter."""
+    names = [f"{parameter.name} [{parameter.unit}]" for parameter in found.parameters]
+    draws = found.draws.reshape(-1, len(names))
+    return svg_text(prior_posterior_figure(names, draws, found.prior))

@@ -18,8 +18,9 @@ from fpcal_bayes.report.campaign import charts as data
 from fpcal_bayes.report.campaign import figures, words
 from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
-from fpcal_bayes.report.tasks import freedom_table, not_evaluated_line
-from fpcal_bayes.report.track import sweep_table
+from fpcal_bayes.report.posterior import posterior_table
+from fpcal_bayes.report.tasks import budget_table, freedom_table, not_evaluated_line
+from fpcal_bayes.report.track import next_sweeps_table
 from fpcal_bayes.report.verification import power_table, verification_sentences
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
@@ -90,7 +91,7 @@ def campaign_html(facts: CampaignFacts) -> str:
         "correlation": observe_figures.correlation_figure(seen),
         "residuals": figures.residual_figure(rows, alarmed),
         "motions": figures.motion_figure(motion_curves(facts.calibration.estimate)),
-        "posterior": "" if facts.posterior is None else figures.posterior_figure(facts),
+        "posterior": "" if facts.posterior is None else figures.posterior_figure(facts.posterior),
     }
     charts = {
         "track": None if track is None else data.track_chart(facts, track),
@@ -122,12 +123,12 @@ def campaign_html(facts: CampaignFacts) -> str:
         headline=observe_words.headline(seen),
         gauges=[(observe_words.gauge_sentence(g), observe_words.gauge_direction(g, seen)) for g in seen.gauges],
         blocks=observe_words.block_table(seen),
-        posterior=words.posterior_table(facts),
+        posterior=facts.posterior and posterior_table(facts.posterior, "Posterior of the calibration"),
         posterior_sentence=words.posterior_sentence(facts),
         verification=None if facts.verification is None else power_table(facts.verification, "Power by task"),
         verified=verification_sentences(facts.verification, facts.file),
         worst=words.residual_table(rows),
-        budget=None if facts.budget is None else words.budget_table(facts.budget),
+        budget=None if facts.budget is None else budget_table(facts.budget),
         budget_sentence=words.budget_sentence(facts),
         budget_reason=facts.budget_reason,
         mechanics=words.mechanics_table(facts.calibration.estimate),
@@ -157,4 +158,4 @@ def _next_sweeps(facts: CampaignFacts) -> dict[str, Any]:
     tasks = " ".join(f"--task {name}" for name in facts.goal.tasks)
     ticket = f"fpcal decide {facts.file} {tasks} --tolerance-nm {1e3 * facts.goal.tolerance_um:g} -o TICKET.csv"
     title = f"To be measured now, about {decision.minutes:.0f} min; the most useful first"
-    return {"next_sweeps": sweep_table(decision.sweeps, facts.cell), "next_title": title, "next_command": ticket}
+    return {"next_sweeps": next_sweeps_table(decision.sweeps, facts.cell), "next_title": title, "next_command": ticket}

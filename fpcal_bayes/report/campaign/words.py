@@ -9,13 +9,10 @@ import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, TaskStanding
 from fpcal_bayes.analysis.history import SessionResiduals, SinceCalibration, session_bounds
-from fpcal_bayes.analysis.parameters import drawn_quantiles
-from fpcal_bayes.analysis.tasks import variance_shares
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.decision.decision import Decision
 from fpcal_bayes.infer.posterior.diagnostics import MOST_RHAT
-from fpcal_bayes.infer.tasks.budget import COVERAGE, Budget
 from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
@@ -278,25 +275,6 @@ def residual_table(parts: list[SessionResiduals]) -> Table:
     return table
 
 
-def posterior_table(facts: CampaignFacts) -> Table | None:
-    """Mean, interval and worth of the draws of each parameter."""
-    found = facts.posterior
-    if found is None:
-        return None
-    heads = ["parameter", "unit", "median", "95 % interval", "effective draws", "in the tails", "R-hat"]
-    table = plain_table("Posterior of the calibration", heads)
-    for i, (sd, median, low, high) in enumerate(drawn_quantiles(found).T.tolist()):
-        table.add_row(
-            found.parameters[i].name,
-            found.parameters[i].unit,
-            figure_of(median, number(median, sd)),
-            figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
-            *(figure_of(float(worth[i]), f"{worth[i]:.0f}") for worth in (found.ess_bulk, found.ess_tail)),
-            figure_of(float(found.rhat[i]), f"{found.rhat[i]:.4f}"),
-        )
-    return table
-
-
 def posterior_sentence(facts: CampaignFacts) -> str:
     """What the draws are worth, or how to make them."""
     found = facts.posterior
@@ -305,52 +283,26 @@ def posterior_sentence(facts: CampaignFacts) -> str:
             f"Not sampled. The intervals on this page are those of a normal distribution at the maximum. Draw with: "
             f"fpcal sample {facts.file} -o posterior.nc, then give the report --posterior posterior.nc."
         )
-    good = bool(found.rhat.max() < MOST_RHAT)
+    worth = found.diagnostics
+    good = bool(worth.rhat.max() < MOST_RHAT)
     word = "The draws have converged" if good else "The draws have NOT converged"
     outside = int((np.abs(found.residuals) > 1.96).sum())
     return (
-        f"{word}: largest nested R-hat {found.rhat.max():.4f} over {found.n_ensembles} independent ensembles (expected "
-        f"below {MOST_RHAT:g}); {found.n_draws} draws are worth at least {found.ess_bulk.min():.0f} independent ones. "
+        f"{word}: largest nested R-hat {worth.rhat.max():.4f} over {found.n_ensembles} independent ensembles (expected "
+        f"below {MOST_RHAT:g}); {found.n_draws} draws are worth at least {worth.ess_bulk.min():.0f} independent ones. "
         f"{outside} of {len(found.residuals)} measured rows lie outside the 95 % that the posterior predicts for them."
     )
 
 
-def budget_table(budget: Budget) -> Table:
-    """Each input of the budget and what it contributes; shares where the inputs are independent."""
-    shares = variance_shares(budget)
-    heads = ["input", "type", "distribution", "std. uncertainty", "sensitivity [nm]", "contribution [nm]"]
-    heads += [] if shares is None else ["share of the variance"]
-    title = (
-        f"Uncertainty budget of {budget.task} along the beam at {budget.along:.4g} {budget.unit}, after the calibration"
-    )
-    table = plain_table(title, heads, words=(0, 1, 2))
-    for i, line in enumerate(budget.lines):
-        table.add_row(
-            line.name,
-            line.evaluation,
-            line.distribution,
-            figure_of(line.standard_uncertainty, f"{line.standard_uncertainty:.3g} {line.unit}"),
-            figure_of(1e3 * line.sensitivity, f"{1e3 * line.sensitivity:.3g} / {line.unit}"),
-            figure_of(1e3 * line.contribution),
-            *([] if shares is None else [figure_of(shares[i], f"{100 * shares[i]:.1f} %")]),
-        )
-    return table
-
-
 def budget_sentence(facts: CampaignFacts) -> str:
-    """What the inputs combine to, and what is left of it now."""
+    """What stands in the budget, and what is left of it now."""
     budget, now = facts.budget, facts.tasks[0].numbers
     if budget is None:
         return ""
-    low, high = (1e3 * edge for edge in budget.interval)
-    sentence = (
-        f"Combined standard uncertainty {1e3 * budget.combined:.2f} nm; {COVERAGE:.0%} coverage interval {low:.2f} to "
-        f"{high:.2f} nm, by Monte Carlo (JCGM 100, 101)."
-    )
+    sentence = "As after the calibration; the coverage interval is by Monte Carlo (JCGM 100, 101)."
     if now is None or now.exceeds is None:
         return sentence
-    left = f"{now.worst_sd:.2f} nm"
-    return f"{sentence} Now, after all sessions and the drift since, {left} are left at the worst point."
+    return f"{sentence} Now, after all sessions and the drift since, {now.worst_sd:.2f} nm are left at the worst point."
 
 
 def mechanics_table(estimate: Estimate) -> Table | None:

@@ -9,7 +9,6 @@ from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
-from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report import tasks as words
@@ -17,11 +16,6 @@ from fpcal_bayes.report import tasks as words
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    sweeps = None
-    if options.sweeps is not None:
-        sweeps = read_sweeps(options.sweeps, cell).of_session(options.session)
-    if options.sweeps is not None and not options.budget:
-        raise InputError(f"{options.sweeps}: --sweeps is taken with --budget only")
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
@@ -45,14 +39,12 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
             content[task.name]["tolerance_exceeds_probability"] = found
             lines += words.tolerance_lines(own[name], found)
         if options.budget and estimate.trust.usable:
-            budget = budget_of(estimate, driven, sweeps=sweeps)
+            budget = budget_of(estimate, driven)
             content[task.name]["budget"] = words.budget_content(budget)
             budgets.append(budget)
 
     if not predictions:
         raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
-    if sweeps is not None and estimate.mechanics is not None:
-        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
     warnings += estimate.trust.texts
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"

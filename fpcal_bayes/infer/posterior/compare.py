@@ -13,7 +13,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_of
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, left_out_each, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
@@ -155,7 +154,6 @@ class ModelResult:
             "name": self.spec.name,
             "opd": self.spec.opd,
             "likelihood": self.spec.likelihood,
-            **({} if self.identification.machine is None else _evidence(self.identification.machine)),
             "state": self.state,
             **told,
             "chi2_data": fit.chi2_data,
@@ -175,8 +173,7 @@ class Difference:
     elpd: float  # sum over the rows of the difference of their log densities
     se: float  # its standard error
     at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
-    # whether only the better one fits: a few rows may then make up most of the difference, and make its error large
-    rejected: bool = False
+    rejected: bool = False  # whether only the better one fits: a few rows may then make up the difference and its se
 
     @property
     def clear(self) -> bool:
@@ -271,10 +268,10 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit, sample and compare two models or more on the sweeps of one session.
+    """Fit and sample each model, and compare their predictions; `progress` is told what is done next, in words.
 
-    `draws` are the effective draws of every parameter of a model that fits; `progress` is called with what is done
-    next, in words. `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
+    `draws` are effective draws of each model. `InputError` if the sweeps carry no measurement, or a likelihood does not
+    take them.
     """
     fits: dict[tuple[str, str], Identification] = {}
     models = []
@@ -315,16 +312,6 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         return replace(model, failures=posterior.failures)
     model = replace(model, misfit=posterior.misfit)
     return replace(model, loo=leave_one_out(posterior, likelihood, most_refits=refits, seed=seed))
-
-
-def _evidence(machine: MechanicsFit) -> dict[str, float]:
-    """Log evidence of the linearised rows, geometry and weights marginalised, scales by Laplace's approximation."""
-    mode = machine.scales.mode
-    _, volume = np.linalg.slogdet(
-        machine.density.curvature(mode) * np.outer(machine.density.prior_sd, machine.density.prior_sd)
-    )
-    constant = -0.5 * len(machine.rows.target) * float(np.log(2.0 * np.pi))
-    return {"log_evidence": machine.density.value(mode) + constant - 0.5 * float(volume)}
 
 
 def _differences(models: Sequence[ModelResult]) -> tuple[Difference, ...]:

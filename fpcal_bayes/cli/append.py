@@ -3,13 +3,13 @@
 import argparse
 
 from fpcal_bayes.analysis.append import append
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.linalg import counted
+from fpcal_bayes.model.cell.cell import Cell
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     done = append(options.campaign, options.measured, cell, ticket=options.ticket)
     warnings = []
     if done.n_missing:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.motions import axis_tables
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, make_folder
@@ -19,6 +19,7 @@ from fpcal_bayes.infer.tasks.budget import Conditions
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.infer.verification.verify import read_verification
 from fpcal_bayes.io.csv import write_table
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.parameters import LINK_SLOTS, SCALES, UNITS
 from fpcal_bayes.motion.tasks import possible_tasks
@@ -33,9 +34,8 @@ _KEPT = ("method", "points", "points_not_ok", "peak_to_peak_nm", "normal_deg", "
 _GEOMETRY = 5
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     knowledge = read_knowledge(options.file, cell)
     if knowledge.estimate is None:
         raise InputError(f"{options.file}: expected an estimate JSON, as fpcal identify --json writes")

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_check import PathError, check, check_rows
@@ -21,9 +21,8 @@ from fpcal_bayes.report.check import check_content, check_sentences, check_warni
 from fpcal_bayes.tracking.drift import DriftModel
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     if options.output is None and options.points is not None:
         raise InputError("--points: is taken with -o only")
     index = _index(options, cell)

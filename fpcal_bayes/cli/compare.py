@@ -5,16 +5,16 @@ import sys
 
 from rich.console import Console
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.compare import compare, parse_models
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import compare_table
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     specs = parse_models(options.models, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)

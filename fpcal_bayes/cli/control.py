@@ -4,19 +4,19 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import write_joints
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import no_envelope_text, require_task_within_envelope
 from fpcal_bayes.motion.validity import judged_at, read_now
 from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, prediction_table, reach_warnings
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     require_suffix(options.output, ".csv", ".mat")
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)

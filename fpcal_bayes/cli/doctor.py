@@ -5,16 +5,16 @@ import argparse
 from rich.markup import escape
 
 from fpcal_bayes.analysis.doctor import doctor
-from fpcal_bayes.cli.common import cell_of, console, write_result
+from fpcal_bayes.cli.common import console, write_result
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Reason, Trust
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     sweeps = read_sweeps(options.file, cell, plan=True)
     warm_up(cell)
     findings = doctor(sweeps, cell)

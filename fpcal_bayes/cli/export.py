@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, console, warn
+from fpcal_bayes.cli.common import console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
@@ -12,11 +12,11 @@ from fpcal_bayes.io.joint_paths import read_joint_path
 from fpcal_bayes.io.moves import write_order_moves, write_path_moves
 from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.ticket import orders_of
+from fpcal_bayes.model.cell.cell import Cell
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     require_suffix(options.output, ".csv", ".mat")
     header = read_records(Path(options.file), "a header and a plan or joint path").header
     if cell.joint_columns[0] in header:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fpcal_bayes.analysis as analysis
 import fpcal_bayes.io as io
-from fpcal_bayes.cli.common import cell_of, show, warn, write_result
+from fpcal_bayes.cli.common import show, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.linalg import counted
@@ -25,9 +25,8 @@ from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.verification import verification_lines
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     sweeps = rows_of(options, cell)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)

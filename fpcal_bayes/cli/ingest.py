@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.files import make_folder, replacing, require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
@@ -24,9 +24,8 @@ from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.fringes import draw_sweep
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     require_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_recordings(options.index, cell, options.columns)

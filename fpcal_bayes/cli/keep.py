@@ -8,7 +8,7 @@ from fpcal_bayes.analysis.append import append
 from fpcal_bayes.analysis.keep import Keeper, Outputs, Round
 from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli import measure
-from fpcal_bayes.cli.common import cell_of, console, warn
+from fpcal_bayes.cli.common import console, warn
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import HeldError, InputError
 from fpcal_bayes.core.files import require_suffix
@@ -22,9 +22,8 @@ from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     goal = goal_of(options, cell)
     require_suffix(options.flat, *FLAT_SUFFIXES)
     rig = None if options.rig is None else read_rig(options.rig, cell)

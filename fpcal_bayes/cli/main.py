@@ -174,6 +174,8 @@ def _run(words: list[str], *, alone: bool) -> int:
         if not sys.warnoptions:
             # What a user can do about a result stands in the program's own warnings.
             warnings.simplefilter("ignore")
-    _load("fpcal_bayes.cli.common").check_outputs(options)
-    status: int = command.run(options)
+    common = _load("fpcal_bayes.cli.common")
+    common.check_outputs(options)
+    # A cell that is looked at may be one that all others refuse.
+    status: int = command.run(options) if name == "cell" else command.run(options, common.cell_of(options))
     return status

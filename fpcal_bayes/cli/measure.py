@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from fpcal_bayes.cli.common import cell_of, console, warn
+from fpcal_bayes.cli.common import console, warn
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import make_folder
 from fpcal_bayes.core.linalg import counted
@@ -27,9 +27,8 @@ from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
 from fpcal_bayes.rig.settings import ProgramDevice, Rig
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     ticket = read_ticket(options.ticket, cell)
     if ticket.plan is None:
         console(options).say(f"{options.ticket}: no rows, nothing to measure")

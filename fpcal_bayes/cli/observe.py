@@ -2,17 +2,17 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.core.files import write_text
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.io.sweeps import read_sweeps
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.observe import observe_html, print_observability
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     sweeps = read_sweeps(options.file, cell, plan=True).of_session(options.session)
     warm_up(cell)
     result = observe(cell, sweeps, sigma=options.sigma_nm * 1e-3)

@@ -14,7 +14,7 @@ from rich.progress import Progress
 import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments import positive
-from fpcal_bayes.cli.common import about, cell_of, show, write_result
+from fpcal_bayes.cli.common import about, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
@@ -60,9 +60,8 @@ _BEYOND = 0.1
 _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     asked = any(size is not None for size in (options.n, options.reach, options.minutes))
     if asked + options.commission + (options.validation is not None) != 1:
         raise InputError(

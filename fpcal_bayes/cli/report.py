@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 from fpcal_bayes.analysis.history import since_calibration
-from fpcal_bayes.cli.common import cell_of, console, show, write_result
+from fpcal_bayes.cli.common import console, show, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -14,9 +14,8 @@ from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.report.campaign.words import since_content, standing, verdict
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     goal = goal_of(options, cell)
     _warm_up(cell)
     with console(options).status("working out the report"):

@@ -4,17 +4,17 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, console
+from fpcal_bayes.cli.common import console
 from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.emulate.bench import EmulatedBench
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.simulator.sweeps import machine_of
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     rig = read_rig(options.emulate, cell)
     source = Path(options.emulate)
     output = options.output or source.with_name(f"{source.stem}_live.toml")

@@ -6,7 +6,7 @@ import sys
 
 from rich.console import Console
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import console, warn, write_result
 from fpcal_bayes.cli.identify import rows_of, with_prior, with_source
 from fpcal_bayes.core.files import exclusive, make_folder, require_suffix
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -14,12 +14,12 @@ from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
 from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     require_suffix(options.output, ".nc")
     sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)

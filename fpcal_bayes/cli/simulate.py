@@ -2,7 +2,7 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import cell_of, console
+from fpcal_bayes.cli.common import console
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
@@ -26,9 +26,8 @@ _PROTOCOLS = ("paper", "paper-mid")
 _SIGMA_NM = 5.0
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     _check_options(options)
     if options.traces and options.path is None:
         cell.require_one_beam("a recording of sweeps (--traces)")

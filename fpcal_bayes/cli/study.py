@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from fpcal_bayes.cli.common import about, cell_of, check_outputs, show, write_result
+from fpcal_bayes.cli.common import about, check_outputs, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -28,9 +28,8 @@ from fpcal_bayes.study.sbc import RANKED, PosteriorRanks, sbc_plan
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, stated: Cell) -> int:
     """Run the command."""
-    stated = cell_of(options)
     # A study draws its truths from the priors of the parameters: its mechanism is perfect, whatever the cell states.
     cell = stated.ideal
     options.output = options.output or Path(f"study-{options.study}.jsonl")

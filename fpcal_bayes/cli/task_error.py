@@ -4,18 +4,18 @@ import argparse
 from pathlib import Path
 
 from fpcal_bayes.analysis.tasks import judged
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import possible_tasks
 from fpcal_bayes.report import tasks as words
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3

@@ -4,12 +4,13 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.cli.ingest import drawn_sweep, recordings_content
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.fringes.ingest import read_index
 from fpcal_bayes.io.recordings import read_recordings
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.table import plain_table
@@ -17,9 +18,8 @@ from fpcal_bayes.report.table import plain_table
 _COLUMNS = ("sweep", "dL um", "sigma nm", "fringes", "visibility", "noise V", "L turns at", "lost motion")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     require_suffix(options.figure, ".svg", ".png")
     index = read_recordings(options.file, cell, options.columns)
     sweeps = index.sweeps

@@ -4,7 +4,7 @@ import argparse
 
 from fpcal_bayes.analysis.keep import follow_saved, published
 from fpcal_bayes.analysis.watch import watch
-from fpcal_bayes.cli.common import cell_of, show, warn, write_result
+from fpcal_bayes.cli.common import show, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
@@ -22,9 +22,8 @@ from fpcal_bayes.tracking.sessions import check_sessions
 from fpcal_bayes.tracking.tracker import Track
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     goal = goal_of(options, cell)
     if options.watch is None:
         return _take_in(options, cell, goal)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.cli.common import about, cell_of, show, write_result
+from fpcal_bayes.cli.common import about, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
@@ -20,9 +20,8 @@ from fpcal_bayes.report.verification import power_table, verification_lines
 from fpcal_bayes.tracking.drift import drift_root
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     fitted = _calibration_rows(options.file, cell)
     fresh = _fresh_rows(options, cell, fitted)
     warm_up_inverse(cell)

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from fpcal_bayes.cli.common import Output, cell_of, console, warn
+from fpcal_bayes.cli.common import Output, console, warn
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import exclusive, make_folder, write_json, write_text
 from fpcal_bayes.decision.policy import valid_until
@@ -44,9 +44,8 @@ from fpcal_bayes.tracking.tracker import Track
 _DRAWS = 1000
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     cell.require_one_beam("the paper's week")
     make_folder(options.output)
     with exclusive(options.output):

@@ -82,14 +82,12 @@ def load_cell(
     InputError
         If the file is missing or holds an unknown key, a wrong type, an impossible unit or value.
     """
-    path = _path(source)
+    path, reader = _path(source), _Reader(source)
     try:
-        table = read_toml(path)
+        cell = read_toml(path, reader.cell)
     except InputError as error:
-        known = "" if os.path.exists(path) else f"; built-in cells: {', '.join(built_in_cells())}"
+        known = "" if os.path.isfile(path) else f"; built-in cells: {', '.join(built_in_cells())}"
         raise InputError(f"{error}{known}") from error
-    reader = _Reader(source)
-    cell = reader.cell(table)
     for key, what in impossible(cell) if check else ():
         raise reader.error(key, what)
     if mechanics == "none":

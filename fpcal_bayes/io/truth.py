@@ -15,13 +15,15 @@ def read_truth(path: str | Path, cell: Cell) -> Truth:
     It has a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each with
     ``time_h`` and a table ``[epoch.parameters]``; what a table does not name is nominal.
     """
-    table = read_toml(Path(path))
-    tables = Tables(path, shown)
+    return read_toml(Path(path), lambda table: _truth(Tables(path, shown), table, cell))
+
+
+def _truth(tables: Tables, table: dict[str, Any], cell: Cell) -> Truth:
     tables.keys(table, "", ("parameters", "epoch"), unknown="unknown")
     if ("parameters" in table) == ("epoch" in table):
         raise tables.error("parameters", "expected either a table [parameters] or several [[epoch]]")
     epochs = _epochs(tables, table, cell) if "epoch" in table else [(0.0, _values(tables, table, "", cell))]
-    return truth_of(cell, epochs, str(path))
+    return truth_of(cell, epochs, str(tables.file))
 
 
 def _epochs(tables: Tables, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:

@@ -10,8 +10,8 @@ from fpcal_bayes.core.errors import InputError, largest
 from fpcal_bayes.core.files import read_text, require_line_end
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file that is not cut short."""
+def read_toml[T](path: Path, make: Callable[[dict[str, Any]], T]) -> T:
+    """What is made of the tables of a TOML file, which must not be cut short."""
     text = read_text(path)
     try:
         table = tomllib.loads(text)
@@ -20,9 +20,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     except ValueError as error:
         # Beside TOMLDecodeError: an integer of more digits than Python converts.
         raise InputError(f"{path}: not a TOML file: {error}") from error
+    made = make(table)
     if text[-1:].isdigit():
         require_line_end(path, text)
-    return table
+    return made
 
 
 def shown(value: object) -> str:

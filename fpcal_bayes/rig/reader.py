@@ -26,7 +26,7 @@ _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "att
 def read_rig(source: str | Path, cell: Cell) -> settings.Rig:
     """Read the rig of `cell` from a TOML file; InputError if anything in it is not as documented."""
     cell.require_one_beam("a rig")
-    return _Reader(str(source)).rig(read_toml(Path(source)), cell)
+    return read_toml(Path(source), lambda table: _Reader(str(source)).rig(table, cell))
 
 
 class _Reader(Tables):

@@ -6,10 +6,11 @@ import ipaddress
 import socket
 from pathlib import Path
 
-from fpcal_bayes.cli.common import cell_of, console
+from fpcal_bayes.cli.common import console
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.files import read_text
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.reader import read_rig
 
@@ -23,9 +24,8 @@ except ImportError as error:
 _LEAST_TOKEN = 16
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace, cell: Cell) -> int:
     """Run the command."""
-    cell = cell_of(options)
     goal = goal_of(options, cell)
     clock = Clock() if options.rig is None else read_rig(options.rig, cell).clock
     token = _token(options.token)

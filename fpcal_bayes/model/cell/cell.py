@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
-from fpcal_bayes.core.typing import Ints
+from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, Opd, OpticalAxis, Target
 from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.cell.joints import Joint
@@ -24,6 +24,11 @@ class View(NamedTuple):
 
     cell: "Cell"
     slots: Ints  # shape (view's model size,)
+
+
+def _of_joints(name: str) -> "cached_property[Floats]":
+    """A property of a cell: what its joints state under a name, shape (n_joints,)."""
+    return cached_property(lambda cell: np.array([getattr(joint, name) for joint in cell.joints]))
 
 
 @dataclass(frozen=True)
@@ -105,25 +110,11 @@ class Cell:
         """Name and unit of each joint as in file headers: ``q1_um``, ``q4_deg``."""
         return tuple(f"q{i}_{j.unit}" for i, j in enumerate(self.joints, 1))
 
-    @cached_property
-    def low(self) -> NDArray[np.float64]:
-        """Lower joint limits, shape (n_joints,)."""
-        return np.array([j.low for j in self.joints])
-
-    @cached_property
-    def high(self) -> NDArray[np.float64]:
-        """Upper joint limits, shape (n_joints,)."""
-        return np.array([j.high for j in self.joints])
-
-    @cached_property
-    def repeatability(self) -> NDArray[np.float64]:
-        """Standard deviation of each joint's reached position, shape (n_joints,)."""
-        return np.array([j.repeatability for j in self.joints])
-
-    @cached_property
-    def resolution(self) -> NDArray[np.float64]:
-        """Smallest step of each joint, shape (n_joints,); `sha256` leaves it out, for it changes no cavity length."""
-        return np.array([j.resolution for j in self.joints])
+    # low, high: limits; repeatability: sd of the reached position; resolution: smallest step, which `sha256` leaves out
+    low = _of_joints("low")
+    high = _of_joints("high")
+    repeatability = _of_joints("repeatability")
+    resolution = _of_joints("resolution")
 
     @cached_property
     def free(self) -> ParameterSet:

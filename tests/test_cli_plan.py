@@ -13,7 +13,7 @@ from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.model.cell.cell import Cell
 
 CASE_A = DATA / "case_a.csv"
-QUICK = ("--draws", 4, "--candidates", 60, "--mechanics", "none")
+QUICK = ("--draws", 2, "--candidates", 30, "--mechanics", "none")
 
 
 @pytest.fixture(autouse=True)
@@ -121,7 +121,7 @@ def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert "tolerance of an unknown task" in refusal(capsys, *plain, "--reach", "spin=5", "--tasks", "circle")
     assert "expected --estimate" in refusal(capsys, *plain, "--n", 2, "--for", "extrinsic")
     assert "beside --for extrinsic only" in refusal(capsys, *plain, "--n", 2, "--estimate", "e.json")
-    assert "61 sweeps out of 60 candidates" in refusal(capsys, *plain, "--n", 61)
+    assert "31 sweeps out of 30 candidates" in refusal(capsys, *plain, "--n", 31)
     assert "ends in .csv" in refusal(capsys, "-o", "p.txt", *QUICK, "--n", 2)
     assert "ends in .svg" in refusal(capsys, *plain, "--n", 2, "--figure", "p.pdf")
     Path("in.csv").write_bytes(CASE_A.read_bytes())

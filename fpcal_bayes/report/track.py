@@ -118,7 +118,7 @@ def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
     return {name: held for name, held in found.items() if held}
 
 
-def next_sweeps_table(sweeps: Sweeps, cell: Cell) -> Table:
+def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
     """One line per sweep, the most useful first."""
     numbers = [str(i) for i in range(1, len(sweeps) + 1)]
     return sweeps_table(cell, sweeps, "sweeps, the most useful first", numbers)

@@ -86,7 +86,7 @@ def load_cell(
     try:
         table = read_toml(path)
     except InputError as error:
-        known = "" if os.path.exists(path) else f"; built-in cells: {', '.join(built_in_cells())}"
+        known = "" if os.path.isfile(path) else f"; built-in cells: {', '.join(built_in_cells())}"
         raise InputError(f"{error}{known}") from error
     reader = _Reader(source)
     cell = reader.cell(table)

@@ -5,11 +5,12 @@ from typing import Any
 
 from fpcal_bayes.analysis.campaign import Followed, follow
 from fpcal_bayes.cli.common import cell_of, show, write_result
-from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import costs_of, goal_of
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.motion.tasks import find_task
 from fpcal_bayes.report import track as words

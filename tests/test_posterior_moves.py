@@ -3,7 +3,6 @@ import pytest
 from arviz_stats.base import array_stats
 from toy_targets import LinearTarget, TwistedTarget, run_moves
 
-from fpcal_bayes.infer.posterior import moves as move_local
 from fpcal_bayes.infer.posterior.moves import LocalMove, RandomiseThenOptimiseMove
 from fpcal_bayes.infer.posterior.proposal import ProposalMixture
 
@@ -65,16 +64,6 @@ class TestRandomiseThenOptimise:
 
 class TestLocal:
     @pytest.mark.slow
-    @pytest.mark.parametrize("target", TARGETS[::2], ids=NAMES[::2])
-    def test_alone(self, target, monkeypatch):
-        # Longer steps than the mixture needs, so that few of them are enough.
-        monkeypatch.setattr(move_local, "SCALES", (0.3, 1.0))
-        move = LocalMove(target, _Unasked())
-        # As many as the standard errors need.
-        n_steps = 700 if isinstance(target, TwistedTarget) else 350
-        check_moments(run_moves(target, _Unasked(), [move], start_of(target, 3000), n_steps, 5), target)
-
-    @pytest.mark.slow
     @pytest.mark.parametrize("target", TARGETS, ids=NAMES)
     def test_leaves_the_target_as_it_is(self, target):
         """Walkers that start as independent draws of the target are so after every step, whatever its length."""
@@ -104,8 +93,7 @@ class TestMixture:
         check_moments(run_moves(target, atlas, moves, short_of_everything(target), 320, 8)[20:], target)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("d", [5, 20])
-    @pytest.mark.parametrize("n_charts", [1, 2])
+    @pytest.mark.parametrize(("d", "n_charts"), [(5, 1), (5, 2), (20, 2)])
     def test_two_modes(self, d, n_charts):
         """Modes of known weights with a fold between them, also where only one of them has a chart."""
         target = TwistedTarget(d, bend=1.0, apart=2.2, tilt=0.25)

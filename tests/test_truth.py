@@ -24,7 +24,7 @@ def shown(truth: Truth, time_h: float) -> dict[str, float]:
 
 def write(folder: Path, text: str) -> Path:
     path = folder / "truth.toml"
-    path.write_text(text)
+    path.write_text(f"{text}\n")
     return path
 
 

@@ -12,6 +12,7 @@ from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.posterior.draws import Posterior, draws_content
 from fpcal_bayes.infer.posterior.netcdf import content as posterior_content
 from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
+from fpcal_bayes.infer.posterior.netcdf import summarise as summarise
 from fpcal_bayes.model.estimate import SCHEMA, Estimate
 from fpcal_bayes.tracking.tracker import Track
 

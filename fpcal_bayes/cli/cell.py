@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
+import fpcal_bayes.report as report
 from fpcal_bayes.analysis.cell_view import view_cell
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix, write_text
 from fpcal_bayes.core.typing import Floats
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.check import impossible
 from fpcal_bayes.model.cell.layout import layout_of_axes, layout_of_links, read_axes, read_side
-from fpcal_bayes.report.cell import cell_figure, cell_words
-from fpcal_bayes.report.pages import save_figure
+from fpcal_bayes.report.cell import cell_words
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,7 +37,7 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
         warm_up_inverse(cell)
     view = view_cell(cell, q)
     if options.figure is not None:
-        save_figure(cell_figure(view), options.figure)
+        report.save_figure(report.cell_figure(view), options.figure)
     write_result(options.json, "cell", view.content())
     show(options, cell_words(view))
     if view.refused:

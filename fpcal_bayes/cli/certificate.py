@@ -10,11 +10,11 @@ import numpy as np
 
 from fpcal_bayes.analysis.motions import axis_tables
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, make_folder
 from fpcal_bayes.core.times import clock, iso
 from fpcal_bayes.core.version import __version__
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.tasks.budget import Conditions
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.infer.verification.verify import read_verification

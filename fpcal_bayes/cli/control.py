@@ -5,8 +5,8 @@ import argparse
 import numpy as np
 
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import require_suffix
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.io.joint_paths import write_joints
 from fpcal_bayes.model.cell.cell import Cell

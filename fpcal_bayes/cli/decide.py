@@ -5,11 +5,12 @@ from typing import Any
 
 from fpcal_bayes.analysis.campaign import Followed, follow
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import costs_of, goal_of
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.tasks import find_task
@@ -29,7 +30,10 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         write_ticket(options.output, ticket, cell)
     write_result(options.json, "decide", found.estimate().content() | content)
     few = decision.sweeps if decision.action == "extrinsic" else None
-    tables = [words.outlook_table(decision, goal, found), *([] if few is None else [words.next_sweeps_table(few, cell)])]
+    tables = [
+        words.outlook_table(decision, goal, found),
+        *([] if few is None else [words.next_sweeps_table(few, cell)]),
+    ]
     show(options, [*tables, words.decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1
 

@@ -1,18 +1,13 @@
 """What the commands that drive tasks have in common."""
 
 import argparse
-import sys
 
 import numpy as np
 
 from fpcal_bayes.decision.decision import Costs
 from fpcal_bayes.decision.forecast import Goal
-from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.inverse import InverseModel
-from fpcal_bayes.model.kernels.compile import needs_compilation
-from fpcal_bayes.model.kernels.inverse import batch_inverse
 from fpcal_bayes.motion.tasks import possible_tasks
 
 #: Largest peak to peak in nm that is asked for where neither the command nor the task says another.
@@ -41,13 +36,3 @@ def costs_of(options: argparse.Namespace, sweeps: Sweeps) -> Costs:
         diagnosis_h=options.diagnose_every_h,
         diagnosis_sweeps=min(Costs.diagnosis_sweeps, most),
     )
-
-
-def warm_up_inverse(cell: Cell) -> None:
-    """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
-    inverse = InverseModel(cell)
-    warm_up(cell)
-    if len(cell.joints) == 6 and needs_compilation(batch_inverse):
-        print("fpcal: compiling the inverse model; this happens once and takes about 30 s", file=sys.stderr)
-    nominal = cell.parameters.nominal
-    inverse.solve(nominal, inverse.tool_poses(nominal, inverse.home[None]))

@@ -9,9 +9,10 @@ from fpcal_bayes.analysis.keep import Keeper, Outputs, Round
 from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli import measure
 from fpcal_bayes.cli.common import console, warn
-from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import costs_of, goal_of
 from fpcal_bayes.core.errors import HeldError, InputError
 from fpcal_bayes.core.files import require_suffix
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.flat import FLAT_SUFFIXES
 from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.model.cell.cell import Cell

@@ -15,7 +15,6 @@ import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
 from fpcal_bayes.cli.arguments import positive
 from fpcal_bayes.cli.common import about, show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
@@ -32,7 +31,7 @@ from fpcal_bayes.infer.design.problem import (
     prior_ground,
     shortfalls,
 )
-from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.infer.fit.kernels import warm_up, warm_up_inverse
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps
 from fpcal_bayes.io.tickets import write_plan

@@ -6,11 +6,11 @@ import numpy as np
 
 import fpcal_bayes.report as report
 from fpcal_bayes.cli.common import about, show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.verification.choice import READINGS, validation_plan
 from fpcal_bayes.infer.verification.power import LEVEL
 from fpcal_bayes.infer.verification.verify import LEAST_POWER

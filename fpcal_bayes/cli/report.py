@@ -6,9 +6,9 @@ from pathlib import Path
 
 from fpcal_bayes.analysis.history import since_calibration
 from fpcal_bayes.cli.common import console, show, write_result
-from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import goal_of
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.infer.fit.kernels import warm_up
+from fpcal_bayes.infer.fit.kernels import warm_up, warm_up_inverse
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.report.campaign.words import since_content, standing, verdict

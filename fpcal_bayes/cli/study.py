@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from fpcal_bayes.cli.common import about, check_outputs, show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.measure.protocol import PROTOCOLS, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from fpcal_bayes.analysis.tasks import judged
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
 from fpcal_bayes.model.cell.cell import Cell

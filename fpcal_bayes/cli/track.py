@@ -5,12 +5,13 @@ import argparse
 from fpcal_bayes.analysis.keep import follow_saved, published
 from fpcal_bayes.analysis.watch import watch
 from fpcal_bayes.cli.common import show, warn, write_result
-from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import goal_of
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.io.cell import write_resized_cell
 from fpcal_bayes.io.flat import FLAT_SUFFIXES, write_flat
 from fpcal_bayes.model.cell.cell import Cell

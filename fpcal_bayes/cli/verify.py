@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.cli.common import about, show, write_result
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.verification.verify import verify
 from fpcal_bayes.io.estimate import read_estimate, read_estimate_rows
 from fpcal_bayes.io.sweeps import read_sweeps

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from fpcal_bayes.cli.common import Output, console, warn
-from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.files import exclusive, make_folder, write_json, write_text
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.infer.fit.identify import Identification
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
 from fpcal_bayes.infer.posterior.sample import sample

@@ -4,6 +4,7 @@ from fpcal_bayes.core.lazy import lazy
 
 #: Names that are used outside the package, and the module of the room in which each stands.
 _PLACES = {
+    "cell_figure": "cell_picture",
     "draw_frontier": "plan_figures",
     "draw_plan": "plan_figures",
     "plain_table": "table",

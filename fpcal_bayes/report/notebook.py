@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fpcal_bayes.analysis.files import CONTENTS
+from fpcal_bayes.analysis.files import CONTENTS, summarise
 from fpcal_bayes.analysis.files import arviz_tree as arviz_tree
 from fpcal_bayes.analysis.files import write as write
 from fpcal_bayes.analysis.history import session_bounds
@@ -18,7 +18,6 @@ from fpcal_bayes.core.notebook import html_table
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.observability.observe import Observability
 from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import summarise
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust

@@ -6,6 +6,7 @@ import numpy as np
 from markupsafe import Markup
 from rich.console import Console
 
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.fit.spectrum import GAUGE_SHARE, WEAK_SHARE
 from fpcal_bayes.infer.observability.gauges import Gauge
@@ -46,7 +47,8 @@ def headline(result: Observability) -> list[str]:
         sentence + ".",
         f"Parameters: {', '.join(counts)}. A gauge stands by more than {100 * GAUGE_SHARE:.0f} % in directions that "
         f"nothing sees; weak means that more than {100 * WEAK_SHARE:g} % of the prior variance is left.",
-        f"{len(result.sweeps)} rows, {len(result.information.labels)} sweeps; path model {result.cell.opd}. {where}",
+        f"{counted(len(result.sweeps), 'row')}, {counted(len(result.information.labels), 'sweep')}; "
+        f"path model {result.cell.opd}. {where}",
     ]
 
 
@@ -145,8 +147,8 @@ def information_sentences(result: Observability) -> list[str]:
     redundant = information.redundant
     if redundant:
         sentences.append(
-            f"Each of {len(redundant)} sweeps could be left out alone at a loss of less than {REDUNDANT_BITS:g} bits: "
-            f"{shortened(redundant, _MOST_NAMED)}."
+            f"{counted(len(redundant), 'sweep')} could be left out, each alone, at a loss of less than "
+            f"{REDUNDANT_BITS:g} bits: {shortened(redundant, _MOST_NAMED)}."
         )
     else:
         sentences.append(f"No sweep is redundant: leaving out any one of them loses {REDUNDANT_BITS:g} bits or more.")

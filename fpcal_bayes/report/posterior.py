@@ -5,10 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from fpcal_bayes.analysis.files import summarise
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
 from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, summarise
+from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
 from fpcal_bayes.report.pages import BLUE, VERMILION
 from fpcal_bayes.report.table import Table, number, plain_table
 

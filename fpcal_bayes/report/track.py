@@ -71,7 +71,9 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     count = 0 if decision.sweeps is None else len(decision.sweeps)
     cost = f"about {decision.minutes:.0f} min"
     full = f"full calibration now ({counted(count, 'sweep')}, {cost}): {decision.reason}"
-    after = f"expected error after: {1e3 * decision.after.median:.1f} nm, good for {decision.then_hours:.1f} h"
+    risk, hours = f"beyond the tolerance with more than {100 * decision.level:g} %", decision.then_hours
+    holds = f"good for {hours:.1f} h" if hours >= LEAST_HOURS else f"even then {risk}"
+    after = f"expected error after: {1e3 * decision.after.median:.1f} nm, {holds}"
     if not track.trust.usable:
         return full
     if decision.action == "full":
@@ -80,6 +82,8 @@ def decision_sentence(decision: Decision, track: Track) -> str:
     return f"{_PURPOSES[decision.purpose]} now with {these} ({cost}): {decision.reason}; {after}"
 
 
+#: What holds for less is said not to hold.
+LEAST_HOURS = 0.05
 #: What sweeps other than a full calibration are for.
 _PURPOSES = {
     "extrinsics": "re-identify extrinsics",
@@ -118,7 +122,7 @@ def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
     return {name: held for name, held in found.items() if held}
 
 
-def next_sweeps_table(sweeps: Sweeps, cell: Cell) -> Table:
+def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
     """One line per sweep, the most useful first."""
     numbers = [str(i) for i in range(1, len(sweeps) + 1)]
     return sweeps_table(cell, sweeps, "sweeps, the most useful first", numbers)

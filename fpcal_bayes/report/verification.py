@@ -1,5 +1,6 @@
 """What a verification says, in a table and sentences."""
 
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.verification.power import LEVEL
 from fpcal_bayes.infer.verification.verify import LEAST_POWER, Verification
 from fpcal_bayes.report.table import Table, TableCell, plain_table
@@ -19,10 +20,10 @@ def power_table(made: Verification, title: str) -> Table:
 
 def verification_lines(made: Verification) -> list[str]:
     """Sentences: the verdict, what it rests on, and for what it holds."""
-    kinds = ", ".join(f"{kind} {p:.2g} ({n} rows)" for kind, (n, p) in made.kinds.items())
+    kinds = ", ".join(f"{kind} {p:.2g} ({counted(n, 'row')})" for kind, (n, p) in made.kinds.items())
     lines = [
         f"verification: {made.verdict} (p = {made.p_value:.2g}, FAIL below {LEVEL:g}; {100 * made.coverage:.0f} % of "
-        f"{made.n_rows} rows inside their 95 % bands)",
+        f"{counted(made.n_rows, 'row')} inside their 95 % bands)",
         f"p-values by the joints that move: {kinds}",
         "power: probability of finding an error that brings the task beyond its tolerance and three times its band",
     ]

@@ -165,7 +165,8 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
         p_value = chi2_tail(value, dof) if dof > 0 else 1.0
         if p_value < allowed:
             recent, directions = counted(len(monitor.recent), "session"), counted(dof, "direction")
-            said = evidence.format(value=value, dof=dof, session=last.session, recent=recent, directions=directions)
+            free = f"{counted(dof, 'degree')} of freedom"
+            said = evidence.format(value=value, free=free, session=last.session, recent=recent, directions=directions)
             found.append(Finding(verdict, allowed, f"{said} (p = {p_value:.1e})"))
 
     def several(verdict: SessionVerdict, total: float, what: str) -> None:
@@ -174,17 +175,15 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
             found.append(Finding(verdict, 0.0, text))
 
     explained, seen = _explained(last, drift.extrinsic)
-    text = (
-        "after the best move of mirror and fibre before session {session} a chi-square of {value:.1f} is left for "
-        "{dof} degrees of freedom"
-    )
+    text = "after the best move of mirror and fibre before session {session} a chi-square of {value:.1f} is left "
+    text += "for {free}"
     allowed = (1.0 - _SINGLE_SHARE) * _allowed(limits.full_per_week, last.hours)
     chi_square("intrinsics-moved", last.squared - explained, last.dof - seen, allowed, text)
     text = "what no move of mirror and fibre explains has been too large"
     several("intrinsics-moved", monitor.cusum_residual, text)
     # Innovation alone, extrinsic part alone, window: a third of the alarms each.
     allowed = _allowed(limits.extrinsic_per_week, last.hours) / 3.0
-    text = "normalised innovation squared {value:.1f} for {dof} degrees of freedom"
+    text = "normalised innovation squared {value:.1f} for {free}"
     chi_square("extrinsics-moved", *monitor.recent[-1], allowed, text)
     move = "a move of mirror or fibre before session {session} explains a chi-square of {value:.1f} in {directions}"
     chi_square("extrinsics-moved", explained, seen, allowed, move)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import arviz  # noqa: F401  (commands import it late, each child anew)
 import h5py
 
 from fpcal_bayes.cli.main import main as fpcal

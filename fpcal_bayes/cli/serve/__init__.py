@@ -7,9 +7,10 @@ import socket
 from pathlib import Path
 
 from fpcal_bayes.cli.common import console
-from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
+from fpcal_bayes.cli.driven import costs_of, goal_of
 from fpcal_bayes.core.errors import InputError, reason
 from fpcal_bayes.core.files import read_text
+from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.reader import read_rig

@@ -7,7 +7,9 @@ import numpy as np
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.inverse import InverseModel
 from fpcal_bayes.model.kernels.compile import compiled, needs_compilation
+from fpcal_bayes.model.kernels.inverse import batch_inverse
 from fpcal_bayes.model.kernels.jacobian import batch_jacobians
 from fpcal_bayes.model.kernels.lengths import LANES, batch_lengths, few_vector_lengths
 
@@ -45,3 +47,13 @@ def warm_up(cell: Cell) -> None:
     model.predict_with_jacobian(model.free.nominal, model.pose_rows(home))
     one = np.ones((1, 1, 1))
     whiten_groups(one, np.zeros((1, 1), dtype=np.int64), one[0], one, one, one[0])
+
+
+def warm_up_inverse(cell: Cell) -> None:
+    """Load the kernels of lengths and of the inverse model; say so if they have to be compiled first."""
+    inverse = InverseModel(cell)
+    warm_up(cell)
+    if len(cell.joints) == 6 and needs_compilation(batch_inverse):
+        print("fpcal: compiling the inverse model; this happens once and takes about 30 s", file=sys.stderr)
+    nominal = cell.parameters.nominal
+    inverse.solve(nominal, inverse.tool_poses(nominal, inverse.home[None]))

@@ -10,6 +10,7 @@ from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecast
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
+from fpcal_bayes.report.track import LEAST_HOURS
 
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
@@ -47,7 +48,6 @@ def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
         "now": facts.now_h,
         "tolerance": 1e3 * facts.goal.tolerance_um,
         "series": {name: _numbers(1e3 * values) for name, values in series.items()},
-        "risk": _numbers(found.risk, 4),
     }
 
 
@@ -90,10 +90,11 @@ def log_table(facts: CampaignFacts) -> Table | None:
     heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
     table = plain_table("Log", heads, words=(0, -2, -1))
     for outcome, held, at_least, late in log:
+        good = f"{'at least ' * at_least}{held:.1f} h" if held >= LEAST_HOURS else "at risk from the start"
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            figure_of(held, f"{'at least ' if at_least else ''}{held:.1f} h"),
+            figure_of(held, good),
             _next(late, last=outcome is log[-1][0]),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )

@@ -20,7 +20,7 @@ from fpcal_bayes.report.campaign.charts import log_table
 from fpcal_bayes.report.pages import ENVIRONMENT, packaged
 from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.tasks import budget_table, freedom_table, not_evaluated_line
-from fpcal_bayes.report.track import next_sweeps_table
+from fpcal_bayes.report.track import sweep_table
 from fpcal_bayes.report.verification import power_table, verification_sentences
 
 _SCRIPTS = (("vendor", "sortable.auto.min.js"), ("vendor", "uPlot.iife.min.js"), ("templates", "campaign.js"))
@@ -158,4 +158,4 @@ def _next_sweeps(facts: CampaignFacts) -> dict[str, Any]:
     tasks = " ".join(f"--task {name}" for name in facts.goal.tasks)
     ticket = f"fpcal decide {facts.file} {tasks} --tolerance-nm {1e3 * facts.goal.tolerance_um:g} -o TICKET.csv"
     title = f"To be measured now, about {decision.minutes:.0f} min; the most useful first"
-    return {"next_sweeps": next_sweeps_table(decision.sweeps, facts.cell), "next_title": title, "next_command": ticket}
+    return {"next_sweeps": sweep_table(decision.sweeps, facts.cell), "next_title": title, "next_command": ticket}

@@ -51,6 +51,27 @@ def test_slipped_counts(good):
     assert f"{good.label[20]} (" in finding.what
 
 
+@pytest.mark.parametrize("half_wave", [0.25, 0.3164, 0.65, 0.8])
+def test_a_whole_fringe_of_any_laser_is_named(half_wave):
+    cell = replace(CELL, wavelength=2.0 * half_wave)
+    sweeps = simulate_um(cell, paper_truth(cell), paper_protocol(cell), sigma=0.005, seed=6)
+    dl = sweeps.dl.copy()
+    dl[51] -= half_wave
+    assert f"{sweeps.label[51]} (+1)" in only(replace(sweeps, dl=dl), "slips", cell).what
+
+
+def test_a_whole_fringe_on_a_machine_that_errs_is_named():
+    """The sizes of the error motions are learnt, so that the fit is not poor: the noise alone is found large."""
+    cell = load_cell()
+    sweeps = simulate_um(cell, paper_truth(cell), paper_protocol(cell, midpoints=True), sigma=0.005, seed=7)
+    row = 61
+    dl = sweeps.dl.copy()
+    dl[row] += cell.wavelength / 2
+    found = [finding for finding in doctor(replace(sweeps, dl=dl), cell) if finding.severity == "problem"]
+    assert [finding.kind for finding in found] == ["slips"]
+    assert f"{sweeps.label[row]} (-1)" in found[0].what
+
+
 def test_outliers(good):
     dl = good.dl.copy()
     dl[33] += 0.2

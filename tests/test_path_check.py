@@ -48,9 +48,8 @@ def recorded(
     return trace, true - true[0]
 
 
-def judged(cell: Cell, estimate: Estimate, trace: PathTrace, measured: PathError) -> PathCheck:
-    model = CavityModel.of(cell, estimate.parameters)
-    return check_path(measured, model, estimate.values, None, estimate.covariance, trace)
+def judged(estimate: Estimate, trace: PathTrace, measured: PathError) -> PathCheck:
+    return check_path(measured, estimate, trace)
 
 
 @pytest.mark.parametrize("task", ["circle", "line-z", "tilt-x", "spin"])
@@ -58,7 +57,7 @@ def test_a_fresh_calibration_is_confirmed_and_an_old_one_refuted(femto: Cell, es
     for time_h, verdict in ((0.0, "confirmed"), (192.0, "refuted")):
         trace, true = recorded(femto, estimate, task, time_h)
         measured = measure_path(femto, estimate, trace)
-        check = judged(femto, estimate, trace, measured)
+        check = judged(estimate, trace, measured)
         if measured.rival is None:
             assert 1e3 * np.sqrt(((measured.error - true) ** 2).mean()) < 6.0
             assert measured.peak_to_peak == pytest.approx(np.ptp(true), abs=0.004 + 3 * measured.peak_to_peak_sd)
@@ -86,7 +85,7 @@ def test_hard_disturbances_widen_the_interval_instead_of_misleading(femto: Cell,
         sd = measured.draws.std(axis=0)
         assert sd.max() > 2 * mild
         assert (np.abs(measured.error - true)[measured.places] < 4 * sd + 1e-3).all()
-        assert judged(femto, estimate, trace, measured).verdict != "refuted"
+        assert judged(estimate, trace, measured).verdict != "refuted"
 
 
 def test_a_start_at_the_maximum_is_told(femto: Cell, estimate: Estimate) -> None:
@@ -98,7 +97,7 @@ def test_a_start_at_the_maximum_is_told(femto: Cell, estimate: Estimate) -> None
     flat = record_path(femto, paper_truth(femto), path, 8.0, replace(SHORT, quadrature=False))
     measured = measure_path(femto, estimate, flat)
     assert starts_flat(measured)
-    assert any("start at half height" in line for line in check_warnings(judged(femto, estimate, flat, measured)))
+    assert any("start at half height" in line for line in check_warnings(judged(estimate, flat, measured)))
 
 
 def test_a_signal_that_no_path_makes_is_not_evaluated(femto: Cell, estimate: Estimate) -> None:
@@ -107,7 +106,7 @@ def test_a_signal_that_no_path_makes_is_not_evaluated(femto: Cell, estimate: Est
     read = trace.irradiance.copy()
     read[trace.path] = random.uniform(read.min(), read.max(), trace.path.stop - trace.path.start)
     noise = replace(trace, irradiance=read)
-    check = judged(femto, estimate, noise, measure_path(femto, estimate, noise))
+    check = judged(estimate, noise, measure_path(femto, estimate, noise))
     assert check.verdict == "not evaluated"
     assert "Not evaluated" in " ".join(check_sentences(check, 0.05))
 
@@ -153,7 +152,7 @@ def test_rows_for_a_campaign(femto: Cell, estimate: Estimate) -> None:
 
 def test_words_and_json(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 192.0)
-    check = judged(femto, estimate, trace, measure_path(femto, estimate, trace))
+    check = judged(estimate, trace, measure_path(femto, estimate, trace))
     text = " ".join(check_sentences(check, 0.05))
     assert "refuted on the cell" in text
     assert "beyond 50 nm" in text

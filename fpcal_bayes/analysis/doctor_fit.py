@@ -11,7 +11,6 @@ from fpcal_bayes.core.linalg import counted, plain
 from fpcal_bayes.infer.design.commission import LABEL
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.mistakes import RIVAL_EXCESS, mend, mirror_sets
-from fpcal_bayes.infer.fit.slips import find_slips
 from fpcal_bayes.infer.observability.observe import observe
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.axes import direction_words, home, joint_axes, sight
@@ -90,6 +89,9 @@ def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator
     if {"not-converged", "poor-fit"} & set(reasons):
         yield from _poor_fit(cell, name, used, found)
         return
+    if "slips" in reasons:
+        yield Finding("problem", "slips", name, reasons["slips"], _COUNT_AGAIN)
+        return
     for reason in found.estimate.trust.reasons:
         if reason.kind == "mechanics":
             remedy = "find out what moves, or state the size that the rows show in [joint.mechanics]"
@@ -152,6 +154,7 @@ def _residual_remedy(text: str) -> str:
     return _RETURN
 
 
+_COUNT_AGAIN = "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them"
 #: What white excess is put to: never to sigma alone, which mends the fit and not the tasks.
 _RETURN = (
     "state a larger return_nm or return_urad of the joints that move, which fit and tasks then count; raise sigma_um "
@@ -171,15 +174,9 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
         what = f"{size}; the {len(used)} rows fit if {fits}"
         yield Finding("problem", "mistake", name, what, "correct it where the file is made, and identify again")
         return
-    slips = find_slips(found.problem, found.solution)
-    slipped = np.flatnonzero(slips.counts)
-    left = slips.solution.sum_of_squares
-    if len(slipped) and left < 2 * len(used):
-        rows = ", ".join(f"{found.problem.sweeps.label[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
-        counts = counted(len(slipped), "fringe count")
-        what = f"{size}; with {counts} corrected by whole half wavelengths it is {left:.1f}: {rows}"
-        remedy = "count the fringes of these sweeps again, or sample with --likelihood slip; fpcal track corrects them"
-        yield Finding("problem", "slips", name, what, remedy)
+    slips = next((reason.text for reason in found.estimate.trust.reasons if reason.kind == "slips"), None)
+    if slips is not None:
+        yield Finding("problem", "slips", name, f"{size}; {slips}", _COUNT_AGAIN)
         return
     off = np.abs(fit.standardised) > _OUTLIER
     if 0 < off.sum() <= max(1, _MOST_OUTLIERS * len(used)) and len(used) - off.sum() >= len(cell.free):

@@ -15,64 +15,6 @@ from fpcal_bayes.motion.tasks import Task
 
 
 @dataclass(frozen=True)
-class TaskNumbers:
-    """A predicted task error: lengths in nm, angles in deg, bands that hold 95 %.
-
-    All of them are NaN, and the probability is None, where what the prediction is made from is not to be used.
-    """
-
-    task: Task  # as it is driven: points that cannot be reached are left out
-    linear: bool  # to first order from a covariance, else from posterior draws
-    n_draws: int
-    sd: Floats  # (n_points,)
-    low: Floats  # (n_points,)
-    high: Floats  # (n_points,)
-    median: float  # peak to peak
-    least: float  # lower edge of its band
-    most: float
-    normal: tuple[float, float]  # median and 95 % quantile of the largest angle along the path
-    turn: tuple[float, float]
-    tolerance: float | None
-    exceeds: float | None  # probability of a larger peak to peak than the tolerance
-    # peak to peak, median and 97.5 % quantile, of what is the same each time and of what return errors add; None where
-    # the mechanism is taken as perfect
-    repeatable: tuple[float, float] | None = None
-    returned: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
-        """Numbers of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
-        usable, nothing = prediction.trust.usable, np.full((1, len(prediction.sd)), np.nan)
-        errors, sd = (prediction.errors, prediction.sd) if usable else (nothing, nothing[0])
-        pose = prediction.pose if usable else PoseErrors(nothing, np.repeat(nothing[..., None], len(FREEDOMS), axis=-1))
-        low, high = 1e3 * quantile_band(errors, BAND, axis=0)
-        widths = 1e3 * peak_to_peak(errors)
-        least, most = quantile_band(widths, BAND).tolist()
-        return cls(
-            task=prediction.task,
-            linear=prediction.linear,
-            n_draws=len(prediction.errors),
-            sd=1e3 * sd,
-            low=low,
-            high=high,
-            median=float(np.median(widths)),
-            least=least,
-            most=most,
-            normal=_largest(np.degrees(pose.normal)),
-            turn=_largest(np.degrees(pose.turn)),
-            tolerance=None if tolerance is None else 1e3 * tolerance,
-            exceeds=None if tolerance is None or not usable else prediction.exceeds(tolerance),
-            repeatable=_ranges(prediction.repeatable) if usable else None,
-            returned=_ranges(prediction.returned) if usable else None,
-        )
-
-    @property
-    def worst_sd(self) -> float:
-        """The largest standard deviation along the path."""
-        return float(self.sd.max())
-
-
-@dataclass(frozen=True)
 class FreedomNumbers:
     """Error of one degree of freedom along a path, in nm or deg; all NaN where it is not to be used."""
 
@@ -83,33 +25,65 @@ class FreedomNumbers:
     most: float
     low: Floats  # (n_points,)
     high: Floats  # (n_points,)
+    sd: Floats  # (n_points,)
     worst: int  # the point where the error is largest, root mean square
     worst_sd: float
     tolerance: float | None
     exceeds: float | None  # probability of a larger peak to peak than the tolerance
 
 
+@dataclass(frozen=True)
+class TaskNumbers(FreedomNumbers):
+    """A predicted task error along the beam, with the angles in deg.
+
+    All numbers are NaN, and the probability is None, where what the prediction is made from is not to be used.
+    """
+
+    task: Task  # as it is driven: points that cannot be reached are left out
+    linear: bool  # to first order from a covariance, else from posterior draws
+    n_draws: int
+    normal: tuple[float, float]  # median and 95 % quantile of the largest angle along the path
+    turn: tuple[float, float]
+    # peak to peak, median and 97.5 % quantile, of what is the same each time and of what return errors add; None where
+    # the mechanism is taken as perfect
+    repeatable: tuple[float, float] | None
+    returned: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, prediction: TaskPrediction, tolerance: float | None = None) -> "TaskNumbers":
+        """Numbers of a prediction, with the probability that its peak to peak passes `tolerance` in um."""
+        usable, nothing = prediction.trust.usable, np.full((1, len(prediction.sd)), np.nan)
+        pose = prediction.pose if usable else PoseErrors(nothing, np.repeat(nothing[..., None], len(FREEDOMS), axis=-1))
+        return cls(
+            **vars(_freedom(prediction, "beam", tolerance)),
+            task=prediction.task,
+            linear=prediction.linear,
+            n_draws=len(prediction.errors),
+            normal=_largest(np.degrees(pose.normal)),
+            turn=_largest(np.degrees(pose.turn)),
+            repeatable=_ranges(prediction.repeatable) if usable else None,
+            returned=_ranges(prediction.returned) if usable else None,
+        )
+
+
 def freedom_numbers(prediction: TaskPrediction, tolerances: dict[str, float]) -> list[FreedomNumbers]:
     """Every degree of freedom of a task; `tolerances` are largest peak to peaks by name, in um and rad."""
-    made, usable = [], prediction.trust.usable
-    for name in ("beam", *FREEDOMS):
-        errors = prediction.errors if name == "beam" else prediction.pose.of(name)
-        errors = errors if usable else np.full((1, errors.shape[-1]), np.nan)
-        unit, scale = ("deg", float(np.degrees(1.0))) if name.startswith("r") else ("nm", 1e3)
-        limit = tolerances.get(name)
-        stated = None if limit is None else scale * limit
-        widths = scale * peak_to_peak(errors)
-        sd = scale * (prediction.sd if name == "beam" and usable else np.sqrt((errors**2).mean(axis=0)))
-        least, most = quantile_band(widths, BAND).tolist()
-        low, high = scale * quantile_band(errors, BAND, axis=0)
-        worst = int(np.argmax(sd))
-        exceeds = None if stated is None or not usable else float((widths > stated).mean())
-        made.append(
-            FreedomNumbers(
-                name, unit, float(np.median(widths)), least, most, low, high, worst, float(sd[worst]), stated, exceeds
-            )
-        )
-    return made
+    return [_freedom(prediction, name, tolerances.get(name)) for name in ("beam", *FREEDOMS)]
+
+
+def _freedom(prediction: TaskPrediction, name: str, limit: float | None) -> FreedomNumbers:
+    usable = prediction.trust.usable
+    errors = prediction.errors if name == "beam" else prediction.pose.of(name)
+    errors = errors if usable else np.full((1, errors.shape[-1]), np.nan)
+    unit, scale = ("deg", float(np.degrees(1.0))) if name.startswith("r") else ("nm", 1e3)
+    stated = None if limit is None else scale * limit
+    widths = scale * peak_to_peak(errors)
+    sd = scale * (prediction.sd if name == "beam" and usable else np.sqrt((errors**2).mean(axis=0)))
+    least, most = quantile_band(widths, BAND).tolist()
+    low, high = scale * quantile_band(errors, BAND, axis=0)
+    worst, median = int(np.argmax(sd)), float(np.median(widths))
+    exceeds = None if stated is None or not usable else float((widths > stated).mean())
+    return FreedomNumbers(name, unit, median, least, most, low, high, sd, worst, float(sd[worst]), stated, exceeds)
 
 
 def judged(prediction: TaskPrediction, task: OwnTask) -> dict[str, float | None]:

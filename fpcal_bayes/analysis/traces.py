@@ -39,10 +39,6 @@ _KNOWN = 0.5
 _MISFIT = 6.0
 
 
-#: Where a sweep starts.
-_START = np.array([-1.0])
-
-
 def _places(n: int) -> Floats:
     """Places on a sweep at which its trace becomes `n` rows, closer at the ends, the last at its end."""
     return np.asarray(-np.cos(np.pi * np.arange(1, n + 1) / n))
@@ -84,6 +80,7 @@ def trace_rows(
     estimate = identify(cell, found.sweeps, prior=prior).estimate
     expected, ends = estimated_profiles(estimate, sweeps, _MOST), end_weights(_MOST)
     priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
+    light = 1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain)
     along, used = [], []
     for i in np.flatnonzero(told).tolist():
         reading, samples, near = found.readings[i], found.samples[i], expected[i].mean
@@ -92,30 +89,12 @@ def trace_rows(
         known = reading.phase_per_um * np.sqrt(ends @ expected[i].covariance @ ends) < _KNOWN
         if not reading.good and not (known and estimate.trust.usable):
             continue
-        # The reading may be the mirror image of the course.
-        seen = reading.fit.profile[:DEGREE]
-        seen = np.append(np.copysign(1.0, seen @ near[:DEGREE]) * seen, near[DEGREE:])
-        if errs:
-            places = np.array([0.0, 1.0])
-            changes, covariance = reading.changes(places)
-            common = covariance_root(covariance)
-            changes = np.copysign(1.0, changes @ (lengths_at(near, places) - lengths_at(near, _START))) * changes
-        else:
-            fit = fit_course(
-                samples.binned(bins(near[None, :DEGREE], reading.phase_per_um, _BINS)),
-                DisplacementProfile(near, priors[i]),
-                seen if reading.good else near,
-                reading.phase_per_um,
-                nuisance=reading.fit.nuisance,
-                noise=reading.noise,
-                mirror_light=1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain),
-            )
-            if fit.residual_squares > fit.noise**2 * (fit.freedom + _MISFIT * np.sqrt(2.0 * fit.freedom)):
-                continue
-            places = _places(fit.modes.shape[1])
-            changes, common = fit.told(places)
-        # The expectation orders the signs within a sweep; which of both courses it was, only the reading may say.
-        changes = np.copysign(1.0, changes[-1] * reading.dl) * changes if reading.signed else np.abs(changes)
+        seen = _ends_and_middle(reading) if errs else _whole(reading, samples, near, priors[i], light)
+        if seen is None:
+            continue
+        places, changes, common = seen
+        # Which of both courses it was only the reading may say; where it does not, all rows have one unknown sign.
+        changes = np.copysign(1.0, changes[-1] * (reading.dl if reading.signed else 1.0)) * changes
         rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
         wide = np.pad(common, ((0, 0), (0, DEGREE - common.shape[1])))
         used.append(i)
@@ -128,6 +107,37 @@ def trace_rows(
         left = counted(len(told) - len(used), "trace")
         said = [f"left out: {left}, doubtful or of a mirror that is off its joint's course ({names})"]
     return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used), tuple(said))
+
+
+def _ends_and_middle(reading: Reading) -> tuple[Floats, Floats, Floats]:
+    """Middle and end of a trace by its fringes: places, changes in um, and a square root of their covariance."""
+    places = np.array([0.0, 1.0])
+    changes, covariance = reading.changes(places)
+    return places, changes, covariance_root(covariance)
+
+
+def _whole(
+    reading: Reading, samples: Samples, near: Floats, prior: Floats, mirror_light: float
+) -> tuple[Floats, Floats, Floats] | None:
+    """The same of a trace fitted along the course `near` (_MOST,), in um, with covariance `prior`; None: it is none."""
+    if reading.fit is None:
+        return None
+    # The reading may be the mirror image of the course.
+    seen = reading.fit.profile[:DEGREE]
+    seen = np.append(np.copysign(1.0, seen @ near[:DEGREE]) * seen, near[DEGREE:])
+    fit = fit_course(
+        samples.binned(bins(near[None, :DEGREE], reading.phase_per_um, _BINS)),
+        DisplacementProfile(near, prior),
+        seen if reading.good else near,
+        reading.phase_per_um,
+        nuisance=reading.fit.nuisance,
+        noise=reading.noise,
+        mirror_light=mirror_light,
+    )
+    if fit.residual_squares > fit.noise**2 * (fit.freedom + _MISFIT * np.sqrt(2.0 * fit.freedom)):
+        return None
+    places = _places(fit.modes.shape[1])
+    return places, *fit.told(places)
 
 
 @dataclass(frozen=True)

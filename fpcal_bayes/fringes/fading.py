@@ -8,7 +8,7 @@ is not, for a translation there is next to nothing. A short sweep needs that to 
 import numpy as np
 
 from fpcal_bayes.fringes.fit import CALM, Nuisance
-from fpcal_bayes.fringes.profile import legendre
+from fpcal_bayes.fringes.profile import centre_and_spread, coefficients_of, nodes
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -26,9 +26,7 @@ def fading_priors(cell: Cell, sweeps: Sweeps) -> list[Nuisance]:
     model = CavityModel.of(cell)
     sds = np.array([p.prior_sd for p in model.free])
     draws = model.free.nominal + sds * np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sds)))
-    s, _ = np.polynomial.legendre.leggauss(_NODES)
-    middle, half = (sweeps.q_start + sweeps.q_end) / 2.0, (sweeps.q_end - sweeps.q_start) / 2.0
-    q = (middle[:, None] + s[None, :, None] * half[:, None]).reshape(-1, middle.shape[1])
+    q, fit = nodes(sweeps, len(_FLOORS), _NODES)
     normals, origins = model.mirrors(draws, q)
     vectors = [model.vector(values) for values in draws]
     fibres = np.array([fibre_in_world(vector)[:3, 3] for vector in vectors])
@@ -36,9 +34,7 @@ def fading_priors(cell: Cell, sweeps: Sweeps) -> list[Nuisance]:
     distance = np.abs(np.einsum("vqi,vqi->vq", normals, origins - fibres[:, None]))
     tilt = np.arccos(np.clip(np.abs(np.einsum("vqi,vi->vq", normals, axes)), 0.0, 1.0))
     seen = np.log(np.maximum(mirror_amplitude(cell.interferometer, distance, tilt), 1e-12))
-    coefficients = seen.reshape(_DRAWS, -1, _NODES) @ np.linalg.pinv(legendre(s, len(_FLOORS)))[1:].T
-    centre = np.median(coefficients, axis=0)
-    spread = 1.4826 * np.median(np.abs(coefficients - centre), axis=0)
+    centre, spread = centre_and_spread(coefficients_of(seen, fit))
     wide = np.hypot(spread, _OPTICS_SHARE * np.abs(centre)) + np.array(_FLOORS)
     return [
         Nuisance(CALM.offset, CALM.gain, tuple(sd.tolist()), tuple(mean.tolist()))

@@ -135,13 +135,13 @@ def follow(
     if errs or best.errors.probability < UNLIKELY:
         tries += _uneven(tries[0], profile, fit) + (_uneven(best, profile, fit) if best.short else [])
     best = max(tries, key=lambda each: each.evidence)
-    if best.uneven and best.short:
-        # Where it set out or stopped was found along the joint's course, and is sought along its own.
+    if best.uneven and len(missed) > 2 and (best.short or not errs):
+        # Where it set out or stopped was sought along the joint's course, and is sought along its own.
         held = best.solution.best
         own = partial(fit, prior=loosened(profile, len(held.profile), best.size), begin=held.profile)
         along = replace(best, solution=FringeSolution((held,), used))
-        again = _short(samples, size, starts if best.set_out > -1.0 else stops, along, own)
-        tries.append(replace(again, size=best.size))
+        for grid in (starts,) if best.set_out > -1.0 else (stops,) if best.stop < 1.0 else (starts, stops):
+            tries.append(replace(_short(samples, size, grid, along, own), size=best.size))
     # The flexible fits tell the noise, and by that noise all are weighed.
     best = max(tries, key=lambda each: each.evidence)
     noise = noise_of(best.solution.best, noise)

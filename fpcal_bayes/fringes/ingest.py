@@ -71,11 +71,10 @@ def read_index(
     """As `ingest`, doubtful traces alone included."""
     settings = IngestSettings() if settings is None else settings
     _require_sweeps(index)
-    reader = _IndexReader(index, cell, settings)
-    before = reader.scans(index.sweeps.q_start, index.scans_before)
-    after = reader.scans(index.sweeps.q_end, index.scans_after)
-    recorded = reader.recorded(estimate, before, after)
-    optics = cell.interferometer
+    light, optics = _light(index, cell, settings), cell.interferometer
+    before = _read_scans(index, cell, index.sweeps.q_start, index.scans_before)
+    after = _read_scans(index, cell, index.sweeps.q_end, index.scans_after)
+    recorded = _record(index, cell, light, estimate, before, after)
     found = read_traces(
         [each for each in recorded if each],
         noise=optics.noise,
@@ -92,9 +91,9 @@ def read_index(
         if reading is not None and reading.good:
             parts.append(sweep_rows(sweeps, i, reading, settings.points))
         elif reading is None and (scan := after[i]) is not None and scan.good:
-            parts.append(absolute_rows(sweeps, i, None, scan, reader.share[i]))
+            parts.append(absolute_rows(sweeps, i, None, scan, light[1][i]))
         if reading is not None and settings.absolute:
-            parts.append(absolute_rows(sweeps, i, before[i], after[i], reader.share[i]))
+            parts.append(absolute_rows(sweeps, i, before[i], after[i], light[1][i]))
     doubtful = _doubtful(index, readings, after)
     parts = [part for part in parts if len(part)]
     rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
@@ -111,86 +110,92 @@ def read_index(
     )
 
 
-class _IndexReader:
-    """Turns rows of an index into what the readers of traces and scans take."""
+def _light(index: TraceIndex, cell: Cell, settings: IngestSettings) -> tuple[Floats, Floats]:
+    """Wavelength in the air of each row in um, and its relative standard deviation, (n_rows,) each."""
+    vacuum = np.where(np.isnan(index.wavelength), cell.wavelength, index.wavelength)
+    try:
+        air = air_index(vacuum, index.temperature_c, index.pressure_hpa, index.humidity_pct)
+    except InputError as error:
+        raise InputError(f"{index.sweeps.file}: {error}") from error
+    return vacuum / air, np.hypot(settings.wavelength_sd / vacuum, settings.index_sd / air)
 
-    def __init__(self, index: TraceIndex, cell: Cell, settings: IngestSettings) -> None:
-        self.index, self.cell = index, cell
-        self.vacuum = np.where(np.isnan(index.wavelength), cell.wavelength, index.wavelength)
-        try:
-            self.air = air_index(self.vacuum, index.temperature_c, index.pressure_hpa, index.humidity_pct)
-        except InputError as error:
-            raise InputError(f"{index.sweeps.file}: {error}") from error
-        self.share = np.hypot(settings.wavelength_sd / self.vacuum, settings.index_sd / self.air)
 
-    def scans(self, q: Floats, scans: Sequence[WavelengthScan | None]) -> tuple[ScanReading | None, ...]:
-        """Readings of the scans at poses `q` (n_rows, n_joints)."""
-        index, optics = self.index, self.cell.interferometer
-        readings: list[ScanReading | None] = [None] * len(scans)
-        if not any(scans):
-            return tuple(readings)
-        lengths, sds = expected_lengths(self.cell, q)
-        for i, scan in enumerate(scans):
-            if scan is not None:
-                readings[i] = read_wavelength_scan(
-                    scan,
-                    float(lengths[i]),
-                    float(sds[i]),
-                    temperature_c=float(index.temperature_c[i]),
-                    pressure_hpa=float(index.pressure_hpa[i]),
-                    humidity_pct=float(index.humidity_pct[i]),
-                    noise=optics.noise,
-                    full_scale=optics.full_scale,
-                )
-        return tuple(readings)
+def _read_scans(
+    index: TraceIndex, cell: Cell, q: Floats, scans: Sequence[WavelengthScan | None]
+) -> tuple[ScanReading | None, ...]:
+    """Readings of the scans at poses `q` (n_rows, n_joints)."""
+    if not any(scans):
+        return (None,) * len(scans)
+    optics, (lengths, sds) = cell.interferometer, expected_lengths(cell, q)
+    return tuple(
+        None
+        if scan is None
+        else read_wavelength_scan(
+            scan,
+            float(lengths[i]),
+            float(sds[i]),
+            temperature_c=float(index.temperature_c[i]),
+            pressure_hpa=float(index.pressure_hpa[i]),
+            humidity_pct=float(index.humidity_pct[i]),
+            noise=optics.noise,
+            full_scale=optics.full_scale,
+        )
+        for i, scan in enumerate(scans)
+    )
 
-    def recorded(
-        self, estimate: Estimate | None, before: Sequence[ScanReading | None], after: Sequence[ScanReading | None]
-    ) -> list[Recorded | None]:
-        """Each row with what is expected of it; None for absolute lengths."""
-        sweeps = self.index.sweeps
-        profiles, fading = prior_profiles(self.cell, sweeps), fading_priors(self.cell, sweeps)
-        expected = None if estimate is None else estimated_profiles(estimate, sweeps)
-        made: list[Recorded | None] = []
-        sizes = self.cell.mechanics
-        encoder = np.zeros(len(self.cell.joints)) if sizes is None else Terms.of(self.cell, sizes).encoder
-        for i, trace in enumerate(self.index.traces):
-            if sweeps.kind[i] == "absolute":
-                made.append(None)
-                continue
-            sign_sources = []
-            first, last = before[i], after[i]
-            if first is not None and last is not None and first.good and last.good:
-                sd = float(np.hypot(first.sigma, last.sigma))
-                sign_sources.append(SignSource(last.length - first.length, sd, "scans"))
-            if expected is not None:
-                sign_sources.append(estimate_sign_source(expected[i]))
-            joint = moving_joint(sweeps, i)
-            start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
-            samples = lay_out(
-                trace,
-                start,
-                end,
-                unit=self.cell.joints[joint].unit,
-                scale=float(self.cell.joint_scales[joint]),
-                place=f"{sweeps.file}: {sweeps.label[i]}",
+
+def _record(
+    index: TraceIndex,
+    cell: Cell,
+    light: tuple[Floats, Floats],
+    estimate: Estimate | None,
+    before: Sequence[ScanReading | None],
+    after: Sequence[ScanReading | None],
+) -> list[Recorded | None]:
+    """Each row with what is expected of it; None for absolute lengths."""
+    sweeps, (wavelength, share) = index.sweeps, light
+    profiles, fading = prior_profiles(cell, sweeps), fading_priors(cell, sweeps)
+    expected = None if estimate is None else estimated_profiles(estimate, sweeps)
+    made: list[Recorded | None] = []
+    sizes = cell.mechanics
+    encoder = np.zeros(len(cell.joints)) if sizes is None else Terms.of(cell, sizes).encoder
+    for i, trace in enumerate(index.traces):
+        if sweeps.kind[i] == "absolute":
+            made.append(None)
+            continue
+        sign_sources = []
+        first, last = before[i], after[i]
+        if first is not None and last is not None and first.good and last.good:
+            sd = float(np.hypot(first.sigma, last.sigma))
+            sign_sources.append(SignSource(last.length - first.length, sd, "scans"))
+        if expected is not None:
+            sign_sources.append(estimate_sign_source(expected[i]))
+        joint = moving_joint(sweeps, i)
+        start, end = float(sweeps.q_start[i, joint]), float(sweeps.q_end[i, joint])
+        samples = lay_out(
+            trace,
+            start,
+            end,
+            unit=cell.joints[joint].unit,
+            scale=float(cell.joint_scales[joint]),
+            place=f"{sweeps.file}: {sweeps.label[i]}",
+        )
+        made.append(
+            Recorded(
+                label=str(sweeps.label[i]),
+                samples=samples,
+                start=start,
+                end=end,
+                profile=profiles[i],
+                wavelength=float(wavelength[i]),
+                wavelength_share=float(share[i]),
+                fading=fading[i],
+                errs=sizes is not None,
+                ripple=float(encoder[joint] / np.sqrt(2.0)),
+                sign_sources=tuple(sign_sources),
             )
-            made.append(
-                Recorded(
-                    label=str(sweeps.label[i]),
-                    samples=samples,
-                    start=start,
-                    end=end,
-                    profile=profiles[i],
-                    wavelength=float(self.vacuum[i] / self.air[i]),
-                    wavelength_share=float(self.share[i]),
-                    fading=fading[i],
-                    errs=self.cell.mechanics is not None,
-                    ripple=float(encoder[joint] / np.sqrt(2.0)),
-                    sign_sources=tuple(sign_sources),
-                )
-            )
-        return made
+        )
+    return made
 
 
 def _require_sweeps(index: TraceIndex) -> None:
@@ -260,24 +265,24 @@ def _doubtful(
     index: TraceIndex, readings: Sequence[Reading | None], after: Sequence[ScanReading | None]
 ) -> DoubtfulRecord:
     """The recordings that gave no row."""
-    found: list[tuple[int, str, float, float, bool, tuple[float, ...]]] = []
+    found: list[tuple[int, str, ScanReading | Reading]] = []
     for i, (reading, scan) in enumerate(zip(readings, after, strict=True)):
-        if reading is None:
-            if scan is not None and not scan.good:
-                found.append((i, scan.refused or scan.doubt, scan.length, scan.sigma, True, ()))
-        elif not reading.good:
-            why = f"refused: {reading.refused}" if reading.refused else reading.doubt
-            found.append((i, why, reading.dl, reading.sigma, reading.signed, reading.alternatives))
-    at = np.array([each[0] for each in found], dtype=np.int64)
+        if reading is None and scan is not None and not scan.good:
+            found.append((i, scan.refused or scan.doubt, scan))
+        elif reading is not None and not reading.good:
+            found.append((i, f"refused: {reading.refused}" if reading.refused else reading.doubt, reading))
+    at = np.array([i for i, *_ in found], dtype=np.int64)
+    # A scan tells a length.
+    dl = [each.length if isinstance(each, ScanReading) else each.dl for *_, each in found]
     return DoubtfulRecord(
         session=index.sweeps.session[at],
         label=index.sweeps.label[at],
-        reason=np.array([each[1] for each in found], dtype=np.str_),
+        reason=np.array([why for _, why, _ in found], dtype=np.str_),
         recording=at,
-        dl=np.array([each[2] for each in found], dtype=float),
-        sigma=np.array([each[3] for each in found], dtype=float),
-        signed=np.array([each[4] for each in found], dtype=bool),
-        alternatives=tuple(each[5] for each in found),
+        dl=np.array(dl, dtype=float),
+        sigma=np.array([each.sigma for *_, each in found], dtype=float),
+        signed=np.array([isinstance(each, ScanReading) or each.signed for *_, each in found], dtype=bool),
+        alternatives=tuple(() if isinstance(each, ScanReading) else each.alternatives for *_, each in found),
     )
 
 

@@ -151,7 +151,6 @@ def check(
     draws: Floats | None = None,
     drift: Floats | None = None,
     index: float = 1.0,
-    stability: float = STABILITY,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -170,8 +169,6 @@ def check(
         Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
     index
         Refractive index of the air.
-    stability
-        How gain and offset may wander during the path, relative, one standard deviation.
     level
         Probability below which the calibration is refuted.
     seed
@@ -182,62 +179,41 @@ def check(
     InputError
         If the recording lacks a part.
     """
-    cell, model = estimate.cell, CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
-    measured = measure_path(cell, estimate, trace, index=index, stability=stability, seed=seed)
-    machine = None if estimate.mechanics is None else estimate
-    found = check_path(
-        measured,
-        model,
-        estimate.values,
-        draws,
-        estimate.covariance,
-        trace,
-        drift=drift,
-        machine=machine,
-        level=level,
-        seed=seed,
-    )
-    verdict = found.verdict if estimate.trust.usable else "not evaluated"
-    return replace(found, trust=estimate.trust, verdict=verdict)
+    measured = measure_path(estimate.cell, estimate, trace, index=index, seed=seed)
+    return check_path(measured, estimate, trace, draws=draws, drift=drift, level=level, seed=seed)
 
 
 def check_path(
     measured: PathError,
-    model: CavityModel,
-    values: Floats,
-    draws: Floats | None,
-    covariance: Floats,
+    estimate: Estimate,
     trace: PathTrace,
     *,
+    draws: Floats | None = None,
     drift: Floats | None = None,
-    machine: Estimate | None = None,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
-    """Hold a measured error against what an estimate leaves unknown.
-
-    draws: of the truth, (n_draws, n_free), or None: then to first order from the covariance. machine: an estimate that
-    knows the cell's mechanics, in place of both. drift: covariance of what the parameters may have drifted since.
-    """
+    """Hold a measured error against what an estimate leaves unknown; arguments as in `check`."""
+    model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
     random = np.random.default_rng([seed, 1])
-    _, jacobian = model.predict_with_jacobian(values, rows)
-    if machine is not None:
-        errors = known_task_errors(machine, q[0], q, draws=_DRAWS, seed=seed)[0].total
+    _, jacobian = model.predict_with_jacobian(estimate.values, rows)
+    if estimate.mechanics is not None:
+        errors = known_task_errors(estimate, q[0], q, draws=_DRAWS, seed=seed)[0].total
     elif draws is not None:
-        errors = model.predict(draws, rows) - model.predict(values, rows)
+        errors = model.predict(draws, rows) - model.predict(estimate.values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
     else:
-        errors = _linear_errors(jacobian, covariance, model.free.prior_sd, random)
+        errors = _linear_errors(jacobian, estimate.covariance, model.free.prior_sd, random)
     if drift is not None:
         errors = errors + _linear_errors(jacobian, drift, model.free.prior_sd, random)
     predicted = np.ptp(errors, axis=1)
     expected = np.ptp(errors + measured.draws[random.permutation(len(measured.draws))], axis=1)
     # Never zero: so many draws tell no smaller probability.
     probability = (1.0 + float((expected >= measured.least_peak_to_peak).sum())) / (1.0 + len(expected))
-    check = PathCheck(measured, predicted, expected, probability, "refuted", level)
-    if not measured.followed:
+    check = PathCheck(measured, predicted, expected, probability, "refuted", level, estimate.trust)
+    if not measured.followed or not estimate.trust.usable:
         return replace(check, verdict="not evaluated")
     if probability < level:
         return check

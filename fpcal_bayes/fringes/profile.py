@@ -112,16 +112,11 @@ def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
     draws = parameters.nominal + sds * generator.standard_normal((_DRAWS, len(parameters)))
     halves = np.array_split(draws, 2)
     models = [CavityModel.of(cell.with_opd(opd), parameters) for opd in ("axis", "perpendicular")]
-    q, fit = _nodes(sweeps)
-    coefficients = np.concatenate(
-        [
-            _coefficients(model.predict(half, model.pose_rows(q)), fit)
-            for model, half in zip(models, halves, strict=True)
-        ]
-    )
+    q, fit = nodes(sweeps, DEGREE)
+    lengths = [model.predict(half, model.pose_rows(q)) for model, half in zip(models, halves, strict=True)]
+    coefficients = coefficients_of(np.concatenate(lengths), fit)
     # One wild draw (a mirror turned away from the fibre) must not set the scale of all.
-    centre = np.median(coefficients, axis=0)
-    spread = 1.4826 * np.median(np.abs(coefficients - centre), axis=0)
+    centre, spread = centre_and_spread(coefficients)
     limits = 6.0 * spread + 1e-6
     kept = np.clip(coefficients, centre - limits, centre + limits)
     return [DisplacementProfile(rows.mean(axis=0), np.cov(rows.T)) for rows in kept.transpose(1, 0, 2)]
@@ -130,22 +125,28 @@ def prior_profiles(cell: Cell, sweeps: Sweeps) -> list[DisplacementProfile]:
 def estimated_profiles(estimate: Estimate, sweeps: Sweeps, degree: int = DEGREE) -> list[DisplacementProfile]:
     """Courses of sweeps by an estimate and its covariance, to first order, in polynomials up to `degree`."""
     model = CavityModel.of(estimate.cell, estimate.parameters)
-    q, fit = _nodes(sweeps, degree)
+    q, fit = nodes(sweeps, degree)
     lengths, jacobian = model.predict_with_jacobian(estimate.values, model.pose_rows(q))
-    means = _coefficients(lengths[None], fit)[0]
-    slopes = _coefficients(jacobian.T, fit)
+    means = coefficients_of(lengths[None], fit)[0]
+    slopes = coefficients_of(jacobian.T, fit)
     covariances = np.einsum("pnd,pq,qne->nde", slopes, estimate.covariance, slopes)
     return [DisplacementProfile(mean, covariance) for mean, covariance in zip(means, covariances, strict=True)]
 
 
-def _nodes(sweeps: Sweeps, degree: int = DEGREE) -> tuple[Floats, Floats]:
-    """Joint vectors at the nodes of all sweeps (n_sweeps * nodes, n_joints), and what makes coefficients of lengths."""
-    s, _ = np.polynomial.legendre.leggauss(_NODES)
+def nodes(sweeps: Sweeps, degree: int, count: int = _NODES) -> tuple[Floats, Floats]:
+    """Joint vectors at `count` nodes of all sweeps (n_sweeps * count, n_joints), what makes coefficients of values."""
+    s, _ = np.polynomial.legendre.leggauss(count)
     middle, half = (sweeps.q_start + sweeps.q_end) / 2.0, (sweeps.q_end - sweeps.q_start) / 2.0
     q = middle[:, None] + s[None, :, None] * half[:, None]
     return q.reshape(-1, q.shape[2]), np.linalg.pinv(legendre(s, degree))[1:]
 
 
-def _coefficients(lengths: Floats, fit: Floats) -> Floats:
-    """Coefficients (n_vectors, n_sweeps, DEGREE) of lengths (n_vectors, n_sweeps * nodes)."""
-    return np.asarray(lengths.reshape(len(lengths), -1, _NODES) @ fit.T)
+def coefficients_of(values: Floats, fit: Floats) -> Floats:
+    """Coefficients (n_vectors, n_sweeps, degree) of values at the nodes (n_vectors, n_sweeps * count)."""
+    return np.asarray(values.reshape(len(values), -1, fit.shape[1]) @ fit.T)
+
+
+def centre_and_spread(draws: Floats) -> tuple[Floats, Floats]:
+    """Median of draws (n, ..) and a standard deviation that a few wild ones do not set, (..) each."""
+    centre = np.median(draws, axis=0)
+    return centre, 1.4826 * np.median(np.abs(draws - centre), axis=0)

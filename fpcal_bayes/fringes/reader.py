@@ -34,8 +34,8 @@ _ROUGH = 0.25
 _OFF_PHASE, _OFF_SQUARE = 0.3, 25.0
 #: Mean square of some samples in a row, by the noise, above which a hop may spoil a course of its own, and does.
 _MAY_JUMP, _JUMP = 7.0, 25.0
-#: Fringes that a mirror may stand still or go astray before the joint's position means nothing.
-_ASTRAY = 2.0
+#: Fringes that a mirror may go astray, or stand still, before the joint's position means nothing.
+_ASTRAY, _STILL = 2.0, 2.25
 #: An uneven course that runs back by this much more than its joint's, in um, may have been mirrored.
 _TURNED = 0.005
 #: A turn this near to an extreme of the fringe, in half fringes, may be none.
@@ -298,9 +298,9 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the signal does not follow a smooth sweep (it jumps: samples in a row {off:.0f} times the noise off)"
     if found.hop:
         return f"the phase hops by {abs(found.hop):.2g} rad: the laser or the mirror jumps"
-    if late > _ASTRAY * fringe:
+    if late > _STILL * fringe:
         return f"the mirror sets out {late:.2f} um late: its pose at the start is not that of the joint"
-    if found.stop < 1.0 and missing > _ASTRAY * fringe:
+    if found.stop < 1.0 and missing > _STILL * fringe:
         return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
     if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"

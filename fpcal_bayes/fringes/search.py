@@ -5,8 +5,6 @@ signal is turned back by the bend's phase; a Fourier transform then weighs all s
 out however often L turns back, since all parts of the sweep add up in phase.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
@@ -26,68 +24,41 @@ _BEND_PHASE = 1.0
 _FEW_FRINGES = 4.0
 
 
-@dataclass(frozen=True)
-class Split:
-    """A profile as base + slope a + bend b, each of shape (DEGREE,), with the ranges of a and b in um."""
-
-    base: Floats
-    slope: Floats
-    bend: Floats
-    slope_range: tuple[float, float]
-    bend_range: tuple[float, float]
-
-
-def split_profile(profile: DisplacementProfile) -> Split:
-    """Split a prior of courses into its slope and its largest bend beside it."""
-    covariance, mean = profile.covariance, profile.mean
-    slope = covariance[:, 0] / covariance[0, 0]
-    rest = covariance - np.outer(slope, slope) * covariance[0, 0]
-    values, vectors = np.linalg.eigh(rest)
-    bend, bend_sd = vectors[:, -1], float(np.sqrt(max(values[-1], 0.0)))
-    reach = _REACH * float(np.sqrt(covariance[0, 0]))
-    return Split(
-        base=mean - slope * mean[0],
-        slope=slope,
-        bend=bend,
-        slope_range=(mean[0] - reach, mean[0] + reach),
-        bend_range=(-_REACH * bend_sd, _REACH * bend_sd),
-    )
-
-
 def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: float, most: int = 8) -> Floats:
     """Coefficients (m, DEGREE) in um of courses that may have made the signal, best first.
 
     A profile and its mirror image, which make the same signal, count as one.
     """
-    split = split_profile(profile)
+    # A prior of courses has its slope with what goes with it, and its largest bend beside it.
+    covariance, mean = profile.covariance, profile.mean
+    slope = covariance[:, 0] / covariance[0, 0]
+    values, vectors = np.linalg.eigh(covariance - np.outer(slope, slope) * covariance[0, 0])
+    split = np.array([mean - slope * mean[0], slope, vectors[:, -1]])
+    room, bent = _REACH * float(np.sqrt(covariance[0, 0])), _REACH * float(np.sqrt(max(values[-1], 0.0)))
     used = samples.binned(_MOST_BINS)
     # Beyond two samples a fringe a slope cannot be told from a smaller one.
     steepest = 0.5 * len(samples) * np.pi / phase_per_um
-    low, high = np.clip(split.slope_range, -steepest, steepest)
+    low, high = np.clip((mean[0] - room, mean[0] + room), -steepest, steepest).tolist()
     reach = max(abs(low), abs(high), 2.0 * np.pi / phase_per_um)
-    bends = _bends(split, phase_per_um)
+    n = int(np.ceil(2.0 * bent * phase_per_um / _BEND_PHASE))
+    bends = np.linspace(-bent, bent, n) if n > 1 else np.zeros(1)
     found, scores = _by_transform(used, split, bends, phase_per_um, reach, (low, high))
     few = _FEW_FRINGES * np.pi / phase_per_um
     if len(found) == 0 or abs(found[0, 0]) < few or scores[0] < 0.5:
-        slow, left = _by_fits(used.binned(120), split, bends[::2], phase_per_um, min(few, reach))
+        near = min(few, reach)
+        slopes = max(-near, float(mean[0]) - room), min(near, float(mean[0]) + room)
+        slow, left = _by_fits(used.binned(120), split, bends[::2], phase_per_um, slopes)
         found, scores = np.concatenate([found, slow]), np.concatenate([scores, left])
     order = np.argsort(-scores)
     return _distinct(found[order], phase_per_um, most)
 
 
-def _bends(split: Split, phase_per_um: float) -> Floats:
-    step = _BEND_PHASE / phase_per_um
-    low, high = split.bend_range
-    n = max(1, int(np.ceil((high - low) / step)))
-    return np.linspace(low, high, n) if n > 1 else np.zeros(1)
-
-
 def _by_transform(
-    used: Samples, split: Split, bends: Floats, phase_per_um: float, reach: float, slopes: tuple[float, float]
+    used: Samples, split: Floats, bends: Floats, phase_per_um: float, reach: float, slopes: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    basis, signal = legendre(used.s), used.levelled()
-    curves = phase_per_um * (basis[:, 1:] @ np.array([split.base, split.slope, split.bend]).T)
-    base, slope, bend = np.ascontiguousarray(curves.T)
+    """Courses base + slope a + bend b, `split` being these three (3, DEGREE), and how well each explains the signal."""
+    signal = used.levelled()
+    base, slope, bend = np.ascontiguousarray((phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T)
     cycles = slope / (2.0 * np.pi)
     width = 1.0 / (_BINS_A_FRINGE * reach)
     first = cycles.min()
@@ -106,24 +77,26 @@ def _by_transform(
     if power.size == 0:
         return np.zeros((0, DEGREE)), np.zeros(0)
     b, a = _peaks(power)
-    found = split.base + np.outer(frequency[order][a], split.slope) + np.outer(bends[b], split.bend)
-    return found, power[b, a]
+    return _combined(split, frequency[order][a], bends[b]), power[b, a]
 
 
-def _by_fits(used: Samples, split: Split, bends: Floats, phase_per_um: float, reach: float) -> tuple[Floats, Floats]:
-    basis = legendre(used.s)
-    curves = phase_per_um * (basis[:, 1:] @ np.array([split.base, split.slope, split.bend]).T)
-    base, slope, bend = np.ascontiguousarray(curves.T)
-    low, high = max(-reach, split.slope_range[0]), min(reach, split.slope_range[1])
+def _by_fits(
+    used: Samples, split: Floats, bends: Floats, phase_per_um: float, ends: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    low, high = ends
     if low >= high:
         return np.zeros((0, DEGREE)), np.zeros(0)
+    base, slope, bend = np.ascontiguousarray((phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T)
     slopes = np.linspace(low, high, max(2, int((high - low) * phase_per_um / 0.8)))
     signal = used.signal - used.signal.mean()
     left = floating_fits(used.s, signal, used.count, base, slope, bend, slopes, bends)
     explained = 1.0 - left / float((used.count * signal**2).sum())
     a, b = _peaks(explained)
-    found = split.base + np.outer(slopes[a], split.slope) + np.outer(bends[b], split.bend)
-    return found, explained[a, b]
+    return _combined(split, slopes[a], bends[b]), explained[a, b]
+
+
+def _combined(split: Floats, slopes: Floats, bends: Floats) -> Floats:
+    return np.asarray(split[0] + np.outer(slopes, split[1]) + np.outer(bends, split[2]))
 
 
 def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

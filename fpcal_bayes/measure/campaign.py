@@ -56,40 +56,22 @@ class DoubtfulRecord:
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a campaign file holds.
+    """What a campaign file holds."""
 
-    Attributes
-    ----------
-    sweeps
-        Sweeps of all sessions, measured or planned.
-    cell_name, cell_sha256, opd
-        The cell that was measured; the hash is that of the cell with this path model.
-    program_version, command, seed
-        How the file came about; `seed` of a simulation, else None.
-    truth
-        What a simulation was made from, else None.
-    track
-        States that ``fpcal track`` left, or None.
-    recordings
-        The traces that the sweeps were read from, or None.
-    doubtful
-        Sweeps of the recordings that gave no reliable number and are no rows of `sweeps`, or None.
-    about
-        Who measured with which instruments, in words: operator, serial numbers.
-    """
-
-    sweeps: Sweeps
+    sweeps: Sweeps  # of all sessions, measured or planned
+    #: cell_name, cell_sha256, opd: The cell that was measured; the hash is that of the cell with this path model.
     cell_name: str
     cell_sha256: str
     opd: Opd
+    #: program_version, command, seed: How the file came about; `seed` of a simulation, else None.
     program_version: str
     command: str
     seed: int | None = None
-    truth: TruthRecord | None = None
-    track: TrackRecord | None = None
-    recordings: TraceIndex | None = None
-    doubtful: DoubtfulRecord | None = None
-    about: str = ""
+    truth: TruthRecord | None = None  # what a simulation was made from
+    track: TrackRecord | None = None  # states that ``fpcal track`` left
+    recordings: TraceIndex | None = None  # what the sweeps were read from
+    doubtful: DoubtfulRecord | None = None  # recordings that gave no reliable number and are no rows of `sweeps`
+    about: str = ""  # who measured with which instruments, in words: operator, serial numbers
 
     @classmethod
     def of(cls, sweeps: Sweeps, cell: Cell, *, command: str = "", **beside: Any) -> "Campaign":

@@ -13,8 +13,8 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
+from fpcal_bayes.model.axes import joint_axes
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.chain import tool_pose
 
 #: Half the side of the cube of nodes, in um; the paper does not print it.
 NODE_HALF_SIDE = 150.0
@@ -213,21 +213,12 @@ def _nodes() -> list[list[float]]:
 
 def _require_paper_chain(cell: Cell) -> None:
     fits = tuple(joint.kind for joint in cell.joints) == _PAPER_CHAIN
-    if not fits or not all(_moves_along(cell, joint, axis) for joint, axis in enumerate(_PAPER_AXES)):
+    if fits:
+        # Joints move along or about the world's axes, within 10 degrees.
+        directions, _ = joint_axes(cell, cell.parameters.nominal, np.zeros(len(cell.joints)))
+        fits = bool((directions[range(len(_PAPER_AXES)), _PAPER_AXES] > np.cos(np.radians(10.0))).all())
+    if not fits:
         raise InputError(
             f"cell {cell.name!r}: the paper's protocol is for a chain that moves along Zw, Yw, Xw, then turns about "
             "Xw, Zw, Yw; give a sweep file instead"
         )
-
-
-def _moves_along(cell: Cell, joint: int, axis: int) -> bool:
-    """Whether the nominal joint moves along or about +`axis` of the world, within 10 degrees."""
-    step = np.zeros(len(cell.joints))
-    step[joint] = 1e-3
-    before, after = (tool_pose(cell, cell.parameters.nominal, q) for q in (0.0 * step, step))
-    if cell.joints[joint].kind == "prismatic":
-        direction = after[:3, 3] - before[:3, 3]
-    else:
-        turn = after[:3, :3] @ before[:3, :3].T
-        direction = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    return bool(direction[axis] > np.cos(np.radians(10.0)) * np.linalg.norm(direction))

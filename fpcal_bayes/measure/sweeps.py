@@ -38,68 +38,38 @@ _DEFAULTS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Sweeps:
-    """An ordered set of sweeps; lengths in um, angles in rad, times in hours.
+    """An ordered set of n sweeps; lengths in um, angles in rad, times in hours."""
 
-    Attributes
-    ----------
-    session, label
-        Shape (n,). Rows of one session belong together.
-    time_h
-        Hours since the campaign began, shape (n,).
-    q_start, q_end
-        Joint vectors, shape (n, n_joints).
-    dl, sigma
-        Measured change of cavity length and its standard deviation, shape (n,); NaN in a plan.
-    signed
-        False where only the size of `dl` is known, shape (n,).
-    group
-        Rows of one session with the same non-empty group share the reading at their start, shape (n,).
-    kind
-        ``sweep``, ``absolute`` (`dl` is L at `q_end`) or ``path`` (a closed or multi-joint path), shape (n,).
-    trace
-        File of the recorded trace, or empty, shape (n,).
-    utc
-        Clock time as ISO 8601, or empty, shape (n,).
-    temperature_c
-        Or NaN, shape (n,).
-    t_start_h, t_end_h
-        When start and end were read, hours since the campaign began, or NaN, shape (n,).
-    approach
-        Direction in which each joint reached the end, one of ``+-0`` per joint, or empty, shape (n,).
-    beam
-        Name of the beam that read each row, shape (n,); empty: the only one.
-    shot
-        Rows of one session with the same non-empty shot were read at one moment, shape (n,).
-    scale_ppm
-        Standard deviation of one scale of all lengths, the laser's wavelength over the index of the air, that `sigma`
-        does not hold, or NaN, shape (n,).
-    common
-        What independent errors of unit variance that the rows of a group share add to each beside `sigma`, in um, shape
-        (n, n_common); rows that have none share half of their variance. Files do not hold it.
-    file, rows
-        Where the sweeps were read: file name and line of each, shape (n,); used in messages.
-    """
-
+    #: session, label: Rows of one session belong together, shape (n,).
     session: Texts
     label: Texts
-    time_h: Floats
+    time_h: Floats  # since the campaign began, shape (n,)
+    #: q_start, q_end: Joint vectors, shape (n, n_joints).
     q_start: Floats
     q_end: Floats
+    #: dl, sigma: Measured change of cavity length and its standard deviation, shape (n,); NaN in a plan.
     dl: Floats
     sigma: Floats
-    signed: NDArray[np.bool_]
-    group: Texts
-    kind: Texts
-    trace: Texts
-    utc: Texts
-    temperature_c: Floats
+    signed: NDArray[np.bool_]  # false where only the size of `dl` is known, or its rows up to one sign, shape (n,)
+    group: Texts  # rows of one session with the same non-empty group share the reading at their start, shape (n,)
+    kind: Texts  # ``sweep``, ``absolute`` (`dl` is L at `q_end`) or ``path`` (closed or multi-joint), shape (n,)
+    trace: Texts  # file of the recorded trace, or empty, shape (n,)
+    utc: Texts  # clock time as ISO 8601, or empty, shape (n,)
+    temperature_c: Floats  # or NaN, shape (n,)
+    #: t_start_h, t_end_h: When start and end were read, since the campaign began, or NaN, shape (n,).
     t_start_h: Floats
     t_end_h: Floats
-    approach: Texts
-    beam: Texts
-    shot: Texts
+    approach: Texts  # direction in which each joint reached the end, one of ``+-0`` per joint, or empty, shape (n,)
+    beam: Texts  # name of the beam that read each row, shape (n,); empty: the only one
+    shot: Texts  # rows of one session with the same non-empty shot were read at one moment, shape (n,)
+    #: Standard deviation of one scale of all lengths, the laser's wavelength over the index of the air, that `sigma`
+    #: does not hold, or NaN, shape (n,).
     scale_ppm: Floats
+    #: What independent errors of unit variance that the rows of a group share add to each beside `sigma`, in um, shape
+    #: (n, n_common); rows that have none share half of their variance. Files do not hold it. Unsigned rows of a group
+    #: that have some have one sign together.
     common: Floats
+    #: file, rows: Where the sweeps were read: file name and line of each, shape (n,); used in messages.
     file: str
     rows: NDArray[np.int64]
 

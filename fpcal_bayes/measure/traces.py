@@ -59,14 +59,9 @@ def check_trace(trace: Trace, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a trace holds finite numbers and its time runs forwards; `line_of`: its lines."""
     columns = dict(zip(TRACE_COLUMNS, (trace.time_s, trace.joint, trace.irradiance), strict=True))
     _require_finite(trace.file or "trace", columns, line_of)
-    back = np.diff(trace.time_s) <= 0
-    if back.any():
-        raise located(
-            trace.file or "trace",
-            f"expected a time later than the {trace.time_s[np.argmax(back)]:.10g} s before it",
-            row=_line(line_of, int(np.argmax(back)) + 1),
-            column="t_s",
-        )
+    back = np.diff(trace.time_s, prepend=-np.inf) <= 0
+    before = trace.time_s[np.argmax(back) - 1]
+    _refuse(trace.file or "trace", back, "t_s", f"expected a time later than the {before:.10g} s before it", line_of)
 
 
 def plausible_wavelength(wavelength: Floats) -> NDArray[np.bool_]:
@@ -78,23 +73,16 @@ def check_scan(scan: WavelengthScan, line_of: LineOf | None = None) -> None:
     """Raise `InputError` unless a scan holds finite numbers and its wavelength goes one way; `line_of`: its lines."""
     file = scan.file or "scan"
     _require_finite(file, dict(zip(SCAN_COLUMNS, (scan.wavelength, scan.irradiance), strict=True)), line_of)
-    wrong = ~plausible_wavelength(scan.wavelength)
-    if wrong.any():
-        row = _line(line_of, int(np.argmax(wrong)))
-        raise located(file, "expected a wavelength in nm, 200 to 20000", row=row, column=SCAN_COLUMNS[0])
-    steps = np.diff(scan.wavelength)
-    turned = steps * (scan.wavelength[-1] - scan.wavelength[0]) <= 0
-    if turned.any():
-        raise located(
-            file,
-            "expected wavelengths that only rise or only fall",
-            row=_line(line_of, int(np.argmax(turned)) + 1),
-            column=SCAN_COLUMNS[0],
-        )
+    wrong, column = ~plausible_wavelength(scan.wavelength), SCAN_COLUMNS[0]
+    _refuse(file, wrong, column, "expected a wavelength in nm, 200 to 20000", line_of)
+    turned = np.append(False, np.diff(scan.wavelength) * (scan.wavelength[-1] - scan.wavelength[0]) <= 0)
+    _refuse(file, turned, column, "expected wavelengths that only rise or only fall", line_of)
 
 
-def _line(line_of: LineOf | None, sample: int) -> int:
-    return sample + 1 if line_of is None else line_of(sample)
+def _refuse(file: str, bad: NDArray[np.bool_], column: str, expected: str, line_of: LineOf | None) -> None:
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise located(file, expected, row=first + 1 if line_of is None else line_of(first), column=column)
 
 
 def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | None) -> None:
@@ -104,9 +92,8 @@ def _require_finite(file: str, columns: dict[str, Floats], line_of: LineOf | Non
     for name, values in columns.items():
         bad = ~(np.abs(values) <= largest(name))
         if bad.any():
-            first = int(np.argmax(bad))
-            found = f"expected a finite number up to {largest(name):g}, found {values[first]:g}"
-            raise located(file, found, row=_line(line_of, first), column=name)
+            found = f"expected a finite number up to {largest(name):g}, found {values[np.argmax(bad)]:g}"
+            _refuse(file, bad, name, found, line_of)
     if len(values) < 2:
         raise InputError(f"{file}: {len(values)} samples, expected two or more")
 

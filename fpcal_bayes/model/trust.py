@@ -19,7 +19,7 @@ _FORBID = (
     *("bent-prior", "held-uncertain", "omitted", "stale"),
 )
 _WARN = (
-    *("held-exact", "drift", "too-good-fit", "second-solution", "signs", "duplicates", "nothing-determined"),
+    *("held-exact", "drift", "too-good-fit", "second-solution", "signs", "slips", "duplicates", "nothing-determined"),
     *("mechanics", "residuals", "verification", "priors", "mechanics-left-out", "unrecorded"),
 )
 #: What can be held against a result, and whether it forbids the use of it. The others are said and leave it usable.

@@ -250,7 +250,8 @@ def start(
 def _identified(cell: Cell, drift: DriftModel, sweeps: Sweeps) -> tuple[Identification, tuple[str, ...]]:
     """The calibration, slips of its fringe counts corrected, and warnings about them."""
     found = identify(cell, sweeps, free=drift.parameters.names)
-    return _without_slips(cell, drift, found) if found.fit.p_value < POOR_FIT_BELOW else (found, ())
+    slipped = any(reason.kind == "slips" for reason in found.estimate.trust.reasons)
+    return _without_slips(cell, drift, found) if slipped or found.fit.p_value < POOR_FIT_BELOW else (found, ())
 
 
 def _measurement(drift: DriftModel, found: Identification) -> Measurement | None:

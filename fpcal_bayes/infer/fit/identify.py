@@ -25,6 +25,7 @@ from fpcal_bayes.infer.fit.prior import BENT, Prior, bends
 from fpcal_bayes.infer.fit.prior_sizes import with_likely_priors, wrong_priors
 from fpcal_bayes.infer.fit.problem import Problem, held_reasons, hold_rest
 from fpcal_bayes.infer.fit.signs import DOUBTFUL, SignDecision, decide_signs
+from fpcal_bayes.infer.fit.slips import slip_reasons
 from fpcal_bayes.infer.fit.spectrum import GoodnessOfFit, Spectrum, Status, goodness_of_fit, spectrum_of, statuses
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit, fit_mechanics, many_rows, thinned
 from fpcal_bayes.infer.mechanics.judge import doubts_of
@@ -238,6 +239,8 @@ def identify(
     )
     if trust.usable and fit.expected > LEAST_EXPECTED:
         trust = trust.because(*axis_rivals(problem, solution))
+    if {"not-converged", "poor-fit", "mechanics", "residuals"} & {reason.kind for reason in trust.reasons}:
+        trust = trust.because(*slip_reasons(problem, solution))
     warnings += trust.texts
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]

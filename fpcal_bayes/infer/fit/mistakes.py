@@ -16,6 +16,7 @@ from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, minimise, stepped
 from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.infer.fit.signs import signed_as
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.axes import home, joint_axes
 from fpcal_bayes.model.cell.cell import Cell
@@ -223,7 +224,7 @@ def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
         for _ in range(0 if known.all() else _SIGN_ROUNDS):
             # Rows without sign take that which this machine gives them.
             predicted = problem.model.predict(problem.values(near.unknowns), rows)
-            other = other.with_target(np.where(known, problem.target, np.copysign(problem.target, predicted)))
+            other = other.with_target(signed_as(problem, predicted))
             near = _quick(other, near.unknowns, _NEAR_STEPS)
         if near.sum_of_squares > solution.sum_of_squares + _WORTH * len(sweeps):
             continue

@@ -1,8 +1,9 @@
 """Sweeps whose direction is not known: decide the sign of each dL together with the fit.
 
-Rows are taken up as the fit comes to predict their sign. Where it predicts none although the two signs would lead to
-different fits, both are followed. The minimal sum of squares of some rows can only grow as rows are added, so a
-best-first search by that sum finds the best assignment, and every other one that is nearly as good.
+Rows of one whole trace have one sign. Rows are taken up as the fit comes to predict their sign. Where it predicts none
+although the two signs would lead to different fits, both are followed. The minimal sum of squares of some rows can only
+grow as rows are added, so a best-first search by that sum finds the best assignment, and every other one that is nearly
+as good.
 """
 
 import heapq
@@ -13,9 +14,10 @@ import numpy as np
 from scipy import linalg, sparse, special
 
 from fpcal_bayes.core.linalg import posterior_triangle
-from fpcal_bayes.core.typing import Bools, Floats
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.infer.fit.minimise import Solution, distinct_minima, minimise
 from fpcal_bayes.infer.fit.problem import Problem
+from fpcal_bayes.measure.sharing import Sharing
 
 #: A predicted sign is taken when its odds exceed e^12, computed with the predictive standard deviation widened
 #: threefold since the prediction is linear.
@@ -38,7 +40,9 @@ class SignDecision:
 
     target: Floats  # measured changes with their sign, shape (n_rows,)
     solution: Solution
-    doubt: Floats  # probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows
+    # probability that the sign of a row is the other one, shape (n_rows,); zero at signed rows, and of rows that have
+    # one sign together at all but the last
+    doubt: Floats
     complete: bool  # whether the search ended before its limit of fits
     # minima of other assignments that fit nearly as well, each away from the rest, best first
     rivals: tuple[Solution, ...]
@@ -51,7 +55,7 @@ class SignDecision:
 def decide_signs(problem: Problem, start: Floats) -> SignDecision:
     """Decide the signs of the unsigned rows of `problem`, starting the fit at `start` (n_unknowns,)."""
     signed = problem.sweeps.signed | problem.sweeps.absolute
-    tie = count()
+    tie, alike = count(), _Alike.of(problem)
     first = _Branch(problem.target.copy(), signed.copy(), Solution(start, 0.0, True))
     queue: list[tuple[float, int, _Branch]] = [(0.0, next(tie), first)]
     finished: list[_Branch] = []
@@ -61,10 +65,10 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
         if lower_bound > best + _RIVAL_EXCESS:
             queue.clear()
             break
-        for grown in branch.grow(problem):
+        for grown in branch.grow(problem, alike):
             fits += 1
             if grown.taken.all():
-                settled = _settle(problem, grown)
+                settled = _settle(problem, alike, grown)
                 finished.append(settled)
                 best = min(best, settled.solution.sum_of_squares)
             else:
@@ -73,15 +77,64 @@ def decide_signs(problem: Problem, start: Floats) -> SignDecision:
     if not finished:
         # The limit of fits is reached: follow the likeliest branch to its end by the predicted signs alone.
         branch = queue[0][2]
-        predicted, _ = branch.predict(problem)
-        target = np.where(branch.taken, branch.target, np.copysign(problem.target, predicted))
-        finished = [_settle(problem, _Branch(target, np.ones_like(signed), branch.solution))]
+        told = alike.odds(problem.target, *branch.predict(problem))
+        target = np.where(branch.taken, branch.target, np.copysign(1.0, told) * problem.target)
+        finished = [_settle(problem, alike, _Branch(target, np.ones_like(signed), branch.solution))]
     chosen = min(finished, key=lambda branch: branch.solution.sum_of_squares)
-    doubt = np.maximum(_rival_doubt(chosen, finished), _flip_doubt(problem.with_target(chosen.target), chosen.solution))
+    flipped = _flip_doubt(problem.with_target(chosen.target), alike, chosen.solution)
+    doubt = np.where(signed | ~alike.last, 0.0, np.maximum(_rival_doubt(chosen, finished), flipped))
     most = chosen.solution.sum_of_squares + _RIVAL_EXCESS
     near = [branch.solution for branch in finished if branch.solution.sum_of_squares < most]
     rivals = distinct_minima(problem.with_target(chosen.target), chosen.solution, near)[:_MOST_RIVALS]
-    return SignDecision(chosen.target, chosen.solution, np.where(signed, 0.0, doubt), complete, rivals)
+    return SignDecision(chosen.target, chosen.solution, doubt, complete, rivals)
+
+
+def signed_as(problem: Problem, predicted: Floats) -> Floats:
+    """Measured changes of the rows with the signs that predictions (n_rows,) in um give those that have none."""
+    told = _Alike.of(problem).odds(problem.target, predicted)
+    known = problem.sweeps.signed | problem.sweeps.absolute
+    return np.where(known, problem.target, np.copysign(1.0, told) * problem.target)
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Which rows have one sign: those of a whole trace, whose changes are known up to a sign of all."""
+
+    first: Ints  # the first row that has the sign of each, shape (n_rows,)
+    variance: Floats  # of each row's noise in um^2, shape (n_rows,)
+    blocks: tuple[tuple[Ints, Floats], ...]  # rows of one sign where there are several, covariance of their noise
+
+    @classmethod
+    def of(cls, problem: Problem) -> "_Alike":
+        sweeps, first = problem.sweeps, np.arange(len(problem.target))
+        whole = sweeps.common.any(axis=1) & ~sweeps.signed
+        if not whole.any():
+            return cls(first, problem.whitening.variance, ())
+        first[whole] = Sharing.of(sweeps).reading[whole]
+        root = problem.whitening.unwhiten(np.eye(len(first)))
+        parts = [np.flatnonzero(whole & (first == at)) for at in np.unique(first[whole])]
+        return cls(first, problem.whitening.variance, tuple((rows, root[rows] @ root[rows].T) for rows in parts))
+
+    @property
+    def last(self) -> Bools:
+        """Whether each row is the last one of its sign."""
+        place = np.arange(len(self.first))
+        at = place.copy()
+        at[self.first] = place
+        return np.asarray(at[self.first] == place)
+
+    def odds(self, target: Floats, predicted: Floats, spread: Floats | None = None) -> Floats:
+        """Half the logarithm of the odds that a row's sign is that of `target`, whose rows of one sign have the same.
+
+        predicted: change of each row in um, known but for the noise and what `spread` (n, n_rows), a root of the
+        covariance, adds.
+        """
+        added = 0.0 if spread is None else (spread**2).sum(axis=0)
+        told = target * predicted / (self.variance + added)
+        for rows, noise in self.blocks:
+            covariance = noise if spread is None else noise + spread[:, rows].T @ spread[:, rows]
+            told[rows] = target[rows] @ np.linalg.solve(covariance, predicted[rows])
+        return told
 
 
 @dataclass(frozen=True)
@@ -93,7 +146,7 @@ class _Branch:
     solution: Solution
 
     def predict(self, problem: Problem) -> tuple[Floats, Floats]:
-        """Predicted change of every row and its standard deviation with the row's own noise, in um."""
+        """Predicted change of every row in um, and a root of the covariance of all, shape (n_unknowns, n_rows)."""
         unknowns = self.solution.unknowns
         n = problem.n_free
         predicted, jacobian = problem.model.predict_with_jacobian(problem.values(unknowns), problem.rows)
@@ -104,25 +157,22 @@ class _Branch:
         seen = np.zeros((0, problem.n_unknowns))
         if self.taken.any():
             seen = problem.take(self.taken).relinearised(unknowns).data_jacobian(unknowns)
-        spread = linalg.solve_triangular(posterior_triangle(seen), scaled.T, trans="T")
-        return predicted, np.sqrt((spread**2).sum(axis=0) + problem.whitening.variance)
+        return predicted, linalg.solve_triangular(posterior_triangle(seen), scaled.T, trans="T")
 
-    def grow(self, problem: Problem) -> list["_Branch"]:
+    def grow(self, problem: Problem, alike: _Alike) -> list["_Branch"]:
         """Take up every row whose sign is clear; where none is, follow both signs of the row that tells most."""
         branch = self if not self.taken.any() else self.refitted(problem)
-        predicted, sd = branch.predict(problem)
-        size = problem.target
-        open_rows = ~branch.taken
-        log_odds = 2.0 * np.abs(predicted) * size / (_WIDENING * sd) ** 2
-        clear = open_rows & (log_odds > _DECISIVE_LOG_ODDS)
-        if not clear.any() and (size * problem.whitening.scale)[open_rows].max() < _SEPARABLE:
+        predicted, spread = branch.predict(problem)
+        size, open_rows = problem.target, ~branch.taken
+        told = alike.odds(size, predicted, spread)
+        clear = open_rows & (2.0 * np.abs(told) / _WIDENING**2 > _DECISIVE_LOG_ODDS)
+        if not clear.any() and alike.odds(size, size)[open_rows].max() < _SEPARABLE**2:
             # What is left is noise: its sign hardly matters to the fit.
             clear = open_rows
         if clear.any():
-            return [branch.with_signs(clear, np.copysign(size, predicted), problem)]
-        row = int(np.argmax(np.where(open_rows, size / sd, -np.inf)))
-        chosen = np.zeros_like(open_rows)
-        chosen[row] = True
+            return [branch.with_signs(clear, np.copysign(1.0, told) * size, problem)]
+        row = int(np.argmax(np.where(open_rows, alike.odds(size, size, spread), -np.inf)))
+        chosen = alike.first == alike.first[row]
         return [branch.with_signs(chosen, sign * size, problem) for sign in (1.0, -1.0)]
 
     def refitted(self, problem: Problem) -> "_Branch":
@@ -135,14 +185,15 @@ class _Branch:
         return _Branch(np.where(rows, target, self.target), self.taken | rows, self.solution).refitted(problem)
 
 
-def _settle(problem: Problem, branch: _Branch) -> _Branch:
+def _settle(problem: Problem, alike: _Alike, branch: _Branch) -> _Branch:
     """Flip rows whose sign the fit contradicts, and fit again, until none is left."""
+    unsigned = ~(problem.sweeps.signed | problem.sweeps.absolute)
     for _ in range(10):
-        unsigned = ~(problem.sweeps.signed | problem.sweeps.absolute)
         predicted = problem.model.predict(problem.values(branch.solution.unknowns), problem.rows)
         if problem.sensitivity is not None:
             predicted = predicted + problem.sensitivity @ branch.solution.unknowns[problem.n_free :]
-        target = np.where(unsigned, np.copysign(problem.target, predicted), branch.target)
+        told = alike.odds(problem.target, predicted)
+        target = np.where(unsigned, np.copysign(1.0, told) * problem.target, branch.target)
         if (target == branch.target).all():
             return branch
         flipped = _Branch(target, branch.taken, branch.solution).refitted(problem)
@@ -162,11 +213,13 @@ def _rival_doubt(chosen: _Branch, finished: list[_Branch]) -> Floats:
     return np.asarray(weights @ differs / weights.sum())
 
 
-def _flip_doubt(problem: Problem, solution: Solution) -> Floats:
-    """Probability of the other sign of each row when that row alone is flipped and the fit follows linearly."""
+def _flip_doubt(problem: Problem, alike: _Alike, solution: Solution) -> Floats:
+    """Probability of the other sign of each row when that sign alone is flipped and the fit follows linearly."""
     unknowns = solution.unknowns
     residuals = problem.data_residuals(unknowns)
     orthonormal = linalg.qr(problem.jacobian(unknowns), mode="economic")[0][: len(residuals)]
-    change = sparse.csc_array(problem.whitening.as_matrix @ sparse.diags_array(2.0 * problem.target))
+    n = len(alike.first)
+    flips = sparse.csc_array((2.0 * problem.target, (np.arange(n), alike.first)), shape=(n, n))
+    change = sparse.csc_array(problem.whitening.as_matrix @ flips)
     excess = 2.0 * (change.T @ residuals) + change.multiply(change).sum(axis=0)
-    return np.asarray(special.expit(-0.5 * (excess - ((change.T @ orthonormal) ** 2).sum(axis=1))))
+    return np.asarray(special.expit(-0.5 * (excess - ((change.T @ orthonormal) ** 2).sum(axis=1))))[alike.first]

@@ -11,15 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
+from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import Solution, minimise
 from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.model.trust import Reason
 
 #: Most half wavelengths that a count slips by between two readings.
 MOST_HALF_WAVES = 3
 #: A correction must lower the sum of squares by more than this: odds of e^10 against a slip, before the data.
 _LEAST_GAIN = 20.0
+#: Sum of squares for each row that corrected rows may leave where slips explain a poor fit.
+_EXPLAINED = 2.0
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,19 @@ class Slips:
     counts: Ints  # half wavelengths to take from each dL, shape (n_rows,)
     problem: Problem  # with the corrected values
     solution: Solution  # its minimum
+
+
+def slip_reasons(problem: Problem, solution: Solution) -> list[Reason]:
+    """What is to be said of rows that a poor fit says are off by whole half wavelengths, where that explains it."""
+    slips = find_slips(problem, solution)
+    slipped, left = np.flatnonzero(slips.counts), slips.solution.sum_of_squares
+    if not len(slipped) or left > _EXPLAINED * len(slips.counts):
+        return []
+    rows = ", ".join(f"{problem.sweeps.names[i]} ({-slips.counts[i]:+d})" for i in slipped[:6])
+    counts = counted(len(slipped), "fringe count")
+    before = f"in place of {solution.sum_of_squares:.1f}"
+    text = f"with {counts} corrected by whole half wavelengths the sum of squares is {left:.1f} {before}: {rows}"
+    return [Reason("slips", text)]
 
 
 def find_slips(problem: Problem, solution: Solution) -> Slips:

@@ -67,7 +67,7 @@ class Posterior(Result):
         """What is held against the draws; second solutions and signs are sampled, rows may slip or have heavy tails."""
         told = {"second-solution", "signs"}
         if isinstance(self.target, SlipTarget) or self.target.dof is not None:
-            told |= {"poor-fit", "too-good-fit"}
+            told |= {"poor-fit", "too-good-fit", "slips"}
         left = Trust(tuple(r for r in self.identification.estimate.trust.reasons if r.kind not in told))
         left = left.because(*(Reason("not-converged", f"the draws did not converge: {why}") for why in self.failures))
         return left if self.misfit is None else left.because(Reason("poor-fit", self.misfit))

@@ -136,6 +136,20 @@ def test_sheet_words_by_draws():
     assert set(bases) == set(PEAK_TO_VALLEY)
 
 
+def test_functions_follow_the_tilts_of_machines_of_another_family():
+    """At the levers of the built-in cell, what they cannot follow stays far below what is asked of a circle."""
+    cell, left = load_cell(), []
+    assert cell.mechanics is not None
+    q = np.linspace(cell.low[0], cell.high[0], 301)
+    basis = np.column_stack([np.ones(len(q)), polynomials(q, cell.low[0], cell.high[0])])
+    for seed in range(10):
+        machine = Machine.draw(cell, cell.mechanics, cell.parameters.nominal, np.random.default_rng(seed))
+        tilts = np.array([tilt(q) for stage in machine.motions[:3] for tilt in stage[3:]]).T
+        rest = tilts - basis @ np.linalg.lstsq(basis, tilts, rcond=None)[0]
+        left.append(np.ptp(rest, axis=0) * 1e3 * np.abs(machine.lever[0]).max())
+    assert np.sqrt(np.mean(np.square(left))) < 6.0
+
+
 def test_tables_of_a_cell():
     axis = load_cell(mechanics="none").joints[0]
 

@@ -1,7 +1,7 @@
 """The weights of a cell's error motions: which there are, how large they may be, which scale they share.
 
 An unknown function of a joint's value is a sum of basis functions whose weights are independent normal, their standard
-deviation falling as 1/k: Legendre polynomials k = 1 to 5 over the travel of a limited joint, harmonics k = 1 to 4 of an
+deviation falling as 1/k: Legendre polynomials k = 1 to 8 over the travel of a limited joint, harmonics k = 1 to 4 of an
 endless one. A size on a sheet is what such a function shows at the median: the factors below are the medians over draws
 (a test draws them anew).
 """
@@ -24,17 +24,18 @@ Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
 #: Median peak to valley of a function whose first weight (k = 1) has the standard deviation 1. "bent": its line is
 #: not counted (a straightness is measured from the best line); "beyond-first": there is no fundamental.
 PEAK_TO_VALLEY: dict[Shape, float] = {
-    "legendre": 1.902,
-    "legendre-bent": 1.039,
+    "legendre": 1.998,
+    "legendre-bent": 1.134,
     "fourier": 3.682,
     "fourier-beyond-first": 2.204,
 }
-#: Highest polynomial and highest harmonic.
-LEGENDRE, HARMONICS = 5, 4
+#: Highest polynomial and highest harmonic. What kinks of stage tilts leave beyond order 5 is, at levers of some 80 mm,
+#: more than a session leaves of a circle.
+LEGENDRE, HARMONICS = 8, 4
 
 
 def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
-    """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5); of joints (n, m), (n, m, 5)."""
+    """Legendre polynomials 1 to 8 over a travel from `low` to `high`, shape (n, 8); of joints (n, m), (n, m, 8)."""
     x = (2.0 * q - low - high) / (high - low)
     return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
 
@@ -47,7 +48,7 @@ def harmonics(q: Floats) -> Floats:
 
 
 def weight_sd(size: float, shape: Shape) -> Floats:
-    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,) or (4,)."""
+    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (8,) or (4,)."""
     count = LEGENDRE if shape.startswith("legendre") else HARMONICS
     sd: Floats = size / PEAK_TO_VALLEY[shape] / np.arange(1, count + 1)
     if shape == "fourier-beyond-first":

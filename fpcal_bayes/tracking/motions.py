@@ -33,7 +33,7 @@ from fpcal_bayes.motion.tasks import Task
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
 _NEGLIGIBLE = 0.7e-3
-_MOST_STATES = 42
+_MOST_STATES = 60
 #: Draws of a state that travel with an estimate.
 _DRAWS = 400
 

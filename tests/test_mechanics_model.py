@@ -1,6 +1,6 @@
 """Error motions: their sizes, their weights, and what they do to the cavity length."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.cell_tables import read_mechanics
 from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.measure.protocol import protocol_by_name
-from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sharing import Sharing, drive_of_sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -222,6 +222,47 @@ def test_directions_of_approach_follow_the_rows():
     np.testing.assert_array_equal(drive.start_side, [[0, 0], [1, 0], [1, 0], [1, 0]])
     np.testing.assert_array_equal(drive.end_side, [[1, 0], [-1, 0], [-1, 0], [1, 1]])
     np.testing.assert_array_equal(drive.start_min, [0, 2, 2, 4])
+
+
+@pytest.mark.parametrize("several", [1, 3])
+def test_noise_of_values_that_are_read_back_is_no_motion(several):
+    """Sweeps as a person drives them, and as encoders tell of them, from the same sides and to the same positions."""
+    cell, rng = load_cell(), np.random.default_rng(8)
+    plan, still = protocol_by_name("paper-mid", cell), Terms.of(cell, cell.mechanics).still
+    resolution = np.array([joint.resolution for joint in cell.joints])
+    as_driven = drive_of_sweeps(plan, 1.0, still)
+    for part in fields(as_driven):
+        np.testing.assert_array_equal(getattr(as_driven, part.name), getattr(drive_of_sweeps(plan, 1.0), part.name))
+    places, first = np.unique(plan.group, return_inverse=True)
+    starts = plan.q_start + (several * resolution * rng.standard_normal((len(places), 6)))[first]
+    ends = plan.q_end + several * resolution * rng.standard_normal(plan.q_end.shape)
+    read_back = replace(plan, q_start=starts, q_end=ends)
+    told = drive_of_sweeps(read_back, 1.0, still)
+    for name in ("start_side", "end_side", "start_reach", "end_reach", "moved"):
+        np.testing.assert_array_equal(getattr(told, name), getattr(as_driven, name))
+    assert (drive_of_sweeps(read_back, 1.0).start_side != as_driven.start_side).any()
+
+
+def test_a_joint_that_creeps_has_moved_in_the_end():
+    q = np.zeros((6, 2))
+    q[1:, 0] = np.arange(5) * 0.4
+    drive = drive_of(
+        q[:-1], q[1:], absolute=np.zeros(5, bool), sweep=np.arange(5), time_h=np.zeros(5), minutes_per_sweep=1.0,
+        still=np.ones(2),
+    )  # fmt: skip
+    np.testing.assert_array_equal(drive.end_side[:, 0], [0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(drive.end_reach[:, 0], [0, 0, 0, 1, 1])
+
+
+def test_a_stated_approach_holds_until_the_joint_moves():
+    start, end = np.array([[0.0, 0.0], [2.0, 0.0], [5.0, 0.0]]), np.array([[2.0, 0.0], [2.0, 3.0], [4.0, 3.0]])
+    stated = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    drive = drive_of(
+        start, end, absolute=np.zeros(3, bool), sweep=np.arange(3), time_h=np.zeros(3), minutes_per_sweep=1.0,
+        approach=stated,
+    )  # fmt: skip
+    np.testing.assert_array_equal(drive.end_side[:, 0], [-1, -1, -1])
+    np.testing.assert_array_equal(drive.start_side[:, 0], [0, -1, 1])
 
 
 def test_the_design_is_what_a_machine_of_these_weights_shows():

@@ -33,7 +33,7 @@ from fpcal_bayes.motion.tasks import Task
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
 _NEGLIGIBLE = 0.7e-3
-_MOST_STATES = 60
+_MOST_STATES = 56
 #: Draws of a state that travel with an estimate.
 _DRAWS = 400
 
@@ -98,7 +98,7 @@ class MotionStates:
 
     def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:
         """Whitening of a session's rows, and their derivatives by the states (n_rows, n_states), in um, at `values`."""
-        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
+        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep, self.terms.still)
         made = design(self.terms, model.vector(values), drive, sweeps.sigma)
         n = made.motion_count
         shared = made.matrix[:, :n] * self.sizes

@@ -60,6 +60,8 @@ def weight_sd(size: float, shape: Shape) -> Floats:
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")
 KINDS = ("along the beam", "other displacement", "tilt")
 _NM, _URAD = 1e-3, 1e-6
+#: Joints whose value changes by less than so many resolutions or return errors stand still.
+_STILL = 5.0
 #: Polynomials in time of a session's drift; each further one is half as large.
 DRIFT_ORDER = 2
 
@@ -141,6 +143,11 @@ class Terms:
         """Standard deviation of each joint's return error, by default its repeatability, in um or rad, (n_joints,)."""
         own = self._own([joint.return_sd for joint in self.sizes.joints])
         return np.where(own > 0, own, self.cell.repeatability)
+
+    @cached_property
+    def still(self) -> Floats:
+        """Changes of joint values that may be noise of the values as they are read back, in um or rad, (n_joints,)."""
+        return _STILL * np.maximum([joint.resolution for joint in self.cell.joints], self.return_sd)
 
     @cached_property
     def encoder(self) -> Floats:

@@ -20,7 +20,7 @@ from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.response import directions, pose_responses, responses
-from fpcal_bayes.model.mechanics.terms import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
+from fpcal_bayes.model.mechanics.terms import WEIGHT_SD, harmonics, polynomials, weight_sd
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
@@ -133,7 +133,26 @@ def test_sheet_words_by_draws():
         sd = np.repeat(sd, 2) if shape.startswith("fourier") else sd
         drawn = (rng.standard_normal((n, basis.shape[1])) * sd[-basis.shape[1] :]) @ basis.T
         assert np.median(np.ptp(drawn, axis=1)) == pytest.approx(7.0, rel=0.03), shape
-    assert set(bases) == set(PEAK_TO_VALLEY)
+    assert set(bases) == set(WEIGHT_SD)
+
+
+@pytest.mark.parametrize(("shape", "direction"), [("legendre", 5), ("legendre-bent", 1)])
+def test_weights_are_as_large_as_those_of_functions_of_one_peak_to_valley(shape, direction):
+    rng, x, bent = np.random.default_rng(1), np.linspace(-1.0, 1.0, 201), shape == "legendre-bent"
+    basis = polynomials(x, -1.0, 1.0)
+    falling = rng.standard_normal((4000, 8)) / np.arange(1, 9)
+    falling[:, : 1 * bent] = 0.0
+    values = falling @ basis.T
+    lines = np.polynomial.polynomial.polyfit(x, values.T, 1) if bent else np.zeros((2, len(values)))
+    falling /= np.ptp(values - np.polynomial.polynomial.polyval(x, lines), axis=1)[:, None]
+    stage = JointMechanics(straightness_nm=1e3, pitch_urad=1e6)
+    cell, settings = load_cell(), MachineSettings(spread=1.0)
+    machines = [Machine.draw(cell, Mechanics((stage,) * 6), np.zeros(56), rng, settings) for _ in range(250)]
+    waves = np.array([motions[direction](150.0 * x) for machine in machines for motions in machine.motions[:3]])
+    seen = np.linalg.lstsq(np.column_stack([np.ones(len(x)), basis]), waves.T, rcond=None)[0][1:].T
+    expected = np.sqrt(((falling**2).mean(axis=0) + (seen**2).mean(axis=0)) / 2.0)[bent:]
+    ratio = np.array(WEIGHT_SD[shape])[bent:] / expected
+    np.testing.assert_allclose(ratio, 1.0, atol=0.08)
 
 
 def test_functions_follow_the_tilts_of_machines_of_another_family():

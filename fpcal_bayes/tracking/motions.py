@@ -56,13 +56,15 @@ class MotionStates:
     def factors(self) -> Floats:
         """Factors on the stated sizes (n_scales,): those that the calibration found, drawn back to the sheet.
 
-        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated.
+        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated,
+        and all as large as the root mean square over what remains unknown of their size.
         """
         found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
         prior[-1] = LOG_SD_NOISE**2
         told = np.maximum(1.0 / found - 1.0 / prior, 0.0) + 1.0 / LOG_SD_NOISE**2
         factors = np.exp(self.log_scales.mean(axis=0) / found / told)
-        factors[: -len(SINGLE_KINDS)] = np.maximum(factors[: -len(SINGLE_KINDS)], 1.0)
+        sized = slice(-len(SINGLE_KINDS))
+        factors[sized] = np.maximum(factors[sized], 1.0) * np.exp(1.0 / told[sized])
         return np.asarray(factors)
 
     @cached_property

@@ -13,7 +13,7 @@ from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.mechanics.terms import Terms
 from fpcal_bayes.model.parameters import ParameterSet
 
-#: Decimals in a file of draws, of weights and of factors' logarithms, all of about unit variance, and digits of the rest.
+#: Decimals in a file of draws, weights and logarithms of factors, all of about unit size, and digits of the rest.
 _DRAWN, _WEIGHT, _FACTOR, _DIGITS = 2, 4, 3, 6
 
 
@@ -72,8 +72,8 @@ class MechanicsKnowledge:
         low, middle, high = np.exp(np.quantile(self.log_scales, [0.025, 0.5, 0.975], axis=0))
         return {
             "names": list(self.names),
-            "mean": _short(self.mean[:n] / scale) + np.round(self.mean[n:], _WEIGHT).tolist(),
-            "factor": [*map(_short, self.factor[:n] / scale[:, None])] + np.round(self.factor[n:], _WEIGHT).tolist(),
+            "mean": [*_short(self.mean[:n] / scale), *np.round(self.mean[n:], _WEIGHT).tolist()],
+            "factor": [*map(_short, self.factor[:n] / scale[:, None]), *np.round(self.factor[n:], _WEIGHT).tolist()],
             "draws": np.round(self.draws, _DRAWN).tolist(),
             "free": list(self.free),
             "session_min": self.session_min,

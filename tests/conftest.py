@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from path_length import path_length
 
-from fpcal_bayes.cli.arguments import common as arguments
+from fpcal_bayes.cli import arguments
 from fpcal_bayes.infer.fit import identify as identify_module
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.model import chain

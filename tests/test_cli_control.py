@@ -163,10 +163,6 @@ class TestTaskError:
         assert "combined standard uncertainty" in out
         budget = json.loads(Path("t.json").read_text())["tasks"]["tilt-x"]["budget"]
         assert len(budget["correlation"]) == len(budget["inputs"])
-        run("task-error", "e.json", "--task", "tilt-x", "--budget", "--sweeps", CASE_A, "--json", "s.json")
-        told = json.loads(Path("s.json").read_text())["tasks"]["tilt-x"]["budget"]
-        assert told["combined_nm"] == pytest.approx(budget["combined_nm"], rel=1e-3)
-        assert told["inputs"][0]["input"] == "fringe noise"
 
     def test_posterior(self, femto: Cell, capsys: pytest.CaptureFixture[str]) -> None:
         values = np.random.default_rng(0).normal(femto.free.nominal, 1e-3 * femto.free.prior_sd, (20, 21))

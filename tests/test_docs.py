@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from fpcal_bayes.cli.arguments import common as arguments
+from fpcal_bayes.cli import arguments
 from fpcal_bayes.cli.main import main, make_parser
 
 ROOT = Path(__file__).parent.parent

@@ -88,24 +88,21 @@ def test_duplicates(good):
     assert str(good.label[0]) in finding.what
 
 
-def test_times_and_order(good):
+def test_times(good):
     few = replace(good.take(np.arange(1, 69, 5)), session=np.full(14, "later"))
     assert "times" in kinds(join([good, few]))
     late = replace(few, time_h=np.full(14, 500.0), utc=np.full(14, "2024-05-01T08:00:00Z"))
     early = replace(few, session=np.full(14, "early"), time_h=np.full(14, 5.0), temperature_c=np.full(14, 20.0))
-    assert {"order", "clock", "temperature", "gap"} <= kinds(join([good, late, early]))
+    assert {"clock", "temperature", "gap"} <= kinds(join([good, late, early]))
     overlap = replace(good, time_h=np.linspace(0, 10, 69))
     assert "sessions" in kinds(join([overlap, early]))
 
 
-def test_signs_and_paths(good):
+def test_signs(good):
     signed = np.ones(69, dtype=bool)
     signed[::7] = False
     finding = next(f for f in doctor(replace(good, signed=signed), CELL) if f.kind == "unsigned")
     assert finding.what.startswith("10 of 69")
-    kind = good.kind.copy()
-    kind[:2] = "path"
-    assert "paths" in kinds(replace(good, kind=kind))
 
 
 def test_joints_that_never_move_and_units(good):

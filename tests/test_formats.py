@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from fpcal_bayes.cli.arguments.common import columns
+from fpcal_bayes.cli.arguments import columns
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.traces import read_trace
 

@@ -110,17 +110,8 @@ def all_solutions(inverse: InverseModel, vector: Floats, pose: Floats) -> Floats
     """Every joint vector inside the limits that takes `pose`, each branch of the kernel asked alone."""
     cell, found = inverse.cell, []
     for branch in range(2 if inverse.closed_form else 1 + len(inverse._starts)):
-        q, status, _ = batch_inverse(
-            vector[None],
-            cell.revolute,
-            cell.low,
-            cell.high,
-            np.ascontiguousarray(pose)[None, None],
-            inverse.home,
-            False,
-            inverse._starts,
-            branch,
-        )
+        limits, targets = (cell.revolute, cell.low, cell.high), np.ascontiguousarray(pose)[None, None]
+        q, status, _ = batch_inverse(vector[None], limits, targets, inverse.home, False, inverse._starts, branch)
         if status[0, 0] == OK:
             new = turned(cell, vector, q[0, 0])
             found += [one for one in new if not any((np.abs(one - other) < 1e-6).all() for other in found)]

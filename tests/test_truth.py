@@ -100,7 +100,7 @@ EPOCH = "[[epoch]]\ntime_h = 2.0\n[epoch.parameters]\nz_et = 1.0\n"
         ("[parameters]\nz_et = -inf", "key parameters.z_et: expected a finite number"),
         ("[parameters]\nz_et = [1.0]", "key parameters.z_et: expected a finite number"),
         ("[parameters]\nz_et = 1" + "0" * 400, "key parameters.z_et: expected a finite number"),
-        ("[parameters]\nz_et = 1" + "0" * 5000, "not a truth"),
+        ("[parameters]\nz_et = 1" + "0" * 5000, "not a TOML file"),
         ("[parameters\n", "not a TOML file"),
         ("epoch = 3", "key epoch: expected one or more"),
         ("epoch = []", "key epoch: expected one or more"),
@@ -111,7 +111,7 @@ EPOCH = "[[epoch]]\ntime_h = 2.0\n[epoch.parameters]\nz_et = 1.0\n"
         (EPOCH + EPOCH.replace("2.0", "1.0"), "key epoch 2.time_h: expected more than 2 h, found 1"),
         (EPOCH.replace("z_et = 1.0", "z_et = nan"), "key epoch 1.parameters.z_et: expected a finite number"),
         (EPOCH.replace("time_h", "time"), "key epoch 1.time: unknown, expected one of parameters, time_h"),
-        ("x = " + "[" * 5000, "not a truth"),
+        ("x = " + "[" * 5000, "nested too deeply"),
     ],
 )
 def test_refuses(tmp_path, text, expected):

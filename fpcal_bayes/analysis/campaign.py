@@ -279,16 +279,12 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStan
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
-    """The budget of the first task after the calibration, from the sweeps that it was made from where that can be."""
+    """The budget of the first task after the calibration, or why there is none."""
     estimate = found.estimate
     if not estimate.trust.usable:
         return None, estimate.trust.against
     try:
         driven = find_task(estimate.cell, estimate.vector(), goal.tasks[0], radius=goal.radius_um).driven()
-        try:
-            return budget_of(estimate, driven, sweeps=found.problem.sweeps), ""
-        except InputError:
-            # Signs that were decided with the fit: the inputs cannot be told apart.
-            return budget_of(estimate, driven), ""
+        return budget_of(estimate, driven), ""
     except InputError as error:
         return None, str(error)

@@ -23,18 +23,7 @@ _LEAST_REPEATS = 4
 
 
 def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
-    """What there is to say of the sweeps of all sessions, measured or planned; problems first.
-
-    Parameters
-    ----------
-    sweeps
-        Sweeps of one session or several.
-
-    Raises
-    ------
-    InputError
-        If the sweeps break a rule of the cell.
-    """
+    """What there is to say of the sweeps of all sessions, measured or planned; problems first."""
     found = [*_times(sweeps), *_rows(sweeps, cell)]
     if sweeps.measured:
         found += [*_repeats(sweeps, cell), *session_fits(sweeps, cell)]
@@ -72,10 +61,6 @@ def _times(sweeps: Sweeps) -> Iterator[Finding]:
                 "problem", "sessions", "", str(error),
                 "correct time_h, or give the rows of each session one name of their own; fpcal track refuses the file",
             )  # fmt: skip
-    order = list(dict.fromkeys(sweeps.session.tolist()))
-    if order != list(names):
-        what = f"sessions stand in another order in the file ({named(order)}) than in time"
-        yield Finding("note", "order", "", what, "nothing, if the times are right: they count, not the order")
     clocks = sweeps.utc != ""
     if clocks.any() and not clocks.all():
         what = f"{int((~clocks).sum())} of {len(sweeps)} rows have no clock time (utc)"
@@ -100,10 +85,6 @@ def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
         what = f"{int(unsigned.sum())} of {len(sweeps)} rows have no sign: {row_names(sweeps, unsigned)}"
         remedy = "none is needed if the fit decides them all; a wavelength scan before and after a sweep gives the sign"
         yield Finding("note", "unsigned", "", what, remedy)
-    paths = sweeps.kind == "path"
-    if paths.any():
-        what = f"{counted(int(paths.sum()), 'row')} of kind path: not used in any identification"
-        yield Finding("note", "paths", "", what, "nothing: they serve fpcal check")
     for name in sweeps.sessions:
         part = sweeps.of_session(name)
         again = repeated_rows(part)

@@ -3,7 +3,7 @@
 import argparse
 
 from fpcal_bayes.analysis.append import append
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.core.linalg import counted
 
 
@@ -14,17 +14,11 @@ def run(options: argparse.Namespace) -> int:
     warnings = []
     if done.n_missing:
         warnings.append(f"not measured: {counted(done.n_missing, 'row')} that the ticket asks for")
-    content = {
-        "sessions": list(done.sessions),
-        "n_rows": done.n_rows,
-        "n_missing": done.n_missing,
-        "warnings": warnings,
-    }
-    write_result(options.json, "append", content)
-    warn(warnings)
-    if not done.sessions:
-        console(options).say(f"{options.ticket}: asks for nothing that is not there, nothing to append")
-        return 0
+    content = {"sessions": list(done.sessions), "n_rows": done.n_rows, "n_missing": done.n_missing}
+    write_result(options.json, "append", content | {"warnings": warnings})
     what = f"session {', '.join(done.sessions)} with {counted(done.n_rows, 'row')}"
-    console(options).say(f"{options.campaign}: {what} added, {done.n_sessions} in all")
+    said = f"{options.campaign}: {what} added, {done.n_sessions} in all"
+    if not done.sessions:
+        said = f"{options.ticket}: asks for nothing that is not there, nothing to append"
+    show(options, [said], warnings)
     return 0

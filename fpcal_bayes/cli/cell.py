@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.analysis.cell_view import view_cell
-from fpcal_bayes.cli.common import check_suffix, console, write_result
+from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import write_text
+from fpcal_bayes.core.files import require_suffix, write_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.new_cell import new_cell_text, read_dh_table
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _look(options: argparse.Namespace, source: str | Path) -> int:
-    check_suffix(options.figure, ".svg", ".png")
+    require_suffix(options.figure, ".svg", ".png")
     cell = load_cell(source, opd=options.opd, check=False)
     q = None if options.at is None else joints_at(cell, options.at)
     if next(impossible(cell), None) is None:
@@ -39,9 +39,7 @@ def _look(options: argparse.Namespace, source: str | Path) -> int:
     if options.figure is not None:
         save_figure(cell_figure(view), options.figure)
     write_result(options.json, "cell", view.content())
-    out = console(options)
-    for line in cell_words(view):
-        out.say(line)
+    show(options, cell_words(view))
     if view.refused:
         raise InputError(f"{source}: {view.refused}")
     return 0

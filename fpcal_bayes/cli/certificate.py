@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.motions import axis_tables
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, make_folder
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         held = read_verification(options.verification, made)
         made = replace(made, trust=made.trust.because(*held.reasons))
         verified = {"verification": held.content()}
-    tasks, warnings = {}, [reason.text for reason in made.trust.reasons]
+    tasks, warnings = {}, made.trust.texts
     for own in possible_tasks(cell):
         _, task = knowledge.plan(own)
         warnings += reach_warnings(task)
@@ -79,8 +79,7 @@ def run(options: argparse.Namespace) -> int:
         write_result(target, "certificate", content, made.trust)
     against = made.trust.against or "; ".join(_failed(made))
     word = f"NOT calibrated: {against}" if against else "calibrated"
-    console(options).say(f"{cell.name}: {word} -> {options.output} (certificate.json, {', '.join(files)})")
-    warn(warnings)
+    show(options, [f"{cell.name}: {word} -> {options.output} (certificate.json, {', '.join(files)})"], warnings)
     return 0
 
 

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_check import PathError, check, check_rows
@@ -41,16 +41,14 @@ def run(options: argparse.Namespace) -> int:
         seed=options.seed,
     )
     tolerance = None if options.tolerance_nm is None else 1e-3 * options.tolerance_nm
-    warnings = check_warnings(found) + [reason.text for reason in estimate.trust.reasons]
+    warnings = check_warnings(found) + estimate.trust.texts
     if options.output is not None and found.verdict != "not evaluated":
         _write_rows(options, cell, estimate, trace, found.measured)
     elif options.output is not None:
         warnings.append(f"{options.output} is not written: the check was not evaluated")
     content = {"check": check_content(found, tolerance), "warnings": warnings}
     write_result(options.json, "check", {**estimate.content(), **content})
-    for line in check_sentences(found, tolerance):
-        console(options).say(line)
-    warn(warnings)
+    show(options, check_sentences(found, tolerance), warnings)
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from fpcal_bayes.cli.arguments.common import Folder
+from fpcal_bayes.cli.arguments import Folder
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_writable, write_json
 from fpcal_bayes.io.cell import load_cell
@@ -24,11 +24,13 @@ def cell_of(options: argparse.Namespace) -> Cell:
     return load_cell(options.cell, opd=options.opd, mechanics=options.mechanics)
 
 
-def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, or that are inputs or one another, before any work is done.
+def about(cell: Cell) -> dict[str, Any]:
+    """The cell in the JSON of a result that is no estimate."""
+    return {"cell": {"name": cell.name, "sha256": cell.sha256}}
 
-    Paths among the options are outputs, but for folders; texts may name inputs.
-    """
+
+def check_outputs(options: argparse.Namespace) -> None:
+    """Refuse outputs, paths but for folders, that cannot be written, or that are inputs (texts) or one another."""
     given = [each for value in vars(options).values() for each in (value if isinstance(value, list) else [value])]
     outputs = [value for value in given if isinstance(value, Path) and not isinstance(value, Folder)]
     for i, output in enumerate(outputs):
@@ -45,13 +47,6 @@ def _is_same(target: Path, text: str) -> bool:
     with contextlib.suppress(OSError, ValueError):
         return target.samefile(text)
     return False
-
-
-def check_suffix(output: Path | None, *suffixes: str) -> None:
-    """Refuse an output whose name ends otherwise."""
-    if output is not None and output.suffix.lower() not in suffixes:
-        ends = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise InputError(f"{output}: expected a file name that ends in {ends}")
 
 
 def write_result(output: Path | None, command: str, content: dict[str, Any], trust: Trust | None = None) -> None:
@@ -79,3 +74,11 @@ def console(options: argparse.Namespace) -> Output:
     """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
     terminal = sys.stdout.isatty()
     return Output(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+
+
+def show(options: argparse.Namespace, parts: Iterable[object], warnings: Iterable[str] = ()) -> None:
+    """Print tables, sentences as they are, and then warnings."""
+    out = console(options)
+    for part in parts:
+        out.say(part) if isinstance(part, str) else out.print(part)
+    warn(warnings)

@@ -4,10 +4,11 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.infer.tasks.source import read_knowledge
-from fpcal_bayes.io.joint_paths import check_suffix, write_joints
+from fpcal_bayes.io.joint_paths import write_joints
 from fpcal_bayes.model.envelope import no_envelope_text, require_task_within_envelope
 from fpcal_bayes.motion.validity import judged_at, read_now
 from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, prediction_table, reach_warnings
@@ -16,7 +17,7 @@ from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, predic
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_suffix(options.output)
+    require_suffix(options.output, ".csv", ".mat")
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)
     estimate, task = knowledge.plan(
@@ -30,15 +31,9 @@ def run(options: argparse.Namespace) -> int:
     if prediction.trust.usable:
         sd[task.ok] = prediction.sd
     write_joints(options.output, cell, task.q, task.status, sd, task=task.name)
-
-    warnings = [*no_envelope_text(model, draws), *reach_warnings(task)] + [
-        reason.text for reason in prediction.trust.reasons
-    ]
+    warnings = [*no_envelope_text(model, draws), *reach_warnings(task), *prediction.trust.texts]
     content = {"tasks": {task.name: prediction_content(prediction, None, task)}, "warnings": warnings}
     write_result(options.json, "control", estimate.content() | content)
     title = f"{options.output}: {task.ok.sum()} of {len(task)} points"
-    console(options).print(prediction_table([prediction], [None], title))
-    for line in mechanism_lines([prediction]):
-        console(options).say(line)
-    warn(warnings)
+    show(options, [prediction_table([prediction], [None], title), *mechanism_lines([prediction])], warnings)
     return 0

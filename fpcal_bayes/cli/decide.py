@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from fpcal_bayes.analysis.campaign import Followed, follow
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.decision.decision import Costs, Decision
 from fpcal_bayes.decision.forecast import Goal
@@ -12,14 +12,7 @@ from fpcal_bayes.decision.policy import decide_track, valid_until
 from fpcal_bayes.decision.ticket import ticket_of
 from fpcal_bayes.io.tickets import write_ticket
 from fpcal_bayes.motion.tasks import find_task
-from fpcal_bayes.report.track import (
-    decision_content,
-    decision_sentence,
-    outlook_table,
-    sweep_table,
-    time_text,
-    verdict_lines,
-)
+from fpcal_bayes.report import track as words
 from fpcal_bayes.tracking.sessions import hours_now
 
 
@@ -35,12 +28,9 @@ def run(options: argparse.Namespace) -> int:
     if options.output is not None:
         write_ticket(options.output, ticket, cell)
     write_result(options.json, "decide", found.estimate().content() | content)
-    out = console(options)
-    out.print(outlook_table(decision, goal, found))
-    if decision.sweeps is not None and decision.action == "extrinsic":
-        out.print(sweep_table(decision.sweeps, cell))
-    out.say(decision_sentence(decision, found))
-    warn(content["warnings"])
+    few = decision.sweeps if decision.action == "extrinsic" else None
+    tables = [words.outlook_table(decision, goal, found), *([] if few is None else [words.sweep_table(few, cell)])]
+    show(options, [*tables, words.decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1
 
 
@@ -50,19 +40,20 @@ def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -
     if now_h is None:
         now_h = hours_now(sweeps, found.last.time_h)
     decision = decide_track(found, sweeps, goal, costs, now_h)
-    warnings = verdict_lines(found) + followed.notes + ([] if decision.attainable_nm is None else [decision.reason])
+    warnings = [*words.verdict_lines(found), *followed.notes]
+    warnings += [] if decision.attainable_nm is None else [decision.reason]
     estimate = found.estimate()
     trust = estimate.trust
-    warnings += [reason.text for reason in trust.reasons if reason.text not in warnings]
+    warnings += [text for text in trust.texts if text not in warnings]
     for name in goal.tasks:
         task = find_task(found.cell, estimate.vector(), name, radius=goal.radius_um, n_points=8)
         if not task.ok.any():
             warnings.append(f"task {name!r} is judged as far as the joints turn: {task.status[0]}")
     until_h = valid_until(found, goal)
     if trust.usable and now_h > until_h:
-        until = time_text(until_h, found.outcomes)
+        until = words.time_text(until_h, found.outcomes)
         warnings.append(
             f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
         )
     ticket = ticket_of(decision, sweeps).content()
-    return decision, {"decision": decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}
+    return decision, {"decision": words.decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}

@@ -5,9 +5,10 @@ from pathlib import Path
 
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.io.csv import read_records
-from fpcal_bayes.io.joint_paths import check_suffix, read_joint_path
+from fpcal_bayes.io.joint_paths import read_joint_path
 from fpcal_bayes.io.moves import write_order_moves, write_path_moves
 from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.measure.ticket import orders_of
@@ -16,7 +17,7 @@ from fpcal_bayes.measure.ticket import orders_of
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_suffix(options.output)
+    require_suffix(options.output, ".csv", ".mat")
     header = read_records(Path(options.file), "a header and a plan or joint path").header
     if cell.joint_columns[0] in header:
         q = read_joint_path(options.file, cell)

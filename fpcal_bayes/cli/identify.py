@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fpcal_bayes.analysis as analysis
 import fpcal_bayes.io as io
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, warn, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.linalg import counted
@@ -49,12 +49,9 @@ def run(options: argparse.Namespace) -> int:
         draws = draws_content(result)
         write_result(options.json, "identify", {**result.content(), **draws, **verified})
         warn(draws.get("warnings", [])[-1:])
-    out = console(options)
     title = f"{options.file}, session {','.join(sweeps.sessions)}: {counted(len(result.problem.sweeps), 'row')}"
-    out.print(parameter_table(result.estimate, title))
-    for line in [*fit_lines(result), *(verification_lines(made) if verified else [])]:
-        out.say(line)
-    warn(result.warnings)
+    lines = [*fit_lines(result), *(verification_lines(made) if verified else [])]
+    show(options, [parameter_table(result.estimate, title), *lines], result.warnings)
     return 0 if result.converged else 1
 
 

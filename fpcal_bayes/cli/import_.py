@@ -2,7 +2,8 @@
 
 import argparse
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console
+from fpcal_bayes.cli.common import cell_of, console
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.io.moves import read_moves
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
@@ -11,7 +12,7 @@ from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_suffix(options.output, ".csv", *HDF5_SUFFIXES)
+    require_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     sweeps = read_moves(options.log, cell, session=options.session, time_h=options.time_h)
     write_sweeps(options.output, sweeps, cell)
     what = "measured" if sweeps.measured else "a plan, without lengths"

@@ -2,24 +2,21 @@
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
-from fpcal_bayes.core.files import make_folder, replacing
+from fpcal_bayes.cli.common import cell_of, show, write_result
+from fpcal_bayes.core.files import make_folder, replacing, require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
 from fpcal_bayes.fringes.kernels import fit_signal
 from fpcal_bayes.fringes.wavelength_scan import ScanReading
-from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
-from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.compile import needs_compilation
@@ -30,7 +27,7 @@ from fpcal_bayes.report.fringes import draw_sweep
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_suffix(options.output, ".csv", *HDF5_SUFFIXES)
+    require_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_recordings(options.index, cell, options.columns)
     if needs_compilation(fit_signal):
@@ -51,24 +48,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell: Cell) -> None:
-    if options.output.suffix.lower() in HDF5_SUFFIXES:
-        extras = [
-            f"--points {options.points}" if options.points else "",
-            "--absolute" if options.absolute else "",
-            f"--wavelength-sd-pm {options.wavelength_sd_pm:g}" if options.wavelength_sd_pm else "",
-            f"--index-sd {options.index_sd:g}" if options.index_sd else "",
-            "--columns " + ",".join(f"{k.split('_')[0]}={v}" for k, v in options.columns.items())
-            if options.columns
-            else "",
-            f"--estimate {Path(options.estimate).name}" if options.estimate else "",
-        ]
-        command = " ".join(["fpcal ingest", Path(options.index).name, *filter(None, extras)])
-        campaign = Campaign.of(found.sweeps, cell, command=command)
-        doubtful = found.doubtful if len(found.doubtful) else None
-        campaign = replace(campaign, recordings=index, doubtful=doubtful, about=options.about)
-        write_campaign(options.output, campaign, cell)
-    else:
-        write_sweeps(options.output, found.sweeps, cell)
+    said = {name: getattr(options, name) for name in ("points", "absolute", "wavelength_sd_pm", "index_sd")}
+    said["columns"] = ",".join(f"{key.split('_')[0]}={name}" for key, name in (options.columns or {}).items())
+    said["estimate"] = options.estimate and Path(options.estimate).name
+    texts = {
+        name: "" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}"
+        for name, value in said.items()
+        if value
+    }
+    words = [f"--{name.replace('_', '-')}{text}" for name, text in texts.items()]
+    command = " ".join(["fpcal ingest", Path(options.index).name, *words])
+    beside = {"recordings": index, "doubtful": found.doubtful if len(found.doubtful) else None}
+    write_sweeps(options.output, found.sweeps, cell, command=command, about=options.about, **beside)
 
 
 def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
@@ -145,7 +136,6 @@ def _number(value: float) -> float | None:
 
 def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:
     readings = [reading for reading in found.readings if reading is not None and reading.good]
-    out = console(options)
     sentences = [
         f"{counted(len(found.sweeps), 'row')} from {counted(len(found.readings), 'recording')} -> {options.output}"
     ]
@@ -160,6 +150,4 @@ def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -
     if len(found.doubtful):
         where = f", drawn in {folder}" if folder else ""
         sentences.append(f"{len(found.doubtful)} doubtful, left out{where}")
-    for sentence in sentences:
-        out.say(sentence)
-    warn(found.warnings)
+    show(options, sentences, found.warnings)

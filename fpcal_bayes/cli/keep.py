@@ -11,7 +11,8 @@ from fpcal_bayes.cli import measure
 from fpcal_bayes.cli.common import cell_of, console, warn
 from fpcal_bayes.cli.driven import costs_of, goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import HeldError, InputError
-from fpcal_bayes.io.flat import check_flat
+from fpcal_bayes.core.files import require_suffix
+from fpcal_bayes.io.flat import FLAT_SUFFIXES
 from fpcal_bayes.io.tickets import read_ticket
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.campaign.page import write_campaign_report
@@ -25,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
     goal = goal_of(options, cell)
-    check_flat(options.flat)
+    require_suffix(options.flat, *FLAT_SUFFIXES)
     rig = None if options.rig is None else read_rig(options.rig, cell)
     if rig is not None and not isinstance(rig.instrument, IDSDevice):
         raise InputError(f"{options.rig}: keep needs an interferometer that reads lengths: traces are to be ingested")

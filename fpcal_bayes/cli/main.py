@@ -16,64 +16,10 @@ from importlib import import_module
 from keyword import iskeyword
 from typing import Any, NoReturn
 
-from fpcal_bayes.cli.arguments import identify, keep, live, measure
+from fpcal_bayes.cli.arguments import COMMANDS, add_command
 from fpcal_bayes.core.errors import InputError, reason
+from fpcal_bayes.core.resources import command_file
 from fpcal_bayes.core.version import __version__
-
-#: In the order of the work.
-_COMMANDS = (
-    measure.cell,
-    measure.simulate,
-    measure.ingest,
-    measure.trace,
-    measure.doctor,
-    measure.observe,
-    identify.identify,
-    identify.sample,
-    identify.compare,
-    identify.verify,
-    identify.task_error,
-    identify.control,
-    identify.check,
-    identify.certificate,
-    keep.plan,
-    keep.track,
-    keep.decide,
-    keep.append,
-    keep.keep,
-    keep.export,
-    keep.import_,
-    live.measure,
-    live.rig,
-    live.serve,
-    keep.report,
-    keep.week,
-    keep.study,
-)
-
-_DESCRIPTION = """\
-Calibrate a micro- or nano-positioning robot from one-dimensional Fabry-Perot measurements.
-
-The way through, here on a simulated cell:
-  measure    fpcal simulate -o sweeps.csv                  the paper's 69 sweeps; your traces: fpcal ingest
-  look       fpcal doctor sweeps.csv                       what is wrong, and what to do about it
-             fpcal observe sweeps.csv                      what these sweeps can tell
-  identify   fpcal identify sweeps.csv --json day0.json    the geometry, and how far to trust it
-             fpcal sample sweeps.csv -o posterior.nc       the whole posterior, by emcee
-  use        fpcal task-error day0.json --tolerance-nm 50  how many nanometres each task will be off
-             fpcal control --estimate day0.json --task circle -o joints.csv
-  keep       fpcal track campaign.h5                       the drift from session to session
-             fpcal decide campaign.h5 --tolerance-nm 50    hold, re-identify or recalibrate
-             fpcal report campaign.h5 -o report.html       all of it on one page
-  or         fpcal week -o week                            the paper's whole week at once
-"""
-
-_EPILOG = """\
-Lengths are in um, angles in deg. FILE is a CSV of sweeps or an HDF5 campaign (.h5). More: fpcal COMMAND --help.
-Tables are coloured on a terminal only; NO_COLOR=1 turns that off. Warnings and errors go to stderr.
-Exit status: 0 done; 1 the result is not to be used (did not converge); 2 the input cannot be used; 130 interrupted
-(143 by SIGTERM, 129 by SIGHUP).
-"""
 
 
 class _Completion(argparse.Action):
@@ -92,12 +38,13 @@ class Parser(argparse.ArgumentParser):
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
-def make_parser() -> Parser:
-    """Build the parser of all commands."""
+def make_parser(named: str | None = None) -> Parser:
+    """Build the parser of all commands, or of the one `named`."""
+    stated = command_file("fpcal")
     parser = Parser(
         prog="fpcal",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        description=stated["summary"],
+        epilog=stated["help"],
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -110,8 +57,9 @@ def make_parser() -> Parser:
         help="print a script that completes commands and options in this shell",
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
-    for add in _COMMANDS:
-        add(commands)
+    for name in COMMANDS:
+        # The other commands are known by their names alone.
+        add_command(commands, name) if named is None or name == named else commands.add_parser(name)
     return parser
 
 
@@ -183,12 +131,7 @@ def _guarded() -> Iterator[_Terminal]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    arguments: without the program's name; by default those of the process.
-    Returns exit status: 0 done, 1 ran but did not converge, 2 bad usage or input, or the output cannot be printed, 128
-    + the signal that interrupted.
-    """
+    """Run one command, by default the process's own `arguments`; the exit status, as the help of ``fpcal`` says."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     with _guarded() as out:
         try:
@@ -223,7 +166,7 @@ def _run(words: list[str], *, alone: bool) -> int:
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")
-    options = make_parser().parse_args(words)
+    options = make_parser(words[0] if words and words[0] in COMMANDS else None).parse_args(words)
     name = options.command.replace("-", "_")
     command = _load(f"fpcal_bayes.cli.{name}{'_' * iskeyword(name)}")
     if alone:

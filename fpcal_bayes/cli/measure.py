@@ -18,13 +18,13 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.rig.agenda import Agenda, origin_of
-from fpcal_bayes.rig.bench import Bench, is_recording, only_one
+from fpcal_bayes.rig.bench import Bench, only_one
 from fpcal_bayes.rig.clock import Halt, Halted
 from fpcal_bayes.rig.drivers.interface import CommandLog
 from fpcal_bayes.rig.reader import read_rig
 from fpcal_bayes.rig.route import Guard, Leg, dry_run, total_seconds
 from fpcal_bayes.rig.session import Failed, Progress, Summary, measure
-from fpcal_bayes.rig.settings import Rig
+from fpcal_bayes.rig.settings import ProgramDevice, Rig
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +52,7 @@ def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, cam
     origin = origin_of(ticket, campaign, rig.clock.now())
     command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
     agenda = Agenda(ticket, cell, rig, options.output, origin, command)
-    if is_recording(rig):
+    if isinstance(rig.instrument, ProgramDevice):
         make_folder(agenda.folder)
     if agenda.resumed:
         done = f"{len(agenda.outcomes)} of {len(agenda.orders)} sweeps"

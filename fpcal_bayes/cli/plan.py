@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from math import radians
 
 import numpy as np
 from rich.console import Console
@@ -14,10 +13,11 @@ from rich.progress import Progress
 
 import fpcal_bayes.report as report
 from fpcal_bayes.cli import plan_validation
-from fpcal_bayes.cli.arguments.common import positive
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.arguments import positive
+from fpcal_bayes.cli.common import about, cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.design.candidates import SweepLimits
 from fpcal_bayes.infer.design.commission import commission_plan
@@ -70,9 +70,9 @@ def run(options: argparse.Namespace) -> int:
         )
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
-        check_suffix(rows, ".csv", *HDF5_SUFFIXES)
+        require_suffix(rows, ".csv", *HDF5_SUFFIXES)
     for figure in (options.figure, options.frontier):
-        check_suffix(figure, ".svg", ".png")
+        require_suffix(figure, ".svg", ".png")
     settings = _settings(options, cell)
     if options.commission:
         return _commission(options, cell, settings)
@@ -142,31 +142,29 @@ def _plan(
     plan_validation.write_planned(options, planned, cell)
     if frontier is not None:
         report.save_figure(report.draw_frontier(frontier, points), options.frontier)
-    warnings += [reason.text for reason in trust.reasons]
+    warnings += trust.texts
     content = plan_content(
         chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
     )
     if frontier is not None and trust.usable:
         content["frontier"] = frontier_content(frontier)
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
-    out = console(options)
-    out.print(sweeps_table(cell, ordered, f"{options.output}: {counted(len(ordered), 'sweep')}"))
+    write_result(options.json, "plan", about(cell) | content, trust)
+    parts: list[object] = [sweeps_table(cell, ordered, f"{options.output}: {counted(len(ordered), 'sweep')}")]
     if trust.usable:
         shown = {name: sd for name, sd in expected.items() if name != "plan, where it was made"}
-        out.print(accuracy_table(shown, "expected standard deviation at the worst point"))
+        parts.append(accuracy_table(shown, "expected standard deviation at the worst point"))
         if reference is not None:
             made, other = (planner.excess(expected[name]) for name in ("plan, where it was made", "plan"))
             of = "target"
             if not targets:
                 # The paper's sweeps are held to the same draws.
                 of, other = "paper", max(expected["plan"][task] / sd for task, sd in expected["paper"].items())
-            out.say(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
+            parts.append(f"worst task: {made:.2f} of the {of} expected, {other:.2f} on draws not planned for")
     if frontier is not None:
-        knee = frontier.points[frontier.knee].sweeps
-        out.say(f"knee of the frontier: {knee} sweeps, farthest from the straight line between its ends in logarithms")
-    times = ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items())
-    out.say(f"time: {times}")
-    warn(warnings)
+        knee = f"knee of the frontier: {frontier.points[frontier.knee].sweeps} sweeps"
+        parts.append(f"{knee}, farthest from the straight line between its ends in logarithms")
+    parts.append("time: " + ", ".join(f"{name} {value / 60.0:.1f} min" for name, value in seconds.items()))
+    show(options, parts, warnings)
     return 0
 
 
@@ -175,8 +173,8 @@ def _stop(options: argparse.Namespace, cell: Cell, check: Ground, trust: Trust) 
     write_plan(options.output, empty_ticket(str(options.output)), cell)
     expected = {task: 1e3 * sd for task, sd in check.expected_sd(None).items()}
     content = {"n_sweeps": 0, "should_stop": True, "expected_sd_nm": {"before": expected}, "warnings": []}
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, trust)
-    console(options).say(f"{options.output}: no sweeps, {options.after} already reaches the targets")
+    write_result(options.json, "plan", about(cell) | content, trust)
+    show(options, [f"{options.output}: no sweeps, {options.after} already reaches the targets"])
     return 0
 
 
@@ -234,11 +232,10 @@ def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings)
     warnings = no_envelope_text(model, draws)
     seconds = duration(cell, sweeps, settings.readings, settings.limits)
     content = {"n_sweeps": len(sweeps), "seconds": {"plan": seconds}, "warnings": warnings}
-    write_result(options.json, "plan", {"cell": {"name": cell.name, "sha256": cell.sha256}, **content}, Trust())
-    out = console(options)
-    out.print(sweeps_table(cell, sweeps, f"{options.output}: {counted(len(sweeps), 'sweep')}"))
-    out.say(f"time: {seconds / 60.0:.1f} min; fpcal doctor then says what is connected otherwise than in the cell")
-    warn(warnings)
+    write_result(options.json, "plan", about(cell) | content, Trust())
+    table = sweeps_table(cell, sweeps, f"{options.output}: {counted(len(sweeps), 'sweep')}")
+    then = "fpcal doctor then says what is connected otherwise than in the cell"
+    show(options, [table, f"time: {seconds / 60.0:.1f} min; {then}"], warnings)
     return 0
 
 
@@ -331,16 +328,8 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
         several=together if options.coordinated is None else options.coordinated,
         **({} if cell.mechanics is None else {"starts": 3, "trials": 6}),
         seed=options.seed,
-        limits=_limits(options),
+        limits=SweepLimits(tilt=float(np.radians(options.max_tilt_deg)), fringe_rate=options.max_fringe_rate),
     )
-
-
-def _limits(options: argparse.Namespace) -> SweepLimits:
-    given = {
-        "tilt": None if options.max_tilt_deg is None else radians(options.max_tilt_deg),
-        "fringe_rate": options.max_fringe_rate,
-    }
-    return SweepLimits(**{name: value for name, value in given.items() if value is not None})
 
 
 def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, object]:

@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 
 import fpcal_bayes.report as report
-from fpcal_bayes.cli.common import console, warn, write_result
+from fpcal_bayes.cli.common import about, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
     )
     least = {task: min(kinds.values(), default=1.0) for task, kinds in made.power.items()}
     weak = [f"{task} {100 * p:.0f} %" for task, p in least.items() if p < LEAST_POWER]
-    warnings = [reason.text for reason in found.estimate.trust.reasons]
+    warnings = found.estimate.trust.texts
     if weak:
         warnings.append(
             f"these sweeps may miss an error beyond the tolerance: power {', '.join(weak)}; expected more of them, or "
@@ -58,16 +58,10 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
     planned = Ticket(str(options.output), made.sweeps, np.full(len(made.sweeps), made.readings))
     write_planned(options, planned, cell)
     content = {"n_sweeps": len(made.sweeps), "readings": made.readings, "level": LEVEL, "power": made.power}
-    about = {"cell": {"name": cell.name, "sha256": cell.sha256}, **content, "warnings": warnings}
-    write_result(options.json, "plan", about, found.estimate.trust)
-    out = console(options)
-    out.print(
-        sweeps_table(
-            cell, made.sweeps, f"{options.output}: {counted(len(made.sweeps), 'sweep')} of {made.readings} readings"
-        )
-    )
+    write_result(options.json, "plan", about(cell) | content | {"warnings": warnings}, found.estimate.trust)
+    title = f"{options.output}: {counted(len(made.sweeps), 'sweep')} of {made.readings} readings"
     told = ", ".join(f"{task} {100 * p:.0f} %" for task, p in least.items())
-    out.say(f"power at the kind of error found least likely: {told}")
-    out.say(f"then: fpcal verify {options.after} --validation MEASURED")
-    warn(warnings)
+    power = f"power at the kind of error found least likely: {told}"
+    then = f"then: fpcal verify {options.after} --validation MEASURED"
+    show(options, [sweeps_table(cell, made.sweeps, title), power, then], warnings)
     return 0

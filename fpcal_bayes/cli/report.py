@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 from fpcal_bayes.analysis.history import since_calibration
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, console, show, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.kernels import warm_up
@@ -19,8 +19,7 @@ def run(options: argparse.Namespace) -> int:
     cell = cell_of(options)
     goal = goal_of(options, cell)
     _warm_up(cell)
-    out = console(options)
-    with out.status("working out the report"):
+    with console(options).status("working out the report"):
         facts = write_campaign_report(
             options.campaign,
             cell,
@@ -36,9 +35,7 @@ def run(options: argparse.Namespace) -> int:
     content = {"verdict": said.word, "meaning": said.meaning, "sentences": list(said.sentences), "tasks": tasks}
     since = since_content(since_calibration(facts))
     write_result(options.json, "report", facts.estimate.content() | {"report": content | {"since_calibration": since}})
-    for sentence in (f"{said.title}. {said.meaning}", *said.sentences, f"-> {options.output}"):
-        out.say(sentence)
-    warn([reason.text for reason in facts.trust.reasons])
+    show(options, (f"{said.title}. {said.meaning}", *said.sentences, f"-> {options.output}"), facts.trust.texts)
     # The reason why numbers are not to be used stands in the page; a fit that failed is an exit status too.
     return 1 if any(reason.kind == "not-converged" for reason in facts.trust.reasons) else 0
 

@@ -8,8 +8,7 @@ from rich.console import Console
 
 from fpcal_bayes.cli.common import cell_of, console, warn, write_result
 from fpcal_bayes.cli.identify import rows_of, with_prior, with_source
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import exclusive, make_folder
+from fpcal_bayes.core.files import exclusive, make_folder, require_suffix
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
@@ -21,8 +20,7 @@ from fpcal_bayes.report.posterior import posterior_table
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    if options.output.suffix != ".nc":
-        raise InputError(f"{options.output}: expected a file name that ends in .nc")
+    require_suffix(options.output, ".nc")
     sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
     warm_up(cell)

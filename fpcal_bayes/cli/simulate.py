@@ -2,18 +2,16 @@
 
 import argparse
 
-from fpcal_bayes.cli.arguments.measure import DEFAULT_SIGMA_NM
-from fpcal_bayes.cli.common import cell_of, check_suffix, console
+from fpcal_bayes.cli.common import cell_of, console
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.infer.fit.kernels import warm_up
-from fpcal_bayes.io.campaign import write_campaign
 from fpcal_bayes.io.joint_paths import read_joint_path
 from fpcal_bayes.io.recordings import write_recordings
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, read_sweeps, write_sweeps
+from fpcal_bayes.io.sweeps import read_sweeps, write_sweeps
 from fpcal_bayes.io.traces import write_path_trace
 from fpcal_bayes.io.truth import read_truth, write_truth
-from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.protocol import mark_signs, protocol_by_name
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.truth import Truth, default_truth
@@ -24,6 +22,8 @@ from fpcal_bayes.simulator.recorder import check_recordable, record_path, record
 from fpcal_bayes.simulator.sweeps import require_drivable, simulate_um
 
 _PROTOCOLS = ("paper", "paper-mid")
+#: Standard deviation of each simulated dL where none is given.
+_SIGMA_NM = 5.0
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,18 +33,14 @@ def run(options: argparse.Namespace) -> int:
     if options.traces and options.path is None:
         cell.require_one_beam("a recording of sweeps (--traces)")
     protocol = options.protocol or "paper"
-    planned = protocol not in _PROTOCOLS
-    plan = None
-    if options.path is None:
-        plan = (
-            read_sweeps(protocol, cell, plan=True, whole=options.traces)
-            if planned
-            else protocol_by_name(protocol, cell)
-        )
-        plan = plan if options.signs is None else mark_signs(plan, options.signs)
     truth = default_truth(cell, options.seed) if options.truth is None else read_truth(options.truth, cell)
-    if plan is None:
+    if options.path is not None:
         return _record_path(options, cell, truth)
+    if protocol in _PROTOCOLS:
+        plan = protocol_by_name(protocol, cell)
+    else:
+        plan = read_sweeps(protocol, cell, plan=True, whole=options.traces)
+    plan = plan if options.signs is None else mark_signs(plan, options.signs)
     require_drivable(cell, truth, plan)
     if options.traces:
         return _record(options, cell, truth, plan)
@@ -71,21 +67,15 @@ def _machine(cell: Cell) -> str:
 def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps, protocol: str) -> int:
     """Changes of length with Gaussian noise."""
     warm_up(cell)
-    sigma_nm = DEFAULT_SIGMA_NM if options.sigma_nm is None else options.sigma_nm
+    sigma_nm = _SIGMA_NM if options.sigma_nm is None else options.sigma_nm
     sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
     command = f"fpcal simulate --protocol {protocol} --sigma-nm {sigma_nm:g} --seed {options.seed}"
     command += "" if cell.mechanics is None else " --mechanics stated"
-    if options.output.suffix.lower() in HDF5_SUFFIXES:
-        campaign = Campaign.of(sweeps, cell, command=command, seed=options.seed, truth=truth.record())
-        write_campaign(options.output, campaign, cell)
-    else:
-        write_sweeps(options.output, sweeps, cell)
+    write_sweeps(options.output, sweeps, cell, command=command, seed=options.seed, truth=truth.record())
     unsigned = int((~sweeps.signed).sum())
     signs = f", the direction of {unsigned} unknown" if unsigned else ""
-    console(options).say(
-        f"{counted(len(sweeps), 'row')} simulated on cell {cell.name!r}{_machine(cell)}, "
-        f"sd {sigma_nm:g} nm{signs} -> {options.output}"
-    )
+    what = f"{counted(len(sweeps), 'row')} simulated on cell {cell.name!r}{_machine(cell)}"
+    console(options).say(f"{what}, sd {sigma_nm:g} nm{signs} -> {options.output}")
     return 0
 
 
@@ -97,25 +87,22 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     write_recordings(options.output, index, cell)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
+    what = f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}"
     samples = sum(map(len, index.traces))
-    console(options).say(
-        f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}, {samples} samples -> "
-        f"{options.output}, truth in {beside}"
-    )
+    console(options).say(f"{what}, {samples} samples -> {options.output}, truth in {beside}")
     return 0
 
 
 def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
     """The trace of one path."""
-    check_suffix(options.output, ".csv")
+    require_suffix(options.output, ".csv")
     path = read_joint_path(options.path, cell)
     warm_up(cell)
     model, values = CavityModel.of(cell, truth.parameters), truth.at(options.time_h or 0.0)
     require_task_within_envelope(model, values, path, name=str(options.path), exact=True)
     trace = record_path(cell, truth, path, options.time_h or 0.0, seed=options.seed)
     write_path_trace(options.output, trace, cell)
-    console(options).say(
-        f"{len(trace)} samples recorded along {options.path}{_machine(cell)}, "
-        f"true change of length {1e3 * trace.length_change:.1f} nm peak to peak -> {options.output}"
-    )
+    what = f"{len(trace)} samples recorded along {options.path}{_machine(cell)}"
+    change = f"true change of length {1e3 * trace.length_change:.1f} nm peak to peak"
+    console(options).say(f"{what}, {change} -> {options.output}")
     return 0

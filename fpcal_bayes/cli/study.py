@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from fpcal_bayes.cli.common import cell_of, check_outputs, console, warn, write_result
+from fpcal_bayes.cli.common import about, cell_of, check_outputs, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import counted
@@ -56,7 +56,6 @@ def run(options: argparse.Namespace) -> int:
             "the mechanism of this study is perfect whatever the cell states: studies/mechanics_coverage.py has others"
         )
     content = {
-        "cell": {"name": cell.name, "sha256": cell.sha256},
         "study": study.name,
         "replicates": options.replicates,
         "settings": study.settings() | {"seed": study.seed},
@@ -64,18 +63,15 @@ def run(options: argparse.Namespace) -> int:
         "sentences": summary.sentences,
         "warnings": summary.warnings,
     }
-    write_result(options.json, "study", content, Trust())
-    out = console(options)
+    write_result(options.json, "study", about(cell) | content, Trust())
+    tables = []
     if summary.rows:
-        table = plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])
+        tables = [plain_table(summary.title, [column.replace("_", " ") for column in summary.rows[0]])]
         for row in summary.rows:
-            table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
-        out.print(table)
-    for sentence in summary.sentences:
-        out.say(sentence)
+            tables[0].add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
     seconds, known = time.monotonic() - began, options.replicates - came
-    out.say(f"{counted(came, 'replicate')} in {seconds:.1f} s, {known} were there before -> {options.output}")
-    warn(summary.warnings)
+    said = f"{counted(came, 'replicate')} in {seconds:.1f} s, {known} were there before -> {options.output}"
+    show(options, [*tables, *summary.sentences, said], summary.warnings)
     return 0
 
 

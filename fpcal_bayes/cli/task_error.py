@@ -4,45 +4,28 @@ import argparse
 from pathlib import Path
 
 from fpcal_bayes.analysis.tasks import judged
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.tasks.budget import budget_of
 from fpcal_bayes.infer.tasks.source import read_knowledge
-from fpcal_bayes.io.sweeps import read_sweeps
 from fpcal_bayes.motion.tasks import possible_tasks
-from fpcal_bayes.report.tasks import (
-    budget_content,
-    budget_table,
-    correlation_lines,
-    freedom_table,
-    mechanism_lines,
-    not_evaluated_line,
-    prediction_content,
-    prediction_table,
-    reach_warnings,
-    tolerance_lines,
-)
+from fpcal_bayes.report import tasks as words
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    sweeps = None
-    if options.sweeps is not None:
-        sweeps = read_sweeps(options.sweeps, cell).of_session(options.session)
-    if options.sweeps is not None and not options.budget:
-        raise InputError(f"{options.sweeps}: --sweeps is taken with --budget only")
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3
-    out, content, predictions, budgets, warnings = console(options), {}, [], [], []
+    content, predictions, budgets, warnings = {}, [], [], []
     own, tolerances, lines = {task.name: task for task in cell.tasks}, [], []
     for name in possible_tasks(cell) if options.task == "all" else [options.task]:
         estimate, task = knowledge.plan(
             name, radius=options.radius_um, n_points=options.points, compensate=options.compensate
         )
-        warnings += reach_warnings(task)
+        warnings += words.reach_warnings(task)
         if options.task == "all" and not task.ok.any():
             continue
         driven = task.driven()
@@ -50,30 +33,29 @@ def run(options: argparse.Namespace) -> int:
         predictions.append(prediction)
         stated = own[name].tolerances if name in own else {}
         tolerances.append(stated.get("beam") if given is None else given)
-        content[task.name] = prediction_content(prediction, tolerances[-1], task, stated)
+        content[task.name] = words.prediction_content(prediction, tolerances[-1], task, stated)
         if stated:
             found = judged(prediction, own[name])
             content[task.name]["tolerance_exceeds_probability"] = found
-            lines += tolerance_lines(own[name], found)
+            lines += words.tolerance_lines(own[name], found)
         if options.budget and estimate.trust.usable:
-            budget = budget_of(estimate, driven, sweeps=sweeps)
-            content[task.name]["budget"] = budget_content(budget)
+            budget = budget_of(estimate, driven)
+            content[task.name]["budget"] = words.budget_content(budget)
             budgets.append(budget)
 
     if not predictions:
         raise InputError(f"{options.file}: no task can be driven to: {'; '.join(warnings)}")
-    if sweeps is not None and estimate.mechanics is not None:
-        warnings.append("the budget of a machine is that of the estimate's own draws: --sweeps is not used")
-    warnings += [reason.text for reason in estimate.trust.reasons]
+    warnings += estimate.trust.texts
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
-    out.print(prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"))
-    out.print(freedom_table(predictions))
-    for line in [not_evaluated_line(cell), *lines, *mechanism_lines(predictions)]:
-        out.say(line)
+    title = f"{Path(options.file).name}: task errors {source}"
+    shown: list[object] = [
+        words.prediction_table(predictions, tolerances, title),
+        words.freedom_table(predictions),
+        words.not_evaluated_line(cell),
+    ]
+    shown += [*lines, *words.mechanism_lines(predictions)]
     for budget in budgets:
-        out.print(budget_table(budget))
-        for line in correlation_lines(budget):
-            out.say(line)
-    warn(warnings)
+        shown += [words.budget_table(budget), *words.correlation_lines(budget)]
+    show(options, shown, warnings)
     return 0

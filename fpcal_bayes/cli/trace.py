@@ -4,9 +4,10 @@ import argparse
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, check_suffix, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, write_result
 from fpcal_bayes.cli.ingest import drawn_sweep, recordings_content
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.fringes.ingest import read_index
 from fpcal_bayes.io.recordings import read_recordings
 from fpcal_bayes.model.trust import Trust
@@ -19,7 +20,7 @@ _COLUMNS = ("sweep", "dL um", "sigma nm", "fringes", "visibility", "noise V", "L
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     cell = cell_of(options)
-    check_suffix(options.figure, ".svg", ".png")
+    require_suffix(options.figure, ".svg", ".png")
     index = read_recordings(options.file, cell, options.columns)
     sweeps = index.sweeps
     wanted = sweeps.kind == "sweep" if options.label is None else sweeps.label == options.label
@@ -41,6 +42,5 @@ def run(options: argparse.Namespace) -> int:
         turns = ", ".join(f"{turn:.4g}" for turn in row["reversals"])
         late = f"{row['lost_motion']:.3g}" if row["lost_motion"] else ""
         table.add_row(row["label"], *("" if x is None else f"{x:.5g}" for x in numbers), turns, late)
-    console(options).print(table)
-    warn(found.warnings)
+    show(options, [table], found.warnings)
     return 0

@@ -4,14 +4,15 @@ import argparse
 
 from fpcal_bayes.analysis.keep import follow_saved, published
 from fpcal_bayes.analysis.watch import watch
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import cell_of, show, warn, write_result
 from fpcal_bayes.cli.driven import goal_of, warm_up_inverse
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.decision.forecast import Goal
 from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.io.cell import write_resized_cell
-from fpcal_bayes.io.flat import check_flat, write_flat
+from fpcal_bayes.io.flat import FLAT_SUFFIXES, write_flat
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.motion.flat import flat_content
 from fpcal_bayes.report.fit import parameter_table
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool = False) -> int:
     """Take in what is new and write what is asked for; `again` is silent where nothing is new."""
-    check_flat(options.flat)
+    require_suffix(options.flat, *FLAT_SUFFIXES)
     if options.output is not None:
         if not options.fit_drift or options.output.suffix.lower() != ".toml":
             raise InputError("-o CELL.toml: expected --fit-drift beside it, and a name that ends in .toml")
@@ -74,23 +75,15 @@ def _take_in(options: argparse.Namespace, cell: Cell, goal: Goal, *, again: bool
     if options.flat is not None:
         write_flat(options.flat, flat_content(found.estimate(valid_until_h)))
     write_result(options.json, "track", content | found.content() | drift_fit)
-
-    out = console(options)
-    out.print(
-        session_table(
-            found, f"{options.campaign}: {counted(len(found.outcomes), 'session')}, {found.resumed} known before"
-        )
-    )
+    known = f"{options.campaign}: {counted(len(found.outcomes), 'session')}, {found.resumed} known before"
     title = f"after session {found.last.session}, {time_text(found.last.time_h, found.outcomes)}"
-    out.print(parameter_table(found.estimate(), title))
-    if until:
-        out.say(until)
+    said = [until] if until else []
     if fitted is not None:
-        out.say("\n".join(fitted.lines()))
+        said += fitted.lines()
         if options.output is not None:
             use = f"fpcal track {options.campaign} --cell {options.output}"
-            out.say(f"{options.output}: the cell with these sizes; from now on give it to each command: {use}")
-    warn(warnings)
+            said.append(f"{options.output}: the cell with these sizes; from now on give it to each command: {use}")
+    show(options, [session_table(found, known), parameter_table(found.estimate(), title), *said], warnings)
     return 0 if found.converged else 1
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fpcal_bayes.cli.common import cell_of, console, warn, write_result
+from fpcal_bayes.cli.common import about, cell_of, show, write_result
 from fpcal_bayes.cli.driven import warm_up_inverse
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.infer.fit.identify import identify
@@ -42,15 +42,12 @@ def run(options: argparse.Namespace) -> int:
     )
     estimate = found.estimate
     trust = estimate.trust.because(*made.reasons)
-    warnings = [reason.text for reason in trust.reasons]
-    about = {"cell": {"name": estimate.cell.name, "sha256": estimate.cell.sha256}, "time_h": estimate.time_h}
-    about["data"] = {"session": ",".join(fitted.sessions)}
-    write_result(options.json, "verify", {**about, "verification": made.content(), "warnings": warnings}, trust)
-    out = console(options)
-    out.print(power_table(made, f"{options.file}, verified by {fresh.file}, {','.join(fresh.sessions)}"))
-    for line in verification_lines(made):
-        out.say(line)
-    warn(warnings)
+    warnings = trust.texts
+    content = {"time_h": estimate.time_h, "data": {"session": ",".join(fitted.sessions)}}
+    content |= {"verification": made.content(), "warnings": warnings}
+    write_result(options.json, "verify", about(estimate.cell) | content, trust)
+    table = power_table(made, f"{options.file}, verified by {fresh.file}, {','.join(fresh.sessions)}")
+    show(options, [table, *verification_lines(made)], warnings)
     return 0
 
 

@@ -12,10 +12,7 @@ def largest(name: str) -> float:
 
 
 class InputError(ValueError):
-    """Input that cannot be used; the message is one line for the user.
-
-    The message says the file, the row, the column where they are known, and what was expected.
-    """
+    """Input that cannot be used; one line for the user: file, row and column where known, and what was expected."""
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))

@@ -115,8 +115,7 @@ def make_folder(folder: Path) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path`; on success it takes the place of `path`, unless another program holds that.
 
-    The content reaches the disk before the rename, so a reader sees the old file or the new one. Links are followed;
-    a device or a stream is written, never replaced. `InputError` if any of it fails.
+    Content reaches the disk before the rename. Links are followed; a device or a stream is written, never replaced.
     """
     target = require_writable(path)
     try:
@@ -193,8 +192,7 @@ def _replace(temporary: Path, path: Path) -> None:
 def exclusive(path: Path, *, in_place: bool = False) -> Iterator[Callable[[], None]]:
     """Be the only writer of an existing file or folder; the lock ends with the process, however that ends.
 
-    Gives a function that raises `InputError` if another program has changed or replaced the file meanwhile; `replacing`
-    calls it at the last moment. With `in_place` this process itself changes the file.
+    Gives a check that nobody else changed the file (`in_place`: but this process), which `replacing` makes last.
     """
     name = os.path.realpath(path)
     if name in _HELD:
@@ -293,6 +291,13 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: row {line}: expected UTF-8 text, found byte 0x{byte:02x}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({reason(error)})") from error
+
+
+def require_suffix(path: Path | None, *suffixes: str) -> None:
+    """Raise `InputError` where the name of a file, if there is one, says none of these formats."""
+    if path is not None and path.suffix.lower() not in suffixes:
+        ends = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise InputError(f"{path}: expected a file name that ends in {ends}")
 
 
 def require_line_end(path: Path, text: str) -> None:

@@ -16,10 +16,7 @@ Eigh = Callable[[Floats], Any]
 
 
 def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Eigh = np.linalg.eigh) -> Floats:
-    """A matrix whose product with its transpose is `covariance` (n, n), which may be singular.
-
-    Rounding is judged in units of `scale` (n,), by default the standard deviations themselves.
-    """
+    """A root of a `covariance` (n, n), maybe singular; rounding is judged in units of `scale`, by default its sd."""
     if scale is None:
         own = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
         scale = np.where(own > 0, own, 1.0)

@@ -1,6 +1,7 @@
 """Data files that come with the program."""
 
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,3 +22,9 @@ def built_in_cells() -> list[str]:
 def paper_tables() -> dict[str, Any]:
     """Tables of Bettahar et al., as ``data/bettahar.toml`` holds them, in um and deg."""
     return tomllib.loads(data_file("bettahar.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def command_file(name: str) -> dict[str, Any]:
+    """What a file of ``data/commands`` states: summary, options and help of a command."""
+    return tomllib.loads(data_file(f"commands/{name}.toml").read_text(encoding="utf-8"))

@@ -40,12 +40,7 @@ def write_campaign(
 ) -> None:
     """Write a campaign to an HDF5 file, whole or not at all; equal content gives equal bytes.
 
-    `asked` are columns that say how a plan is to be measured.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, the campaign is not one of `cell`, or a reader would refuse its sweeps.
+    `asked` are columns that say how a plan is to be measured. `InputError` if a reader would refuse the sweeps.
     """
     path = Path(path)
     _require_cell(path, campaign.cell_name, campaign.cell_sha256, campaign.opd, cell)
@@ -77,24 +72,9 @@ def write_campaign(
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Campaign:
-    """Read a campaign from an HDF5 file.
+    """Read a campaign of a cell, whose path model may differ, from an HDF5 file; nothing outside it is opened.
 
-    Parameters
-    ----------
-    path
-        Written by `write_campaign`, or laid out the same way.
-    cell
-        Must be the cell of the file; its path model may differ.
-    plan
-        Accept sweeps without measurement too.
-    whole
-        Keep a sweep with `readings` whole; else it becomes as many rows.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, newer than this program, of another cell, or not as documented; whatever
-        the file holds, nothing outside it is opened.
+    `plan` accepts sweeps without measurement too; `whole` keeps a sweep with `readings` whole, which else becomes rows.
     """
     path = Path(path)
     with reading(path) as reader:

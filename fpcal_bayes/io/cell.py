@@ -1,16 +1,17 @@
 """A cell from its TOML description, with a message for everything that can be wrong in it."""
 
 import math
+import os
 import re
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from fpcal_bayes.core.errors import InputError, largest
-from fpcal_bayes.core.files import read_text, require_line_end, write_text
+from fpcal_bayes.core.files import read_text, write_text
 from fpcal_bayes.core.resources import built_in_cells, data_file
 from fpcal_bayes.io.cell_tables import read_beams, read_envelope, read_mechanics, read_tasks
-from fpcal_bayes.io.validate import Tables, is_number, literal
+from fpcal_bayes.io.validate import Tables, is_number, literal, read_toml
 from fpcal_bayes.model.cell.beams import AT, Opd, OpticalAxis
 from fpcal_bayes.model.cell.cell import Cell, ParameterEntry, make_parameters
 from fpcal_bayes.model.cell.check import impossible
@@ -69,8 +70,6 @@ def load_cell(
 
     Parameters
     ----------
-    source
-        ``femto-st`` or the path of a TOML file.
     opd
         Overrides the path model of the file.
     mechanics
@@ -85,22 +84,14 @@ def load_cell(
     """
     path = _path(source)
     try:
-        text = read_text(path)
+        table = read_toml(path)
     except InputError as error:
-        raise InputError(f"{error}; built-in cells: {', '.join(built_in_cells())}") from error
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:
-        # Beside TOMLDecodeError: an integer of more digits than Python converts.
-        raise InputError(f"{source}: not a TOML file: {error}") from error
-    except RecursionError as error:
-        raise InputError(f"{source}: not a cell: its tables are nested too deeply") from error
+        known = "" if os.path.exists(path) else f"; built-in cells: {', '.join(built_in_cells())}"
+        raise InputError(f"{error}{known}") from error
     reader = _Reader(source)
     cell = reader.cell(table)
     for key, what in impossible(cell) if check else ():
         raise reader.error(key, what)
-    if text[-1:].isdigit():
-        require_line_end(path, text)
     if mechanics == "none":
         cell = cell.ideal
     return cell if opd is None else cell.with_opd(opd)

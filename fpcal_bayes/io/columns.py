@@ -183,8 +183,7 @@ def from_columns(
 ) -> Sweeps:
     """Sweeps from columns (n,) in um and deg whose names `check_names` has passed; `InputError` at the first bad value.
 
-    In a plan a sweep becomes as many rows as its `readings` ask for, of each beam where it names none, unless sweeps
-    are wanted `whole`.
+    In a plan a sweep becomes as many rows as its `readings` ask for, of each beam where it names none, unless `whole`.
     """
     if len(rows) == 0:
         raise InputError(f"{file}: no rows, expected at least one sweep")

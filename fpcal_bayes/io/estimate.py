@@ -56,13 +56,7 @@ def require_unchanged(path: str | Path, content: dict[str, Any]) -> None:
 
 
 def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Estimate:
-    """Read an estimate file, as ``identify --json`` writes it, or its `text`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, not JSON, of another schema or another cell, or a value in it cannot be.
-    """
+    """Read an estimate file, as ``identify --json`` writes it, or its `text`."""
     content = read_result(path, cell, text)
     if isinstance(content.get("fit"), dict) and content["fit"].get("converged") is False:
         raise InputError(

@@ -7,22 +7,16 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import replacing, write_json, write_text
+from fpcal_bayes.core.files import replacing, require_suffix, write_json, write_text
 from fpcal_bayes.core.resources import data_file
 
 FUNCTIONS = ("fpcal_fk.m", "fpcal_ik.m")
-
-
-def check_flat(path: Path | None) -> None:
-    """Raise `InputError` unless the name of a flat file says its format."""
-    if path is not None and path.suffix.lower() not in (".json", ".mat"):
-        raise InputError(f"{path}: expected a file name that ends in .json or .mat")
+FLAT_SUFFIXES = (".json", ".mat")
 
 
 def write_flat(path: Path, content: Mapping[str, Any]) -> None:
     """Write flat names and values, None as null or NaN, and the MATLAB functions that read them where none are."""
-    check_flat(path)
+    require_suffix(path, *FLAT_SUFFIXES)
     for name in FUNCTIONS:
         beside = path.parent / name
         if not beside.exists() and (path.is_file() or not path.exists()):

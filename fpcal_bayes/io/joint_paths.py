@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from fpcal_bayes.core.errors import InputError, largest, located
-from fpcal_bayes.core.files import replacing
+from fpcal_bayes.core.files import replacing, require_suffix
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.model.cell.cell import Cell, check_joints
@@ -37,22 +37,15 @@ def read_joint_path(path: str | Path, cell: Cell) -> Floats:
     return q
 
 
-def check_suffix(path: Path) -> None:
-    """Raise `InputError` unless the name of a joint file says its format."""
-    if path.suffix.lower() not in (".csv", ".mat"):
-        raise InputError(f"{path}: expected a file name that ends in .csv or .mat")
-
-
 def write_joints(
     path: str | Path, cell: Cell, q: Floats, status: NDArray[np.str_], predicted_sd: Floats, *, task: str
 ) -> None:
     """Write a joint path (n_points, n_joints), whole or not at all, as ``.csv`` or ``.mat``.
 
-    Joint values are left empty, or NaN, where the status is not ``ok``, so that nobody drives there; `predicted_sd` is
-    in um, NaN where there is none.
+    Joints are left empty, or NaN, where the status is not ``ok``; `predicted_sd` is in um, NaN where there is none.
     """
     path = Path(path)
-    check_suffix(path)
+    require_suffix(path, ".csv", ".mat")
     shown = np.where((status == "ok")[:, None], q, np.nan) / cell.joint_scales
     joints, sd_nm = dict(zip(cell.joint_columns, shown.T, strict=True)), 1e3 * predicted_sd
     if path.suffix.lower() == ".csv":

@@ -16,11 +16,10 @@ import numpy as np
 from scipy.io import savemat
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import replacing
+from fpcal_bayes.core.files import replacing, require_suffix
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
-from fpcal_bayes.io.joint_paths import check_suffix
 from fpcal_bayes.io.recordings_mat import load_variables, mat_numbers, mat_texts
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.rules import check_sweeps
@@ -74,7 +73,7 @@ def write_path_moves(path: str | Path, q: Floats, cell: Cell) -> None:
 
 
 def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
-    check_suffix(path)
+    require_suffix(path, ".csv", ".mat")
     axes = _axes(cell)
     check_joints(cell, np.array([pose.q for pose in poses]), path, range(1, len(poses) + 1), cell.joint_columns)
     rows: list[tuple[Any, ...]] = []
@@ -128,7 +127,7 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
     """Sweeps of what controllers logged, CSV or MATLAB; measured where the log holds lengths, else a plan.
 
-    `session` and `time_h` hold where the log does not say; with clock times, `time_h` is that of the first row.
+    `session` and `time_h`, with clock times that of the first row, hold where the log does not say.
     """
     path = Path(path)
     table, rows = _read(path)
@@ -170,7 +169,7 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
 
 def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
     """Columns, and the row of each line."""
-    check_suffix(path)
+    require_suffix(path, ".csv", ".mat")
     table: dict[str, Any] = {}
     if path.suffix.lower() == ".mat":
         found, header_row = load_variables(path), None

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError, located
+from fpcal_bayes.core.resources import data_file
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records
 from fpcal_bayes.model.axes import axis_words, direction_words
@@ -17,33 +18,13 @@ _STEMS = ("beta", "alpha", "d", "theta", "r")
 _DH_COLUMNS = ("kind", "alpha_deg", "a_um", "theta_deg", "d_um")
 #: Priors of angles in deg and of lengths in um, far limits, and how much of the gap a motion along the beam may use.
 _ANGLE_SD, _OFFSET_SD, _TRAVEL, _TILT, _SPIN, _SHARE = 1.0, 20.0, 150.0, 5.0, 90.0, 0.25
-
-_HEAD = """\
-# {title}
-# Made by fpcal cell from the directions of the axes. Look at it: fpcal cell {file}
-# Link i stands RotY(beta) RotX(alpha) TransX(d) RotZ(theta) TransZ(r) on link i-1; the joint adds to r (moves) or to
-# theta (turns). A parameter with a prior standard deviation is identified. Lines marked <- are for you to fill in from
-# data sheets or measurements; every key: docs/reference/cell.md.
-schema = "fpcal-cell/1"
-name = "{name}"
-
-[optics]
-wavelength_nm = {wavelength:g}
-opd = "{opd}"{pad}# "axis": along the optical axis; "perpendicular": from the fibre to the mirror plane
-mode_field_radius_um = 5.2        # <- of the fibre; 5.2 is standard single-mode fibre at 1550 nm
-mirror_reflectivity = 0.95        # <- a metal film
-
-"""
-_ENVELOPE = """\
-[envelope]                        # keeps the mirror off the fibre in plan, decide, control and simulate
-{least}# <- mirror and fibre never come nearer, edges included
-fibre_radius_um = 62.5            # <- bare fibre; its ferrule where that reaches as far as the fibre
-mirror_radius_um = 2500.0         # <- of the mirror
-max_tilt_deg = 20.0               # <- of the mirror against the light
-max_fringe_rate_hz = 1000.0       # <- half waves a second that your recorder follows
-together = []                     # <- groups of joints that may move at once: [["q1", "q2"]]; others move in turn
-{gap}
-"""
+#: Random walk per square-root day, in deg and um.
+_DRIFT = {"beta_et": 0.01, "theta_et": 0.02, "beta_wf": 0.01, "theta_wf": 0.016, "z_et": 0.2}
+_DRIFT |= dict.fromkeys(("x_wf", "y_wf", "z_wf"), 0.5)
+_MEASURED_GAP = "gap_um = {gap:g}\ngap_sd_um = {sd:g}"
+_GAP = """\
+# gap_um = {gap:g}                   # <- measured gap at joint zero and its standard deviation,
+# gap_sd_um = 5.0                 #    unless the sweeps hold one: a wavelength scan (kind = absolute)"""
 
 
 def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
@@ -76,40 +57,31 @@ def new_cell_text(
     layout: Layout, name: str, *, wavelength_nm: float, opd: str = "axis", gap_sd_um: float | None = None
 ) -> str:
     """The text of a cell file; a gap without standard deviation was not measured, and is left to be filled in."""
-    directions = layout.directions()
+    directions, side = layout.directions(), direction_words(layout.side)
     words = [axis_words(kind, along) for kind, along in zip(layout.kinds, directions, strict=True)]
-    title = "; ".join(f"q{i} {word}" for i, word in enumerate(words, 1))
-    side = direction_words(layout.side)
-    text = _HEAD.format(
-        title=title, file=f"{name}.toml", name=name, wavelength=wavelength_nm, opd=opd, pad=" " * (26 - len(opd))
-    )
-    for i, word in enumerate(words):
-        text += _joint(layout, i, word, directions[i])
-    text += (
-        f"[extrinsic]                       # mirror in the tool frame (et), fibre in the world frame (wf), at {side}\n"
-    )
     values = dict(zip(EXTRINSICS, (layout.beta_et, layout.theta_et, layout.beta_wf, layout.theta_wf), strict=False))
     values |= {"z_et": 0.0, **dict(zip(("x_wf", "y_wf", "z_wf"), layout.fibre.tolist(), strict=True))}
     beam = ("x_wf", "y_wf", "z_wf")[int(np.argmax(np.abs(layout.side)))]
     across_sd = round(min(200.0, max(20.0, layout.gap / 4.0)), 3)
     sds = {"z_et": _OFFSET_SD, **dict.fromkeys(("x_wf", "y_wf", "z_wf"), across_sd)}
     sds[beam] = round(min(200.0, layout.gap / 4.0), 3)
-    for stem in EXTRINSICS:
-        text += _parameter(stem, values[stem], stem in layout.free, sds.get(stem, _ANGLE_SD)) + "\n"
-    text += "\n[extrinsic.drift]                 # <- random walk, per square-root day: what your room does\n"
-    drift = {"beta_et": 0.01, "theta_et": 0.02, "beta_wf": 0.01, "theta_wf": 0.016, "z_et": 0.2}
-    for stem, size in (drift | dict.fromkeys(("x_wf", "y_wf", "z_wf"), 0.5)).items():
-        if stem in layout.free:
-            text += f"{stem} = {{ walk_{UNITS[stem]} = {size:g} }}\n"
-    gap = f"gap_um = {layout.gap:g}\n"
-    if gap_sd_um is None:
-        gap = (
-            f"# gap_um = {layout.gap:g}                   # <- measured gap at joint zero and its standard deviation,\n"
+    drift = {stem: size for stem, size in _DRIFT.items() if stem in layout.free}
+    return (
+        data_file("new-cell.txt")
+        .read_text(encoding="utf-8")
+        .format(
+            title="; ".join(f"q{i} {word}" for i, word in enumerate(words, 1)),
+            name=name,
+            wavelength=wavelength_nm,
+            opd=f'"{opd}"'.ljust(28),
+            joints="".join(_joint(layout, i, word, directions[i]) for i, word in enumerate(words)),
+            side=side,
+            extrinsic="\n".join(_parameter(s, values[s], s in layout.free, sds.get(s, _ANGLE_SD)) for s in EXTRINSICS),
+            drift="\n".join(f"{stem} = {{ walk_{UNITS[stem]} = {size:g} }}" for stem, size in drift.items()),
+            least_gap=f"{layout.gap / 4.0:g}".ljust(19),
+            gap=(_GAP if gap_sd_um is None else _MEASURED_GAP).format(gap=layout.gap, sd=gap_sd_um),
         )
-        gap += "# gap_sd_um = 5.0                 #    unless the sweeps hold one: a wavelength scan (kind = absolute)"
-    else:
-        gap += f"gap_sd_um = {gap_sd_um:g}"
-    return text + "\n" + _ENVELOPE.format(least=f"least_gap_um = {layout.gap / 4.0:g}".ljust(34), gap=gap)
+    )
 
 
 def _joint(layout: Layout, i: int, word: str, direction: Floats) -> str:

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import require_readable
+from fpcal_bayes.core.files import require_readable, require_suffix
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.io.recordings_csv import read_csv_index, write_csv_index
 from fpcal_bayes.io.recordings_hdf5 import read_hdf5_index, write_hdf5_index
@@ -43,10 +42,6 @@ def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     """
     path = Path(path)
     check_index(index, cell)
-    suffix = path.suffix.lower()
-    if suffix in HDF5_SUFFIXES:
-        write_hdf5_index(path, index, cell)
-    elif suffix == ".csv":
-        write_csv_index(path, index, cell)
-    else:
-        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+    require_suffix(path, ".csv", *HDF5_SUFFIXES)
+    write = write_csv_index if path.suffix.lower() == ".csv" else write_hdf5_index
+    write(path, index, cell)

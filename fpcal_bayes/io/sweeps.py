@@ -5,9 +5,10 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import exclusive, require_readable
+from fpcal_bayes.core.files import exclusive, require_readable, require_suffix
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
 from fpcal_bayes.io.csv import read_records, table_text, write_table
@@ -50,50 +51,31 @@ def read_sweeps(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool
     return read_csv(path, cell, plan=plan, whole=whole)
 
 
-def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, *, command: str = "", seed: int | None = None) -> None:
+def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, **beside: Any) -> None:
     """Write sweeps in the format that the file's suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
 
     Parameters
     ----------
-    command, seed
-        How the sweeps came about; kept in a campaign file only.
+    beside
+        What a campaign file alone keeps: ``command``, ``seed``, ``truth``, ``recordings``, ``doubtful``, ``about``.
 
     Raises
     ------
     InputError
         If the suffix is another one, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix in HDF5_SUFFIXES:
-        write_campaign(path, Campaign.of(sweeps, cell, command=command, seed=seed), cell)
-    elif suffix == ".csv":
+    require_suffix(Path(path), ".csv", *HDF5_SUFFIXES)
+    if Path(path).suffix.lower() == ".csv":
         write_csv(path, sweeps, cell)
     else:
-        raise InputError(f"{path}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+        write_campaign(path, Campaign.of(sweeps, cell, **beside), cell)
 
 
 def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:
-    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes.
+    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes; all that it holds now.
 
-    Parameters
-    ----------
-    path
-        CSV, or campaign whose other content is kept.
-    sweeps
-        Sessions that the file does not hold yet.
-    check
-        Called with all sweeps before anything is written; it raises `InputError` if they do not go together.
-
-    Returns
-    -------
-    Sweeps
-        All that the file holds now.
-
-    Raises
-    ------
-    InputError
-        If the sweeps are not measured, a session is there already, another program writes the file, or it cannot be
-        read or written; the file is then as it was.
+    `check` is called with all sweeps before anything is written; where it or this raises `InputError` the file is as it
+    was. Other content of a campaign is kept.
     """
     path = Path(path)
     if not sweeps.measured:

@@ -8,17 +8,8 @@ import numpy as np
 from fpcal_bayes.core.errors import located
 from fpcal_bayes.core.files import file_sha256
 from fpcal_bayes.core.times import clock, iso
+from fpcal_bayes.io import columns
 from fpcal_bayes.io.campaign import write_campaign
-from fpcal_bayes.io.columns import (
-    LEADING,
-    PLAN,
-    check_names,
-    from_columns,
-    joint_columns,
-    parsed,
-    readings_of,
-    to_columns,
-)
 from fpcal_bayes.io.csv import read_records, write_table
 from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
 from fpcal_bayes.measure.campaign import Campaign
@@ -33,10 +24,10 @@ def read_ticket(path: str | Path, cell: Cell) -> Ticket:
     for name in ("dl_um", "sigma_um"):
         if name in records.header:
             raise located(path, f"{name} holds what was measured, expected a ticket or a plan", row=records.header_row)
-    check_names(records.header, cell, path, plan=True, row=records.header_row)
-    table, n = parsed(records), len(records.rows)
-    plan = from_columns(table, cell, str(path), records.rows, plan=True, whole=True) if n else None
-    readings = readings_of(table, str(path), records.rows)
+    columns.check_names(records.header, cell, path, plan=True, row=records.header_row)
+    table, n = columns.parsed(records), len(records.rows)
+    plan = columns.from_columns(table, cell, str(path), records.rows, plan=True, whole=True) if n else None
+    readings = columns.readings_of(table, str(path), records.rows)
     moments = [clock(text).timestamp() for text in table.get("expires_utc", np.array([])).tolist() if text]
     hours = table.get("expires_h", np.array([]))
     names = set(table["ticket"].tolist()) if "ticket" in table else {""}
@@ -55,11 +46,11 @@ def read_ticket(path: str | Path, cell: Cell) -> Ticket:
 
 def write_ticket(path: str | Path, ticket: Ticket, cell: Cell) -> None:
     """Write a ticket or a plan to a CSV file, whole or not at all; without sweeps it is a header alone."""
-    names = (*LEADING, *joint_columns(cell), *PLAN)
+    names = (*columns.LEADING, *columns.joint_columns(cell), *columns.PLAN)
     if ticket.plan is None:
         write_table(Path(path), {name: np.array([]) for name in names})
         return
-    write_table(Path(path), to_columns(ticket.plan, cell, path, asked=asked_of(ticket)))
+    write_table(Path(path), columns.to_columns(ticket.plan, cell, path, asked=asked_of(ticket)))
 
 
 def write_plan(path: str | Path, ticket: Ticket, cell: Cell) -> None:

@@ -97,11 +97,7 @@ def write_path_trace(path: str | Path, trace: PathTrace, cell: Cell) -> None:
 
 
 def read_path_trace(path: str | Path, cell: Cell) -> PathTrace:
-    """A recorded path from a CSV file.
-
-    Raises `InputError` if the file is not as documented, a joint leaves its limits, time runs backwards, the path is
-    not in one piece after a reference scan, or a part has fewer than 8 samples.
-    """
+    """A recorded path from a CSV file, in one piece after a reference scan."""
     path = Path(path)
     records = read_records(path)
     names = path_columns(cell)

@@ -1,47 +1,26 @@
 """True parameters of a simulated cell as TOML, in the units that a person reads."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text, require_line_end, write_text
-from fpcal_bayes.io.validate import Tables, shown
+from fpcal_bayes.core.files import write_text
+from fpcal_bayes.io.validate import Tables, read_toml, shown
 from fpcal_bayes.measure.truth import Truth, truth_of
 from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth from a TOML file.
+    """Read a truth from a TOML file, in um, deg or ppm.
 
-    Parameters
-    ----------
-    path
-        Either a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each
-        with ``time_h`` and a table ``[epoch.parameters]``. Values in um, deg or ppm; in each of these tables what is
-        not named is nominal.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not TOML, or holds anything else; the message names the key.
+    It has a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each with
+    ``time_h`` and a table ``[epoch.parameters]``; what a table does not name is nominal.
     """
-    path = Path(path)
-    try:
-        text = read_text(path)
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from error
-    except (RecursionError, ValueError) as error:
-        # A ValueError that is not an InputError: a number with thousands of digits.
-        raise error if isinstance(error, InputError) else InputError(f"{path}: not a truth ({error})") from error
+    table = read_toml(Path(path))
     tables = Tables(path, shown)
     tables.keys(table, "", ("parameters", "epoch"), unknown="unknown")
     if ("parameters" in table) == ("epoch" in table):
         raise tables.error("parameters", "expected either a table [parameters] or several [[epoch]]")
     epochs = _epochs(tables, table, cell) if "epoch" in table else [(0.0, _values(tables, table, "", cell))]
-    if text[-1:].isdigit():
-        require_line_end(path, text)
     return truth_of(cell, epochs, str(path))
 
 

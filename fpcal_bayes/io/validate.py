@@ -1,10 +1,28 @@
 """Values of nested tables (TOML, JSON) held to what a file may say, with messages that name the file and the key."""
 
 import math
+import tomllib
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError, largest
+from fpcal_bayes.core.files import read_text, require_line_end
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file that is not cut short."""
+    text = read_text(path)
+    try:
+        table = tomllib.loads(text)
+    except RecursionError as error:
+        raise InputError(f"{path}: not a TOML file: its tables are nested too deeply") from error
+    except ValueError as error:
+        # Beside TOMLDecodeError: an integer of more digits than Python converts.
+        raise InputError(f"{path}: not a TOML file: {error}") from error
+    if text[-1:].isdigit():
+        require_line_end(path, text)
+    return table
 
 
 def shown(value: object) -> str:

@@ -1,6 +1,7 @@
 """A campaign in memory: sweeps with the cell, the program, and the truth, track and recordings beside."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +92,6 @@ class Campaign:
     about: str = ""
 
     @classmethod
-    def of(
-        cls, sweeps: Sweeps, cell: Cell, *, command: str = "", seed: int | None = None, truth: TruthRecord | None = None
-    ) -> "Campaign":
-        """A campaign of `cell`, made by this version of the program."""
-        return cls(sweeps, cell.name, cell.sha256, cell.opd, __version__, command, seed, truth)
+    def of(cls, sweeps: Sweeps, cell: Cell, *, command: str = "", **beside: Any) -> "Campaign":
+        """A campaign of `cell`, made by this version of the program; `beside` are other fields."""
+        return cls(sweeps, cell.name, cell.sha256, cell.opd, __version__, command, **beside)

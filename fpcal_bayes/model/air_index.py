@@ -23,10 +23,7 @@ _ZERO_CELSIUS = 273.15
 
 
 def ciddor(wavelength: ArrayLike, temperature_c: ArrayLike, pressure_hpa: ArrayLike, humidity_pct: ArrayLike) -> Floats:
-    """Phase refractive index of moist air with 450 ppm of carbon dioxide.
-
-    The wavelength is that in vacuum, in um; the humidity is relative. All arguments broadcast.
-    """
+    """Phase index of moist air, 450 ppm CO2; wavelength in vacuum in um, relative humidity; all arguments broadcast."""
     given = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (wavelength, temperature_c, pressure_hpa)))
     humidity = np.asarray(humidity_pct, dtype=float)
     for value, (name, (low, high, unit)) in zip((*given, humidity), RANGES.items(), strict=True):

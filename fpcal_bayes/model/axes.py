@@ -19,30 +19,20 @@ ALONG = float(np.radians(0.05))
 class Sight:
     """Mirror and fibre at one joint vector, in the world frame; lengths in um, angles in rad."""
 
-    # normal, across, origin: normal Zt and axis Xt of the mirror, and its origin, shape (3,) each
-    normal: Floats
-    across: Floats
-    origin: Floats
-    # light, fibre_x, fibre: direction of the light that leaves the fibre, axis Xf, and the fibre's end, shape (3,) each
-    light: Floats
-    fibre_x: Floats
-    fibre: Floats
-    # point, point_on_mirror: reflection point in the world frame and in the mirror frame, shape (3,) each; not finite
-    # where the light runs along the mirror
-    point: Floats
-    point_on_mirror: Floats
-    # distance along the light from the fibre's end to the mirror plane, below zero where the mirror stands behind the
-    # fibre, infinite where the light runs along it
-    length: float
-    # angle between the light and the normal turned round: 0 where the mirror faces the fibre, pi where its back does
-    tilt: float
+    normal: Floats  # Zt of the mirror, shape (3,)
+    across: Floats  # Xt of the mirror, shape (3,)
+    origin: Floats  # of the mirror, shape (3,)
+    light: Floats  # direction of the light that leaves the fibre, shape (3,)
+    fibre_x: Floats  # Xf, shape (3,)
+    fibre: Floats  # the fibre's end, shape (3,)
+    point: Floats  # reflection point, shape (3,); not finite where the light runs along the mirror
+    point_on_mirror: Floats  # the same in the mirror frame
+    length: float  # along the light to the mirror plane: below zero behind the fibre, infinite along the mirror
+    tilt: float  # between the light and the normal turned round: 0 where the mirror faces the fibre, pi its back
 
 
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Direction of each joint's axis and a point on it, in the world frame, shape (n_joints, 3) each.
-
-    Positive joint values move along the unit vectors, or turn about them by the right hand; points are in um.
-    """
+    """Direction of each joint's positive motion or right-hand turn, and a point of its axis, (n_joints, 3) each."""
     pose, directions, points = np.eye(4), [], []
     for i, joint in enumerate(cell.joints):
         link = vector[_STRIDE * i : _STRIDE * (i + 1)]

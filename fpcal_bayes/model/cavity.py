@@ -19,11 +19,12 @@ from fpcal_bayes.model.kernels.lengths import (
     RUNOUT_COS,
     STRIDE,
     THETA,
+    Question,
     R,
     batch_lengths,
+    batch_mirrors,
     few_vector_lengths,
 )
-from fpcal_bayes.model.kernels.mirror import batch_mirrors
 from fpcal_bayes.model.kernels.point import batch_points, point_columns
 from fpcal_bayes.model.parameters import ParameterSet
 
@@ -33,11 +34,9 @@ class PoseGroups:
     """Distinct poses, sorted by group."""
 
     q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
-    #: group_q, group_cos, group_sin: Joint values of each group and their cosines and sines, shape (n_groups,
-    #: n_joints); zero, one, zero at prismatic joints.
-    group_q: Floats
-    group_cos: Floats
-    group_sin: Floats
+    group_q: Floats  # joint values of each group, (n_groups, n_joints), zero where prismatic
+    group_cos: Floats  # their cosines
+    group_sin: Floats  # their sines
     group_start: Ints  # poses of group g are ``group_start[g]`` to ``group_start[g + 1]``, shape (n_groups + 1,)
     prismatic_q: Floats  # values of the prismatic joints, in the chain's order, shape (n_poses, n_prismatic)
     inverse: Ints  # where each joint vector that was given stands among the distinct ones, shape (n_given,)
@@ -82,10 +81,6 @@ def _changes(rows: Floats) -> Bools:
     return new
 
 
-#: What the kernels of lengths and of derivatives take first, in the order of `batch_lengths`.
-_Arguments = tuple[Floats, Ints, Floats, int, bool, Bools, Floats, Floats, Floats, Ints, Floats, Ints, Ints]
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows to predict, laid out for the kernels: each is L(end) - L(start), or L(end) where start is -1."""
@@ -93,8 +88,7 @@ class Rows:
     poses: PoseGroups
     starts: Ints
     ends: Ints
-    #: In a cell with further beams: the rows of each beam, their positions, and number of the beam.
-    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()
+    parts: tuple[tuple[int, Ints, "Rows"], ...] = ()  # beam's number, positions, rows, of further beams
 
 
 @dataclass(frozen=True)
@@ -149,10 +143,6 @@ class CavityModel:
         links = STRIDE * np.flatnonzero(self.cell.revolute)[:, None]
         own = links + np.arange(GAIN, STRIDE)
         return not self.held[own].any() and not np.isin(own, self.free.slots).any()
-
-    @cached_property
-    def _axis_is_z(self) -> bool:
-        return self.cell.optical_axis == "z"
 
     @cached_property
     def _columns(self) -> Ints:
@@ -220,7 +210,7 @@ class CavityModel:
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
             groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
-            result = (few_vector_lengths if groups_fill else batch_lengths)(*self._arguments(many, rows))
+            result = (few_vector_lengths if groups_fill else batch_lengths)(self._question(many, rows))
         else:
             result, _ = self._differentiated(many, rows, self._columns[:0])
         return result[0] if np.ndim(values) == 1 else result
@@ -248,7 +238,7 @@ class CavityModel:
 
     def _differentiated(self, values: Floats, rows: Rows, columns: Ints) -> tuple[Floats, Floats]:
         kernel = batch_jacobians if self.cell.target == "plane-mirror" else batch_points
-        return kernel(*self._arguments(values, rows), columns)
+        return kernel(self._question(values, rows), columns)
 
     def joint_jacobian(self, values: Floats, q: Floats, beam: Ints | None = None) -> Floats:
         """Derivatives of the length by the joints at poses (n_poses, n_joints), by the number of each pose's beam."""
@@ -271,9 +261,9 @@ class CavityModel:
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Normals and origins of the first beam's mirror, columns three and four of wTt; `InputError` for a point.
+        """Normals and origins of the first beam's mirror at poses (n_poses, n_joints), columns three and four of wTt.
 
-        Of poses (n_poses, n_joints): each (n_poses, 3), with a leading axis n_vectors where `values` has one.
+        Each (n_poses, 3), with a leading axis n_vectors where `values` has one; `InputError` for a point.
         """
         if self.cell.target != "plane-mirror":
             raise InputError(f"cell {self.cell.name!r}: a {self.cell.target} has no normal, expected a plane mirror")
@@ -291,8 +281,18 @@ class CavityModel:
         points = [chain.reflection_point(self.cell, vector, pose) for pose in q]
         return np.array([w for w, _ in points]), np.array([t for _, t in points])
 
-    def _arguments(self, values: Floats, rows: Rows) -> _Arguments:
-        cell, groups = self.cell, rows.poses
-        turned = groups.group_q, groups.group_cos, groups.group_sin, groups.group_start, groups.prismatic_q
-        path = self._path, self._axis_is_z, cell.revolute
-        return (self.held, self.free.slots, values, *path, *turned, rows.starts, rows.ends)
+    def _question(self, values: Floats, rows: Rows) -> Question:
+        cell, poses = self.cell, rows.poses
+        groups = poses.group_q, poses.group_cos, poses.group_sin, poses.group_start, poses.prismatic_q
+        axis_is_z = cell.optical_axis == "z"
+        return (
+            self.held,
+            self.free.slots,
+            values,
+            self._path,
+            axis_is_z,
+            cell.revolute,
+            groups,
+            rows.starts,
+            rows.ends,
+        )

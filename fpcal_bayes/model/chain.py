@@ -82,10 +82,9 @@ def mirror_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
 
 
 def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
-    """Unit vector of the light that leaves the fibre, in the world frame, shape (3,), or of vectors (n, size), (n, 3).
+    """Unit vector of the light that leaves the fibre, in the world frame, (3,), or of vectors (n, size), (n, 3).
 
-    The paper names Zf, the third column of (13), which stands across the mirror normal; minus the second column
-    points from the fibre to the mirror.
+    Minus the second column of (13); the paper names the third, Zf, which stands across the mirror normal.
     """
     beta, theta = vector[..., -6], vector[..., -5]
     if cell.optical_axis == "z":
@@ -96,8 +95,7 @@ def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
 def reflection_point(cell: Cell, vector: Matrix, q: Matrix) -> tuple[Matrix, Matrix]:
     """Reflection points wPr and tPr, in the world and in the mirror frame, paper equations (28), (29); (3,), in um.
 
-    On the perpendicular path it is the foot of the perpendicular from the fibre end to the mirror plane; a target that
-    is a point reflects there.
+    On the perpendicular path the foot of the perpendicular from the fibre end to the mirror plane.
     """
     mirror, fibre = mirror_pose(cell, vector, q), fibre_in_world(vector)
     if cell.target == "corner-cube":

@@ -73,10 +73,9 @@ def breaches(
 
 
 def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Ranges of the joints within `low` to `high` (n_joints,) in which every pose stays in the envelope.
+    """Ranges of the joints within `low` to `high` (n_joints,) in which every pose and way stays in the envelope.
 
-    So does every way between two such poses. Where the whole ranges do not, the joint gives way whose return towards
-    joint zero helps the worst pose most. `InputError` if the cell may leave its envelope at joint zero already.
+    The joint gives way whose return to zero helps the worst pose most; `InputError` if zero itself may be outside.
     """
     cell, at = model.cell, home(model.cell)
     if cell.envelope is None:
@@ -137,7 +136,7 @@ def require_within_envelope(
 ) -> None:
     """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on the way.
 
-    `draws` are of what is known of the cell, `exact` is as in `margin`; `rows` are lines of the file.
+    `draws` and `exact` are as in `margin`; `rows` are lines of the file.
     """
     cell = model.cell
     if cell.envelope is None or not len(q_start):
@@ -177,10 +176,7 @@ def require_in_front(model: CavityModel, values: Floats, path: JointPath, *, fil
 
 
 def behind_the_fibre(cell: Cell, q: Floats, seen: tuple[Floats, Floats, Floats]) -> tuple[Bools, Floats]:
-    """At which poses (n, n_joints) the mirror stands behind the fibre whatever is likely of the cell, and the lengths.
-
-    seen: poses (n_seen, n_joints), their measured lengths and standard deviations (n_seen,); a stated gap is one more.
-    """
+    """Poses at which the mirror is behind the fibre whatever is likely, and lengths; `seen`: poses, lengths, sd."""
     model, at = CavityModel.of(cell.with_opd("axis")), home(cell)[None]
     gap = () if cell.envelope is None or cell.envelope.gap is None else (cell.envelope.gap, cell.envelope.gap_sd or 0.0)
     stated = np.array(gap).reshape(-1, 2)

@@ -21,42 +21,18 @@ STATUSES = ("identified", "weak", "gauge", "fixed")
 
 @dataclass(frozen=True)
 class Estimate(Result):
-    """Values and covariance of a cell's parameters at a time.
+    """Values and covariance of a cell's parameters at a time."""
 
-    Attributes
-    ----------
-    cell
-        The cell it belongs to.
-    parameters
-        In the cell's order.
-    values
-        In um and rad, shape (n,).
-    covariance
-        In um and rad, shape (n, n); zero rows where a parameter is held as exact.
-    status
-        ``identified``, ``weak``, ``gauge`` or ``fixed``, one per parameter.
-    time_h
-        Hours since the campaign began.
-    valid_until_h
-        Until when it may be used, or None where nobody has worked that out.
-    data
-        Name and hash of the file it was made from.
-    trust
-        Whether it may be used, and what is held against it.
-    mechanics
-        What is known of the error motions with these parameters; None: the mechanism is taken as perfect.
-    """
-
-    cell: Cell
-    parameters: ParameterSet
-    values: Floats
-    covariance: Floats
-    status: tuple[str, ...]
-    time_h: float = 0.0
-    valid_until_h: float | None = None
-    data: dict[str, str] = field(default_factory=dict)
-    trust: Trust = field(default_factory=Trust)
-    mechanics: MechanicsKnowledge | None = None
+    cell: Cell  # the cell it belongs to
+    parameters: ParameterSet  # in the cell's order
+    values: Floats  # in um and rad, shape (n,)
+    covariance: Floats  # in um and rad, shape (n, n); zero rows where a parameter is held as exact
+    status: tuple[str, ...]  # ``identified``, ``weak``, ``gauge`` or ``fixed``, one per parameter
+    time_h: float = 0.0  # hours since the campaign began
+    valid_until_h: float | None = None  # until when it may be used, or None where nobody has worked that out
+    data: dict[str, str] = field(default_factory=dict)  # name and hash of the file it was made from
+    trust: Trust = field(default_factory=Trust)  # whether it may be used, and what is held against it
+    mechanics: MechanicsKnowledge | None = None  # error motions with these parameters; None: perfect mechanism
 
     @property
     def sd(self) -> Floats:

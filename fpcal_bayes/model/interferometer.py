@@ -25,13 +25,11 @@ Complexes = NDArray[np.complex128]
 def coupling(
     distance: ArrayLike, tilt: ArrayLike, offset: ArrayLike, *, mode_field_radius: float, wavelength: ArrayLike
 ) -> Complexes:
-    """Amplitude of the fibre mode that a beam excites; its square is the share of power. Arguments broadcast.
+    """Amplitude of the fibre mode that a beam excites; its square is the share of power. Arguments broadcast; um, rad.
 
-    distance: from the beam's waist to the fibre end, along the beam, in um.
-    tilt: angle between the beam and the fibre's axis, in rad, in the plane of the offset.
-    offset: of the fibre's centre across the beam, in um, positive to the side on which a positive tilt makes the light
-    arrive later.
-    mode_field_radius, wavelength: of fibre mode and beam waist, and in the medium, in um.
+    `distance` is from the beam's waist along the beam, `tilt` its angle with the fibre in the plane of the offset,
+    `offset` that of the fibre across it, positive where a positive tilt makes the light arrive later; wavelength in the
+    medium.
     """
     wave_number = 2.0 * np.pi / np.asarray(wavelength, dtype=float)
     angle, aside = np.asarray(tilt, dtype=float), np.asarray(offset, dtype=float)
@@ -102,10 +100,9 @@ def reflected(
     wavelength: ArrayLike | None = None,
     index: ArrayLike = 1.0,
 ) -> Floats:
-    """Share of the light that comes back; all arguments broadcast.
+    """Share of the light that comes back at a cavity `length` (um); all arguments broadcast.
 
-    length: cavity length in um, in the path model that counts; only the coupling depends on `distance` and `tilt`.
-    wavelength: of the laser in vacuum, in um, by default the cell's; `index` is that of the air.
+    Only the coupling depends on `distance` and `tilt`; `wavelength` is in vacuum, by default the cell's.
     """
     light = optics.wavelength if wavelength is None else np.asarray(wavelength, dtype=float)
     phase = 4.0 * np.pi * np.asarray(index) * np.asarray(length, dtype=float) / light

@@ -16,7 +16,7 @@ from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.inverse_few import FewJoints
 from fpcal_bayes.model.kernels.inverse import OK, OUT_OF_REACH, SATURATED, SINGULAR, batch_inverse
-from fpcal_bayes.model.kernels.pose import batch_tool_poses, first_bad_pose
+from fpcal_bayes.model.kernels.pose import batch_tool_poses
 
 __all__ = ["OK", "OUT_OF_REACH", "SATURATED", "SINGULAR", "InverseModel", "JointSolutions", "check_poses"]
 
@@ -29,15 +29,14 @@ _FAR_TURN, _FAR_TRAVEL = np.pi, 1000.0
 
 @dataclass(frozen=True)
 class JointSolutions:
-    """Joint values of poses, and what became of each pose."""
+    """Joint values of poses, and what became of each pose; nothing is clipped: drive to those that are `ok` only."""
 
     cell: Cell  # whose joints they are
     #: Joint values that give the pose, shape (..., n_joints), in um and rad; beyond a limit where the pose is
     #: saturated, NaN where it is out of reach. Nothing is clipped: drive to those that are `ok` only.
     q: Floats
     status: Ints  # `OK`, `OUT_OF_REACH`, `SATURATED` or `SINGULAR`, shape (...)
-    #: Position of the joint that is farthest beyond its limit where a pose is saturated, else -1, shape (...).
-    joint: Ints
+    joint: Ints  # the one farthest beyond its limit where a pose is saturated, else -1, shape (...)
 
     @property
     def ok(self) -> NDArray[np.bool_]:
@@ -122,9 +121,8 @@ class InverseModel:
     ) -> JointSolutions:
         """IGM: joint values at which the tool frame takes `poses` wTe, shape (..., 4, 4), by one or many model vectors.
 
-        near: of several solutions inside the limits the one nearest to these joint values is taken, by default `home`.
-        follow: poses are points of a path: each is solved near the one before it.
-        Returns shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
+        near: the nearest of several solutions is taken, by default to `home`; follow: each near the pose before it.
+        Shaped as `poses` without its last two axes, with a leading axis n_vectors where `vectors` has one.
         """
         check_poses(poses)
         near = self.home if near is None else np.ascontiguousarray(near, dtype=float)
@@ -137,7 +135,7 @@ class InverseModel:
             q, status, joint = (np.stack(part) for part in zip(*parts, strict=True))
         else:
             limits = cell.revolute, cell.low, cell.high
-            q, status, joint = batch_inverse(many, *limits, targets, near, follow, self._starts, -1)
+            q, status, joint = batch_inverse(many, limits, targets, near, follow, self._starts, -1)
         if np.ndim(poses) == 2:
             q, status, joint = q[:, 0], status[:, 0], joint[:, 0]
         if np.ndim(vectors) == 1:
@@ -153,11 +151,15 @@ class InverseModel:
 
 def check_poses(poses: ArrayLike) -> None:
     """Raise `InputError` at the first of `poses` (..., 4, 4) that is no pose, naming it by its number from 1."""
-    stack = np.ascontiguousarray(poses, dtype=float)
+    stack = np.asarray(poses, dtype=float)
     if stack.shape[-2:] != (4, 4):
         raise InputError(f"a pose has shape {stack.shape[-2:]}, expected a 4 x 4 transform")
-    bad = first_bad_pose(stack.reshape(-1, 4, 4), ROTATION_TOLERANCE)
-    if bad >= 0:
-        raise InputError(
-            f"pose {bad + 1}: expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
-        )
+    stack = stack.reshape(-1, 4, 4)
+    turns = stack[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        missed = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2))
+        good = (missed <= ROTATION_TOLERANCE) & (np.linalg.det(turns) > 0) & np.isfinite(stack[:, :3, 3]).all(axis=1)
+    good &= (stack[:, 3] == [0.0, 0.0, 0.0, 1.0]).all(axis=1)
+    if not good.all():
+        what = "expected finite numbers, an orthonormal right-handed rotation and the last row 0 0 0 1"
+        raise InputError(f"pose {np.argmin(good) + 1}: {what}")

@@ -27,9 +27,8 @@ _STEPS, _GOAL, _STEP, _LEAST = 14, 1e-7, 1e-4, 1e-3
 class FewJoints:
     """Solves poses for one model vector of a cell."""
 
-    # cell, vector: the cell, and its model vector, shape (model size,)
     cell: Cell
-    vector: Floats
+    vector: Floats  # its model vector, shape (model size,)
     met: Ints  # positions of the directions that are met, x y z rx ry rz of the fibre frame, shape (n_met,)
     fibre: Floats  # rotation of the fibre frame in the world, shape (3, 3)
     point: Floats  # frame at the mirror point, in the tool, shape (4, 4)

@@ -59,10 +59,7 @@ def travel_seconds(cell: Cell, moves: Floats) -> Floats:
 
 
 def sweep_path(cell: Cell, q_start: Floats, q_end: Floats, *, ways: bool = True) -> JointPath:
-    """The path of sweeps that are driven in their order, each (n_rows, n_joints).
-
-    ways: also from joint zero to the first start and from each end to the next start, in any order of the joints.
-    """
+    """The path of sweeps (n_rows, n_joints) driven in order; `ways`: also from zero to the first and between them."""
     pieces, steps, count = [], [], 0
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     before = home(cell)

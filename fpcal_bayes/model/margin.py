@@ -38,15 +38,11 @@ _WORTH = 6
 class Margin:
     """What is left at each pose; lengths in um, angles in rad."""
 
-    # gap, gap_sd, least_gap: clearance between mirror and fibre, edges included: expected, its standard deviation, and
-    # what it is at `SIGMAS` standard deviations, shape (n_poses,)
-    gap: Floats
-    gap_sd: Floats
-    least_gap: Floats
-    # tilt, most_tilt: angle between light and mirror normal, expected and at `SIGMAS` standard deviations, shape
-    # (n_poses,)
-    tilt: Floats
-    most_tilt: Floats
+    gap: Floats  # clearance between mirror and fibre, edges included, expected, shape (n_poses,)
+    gap_sd: Floats  # its standard deviation
+    least_gap: Floats  # what it is at `SIGMAS` standard deviations
+    tilt: Floats  # angle between light and mirror normal, expected, shape (n_poses,)
+    most_tilt: Floats  # the same at `SIGMAS` standard deviations
     most_aside: Floats  # distance of the reflection point from the mirror's origin, likewise
     rate: Floats  # half waves a second on each step of the path, likewise, shape (n_steps,)
     known: bool  # whether the gap is measured; if not, `gap` counts from the nominal one
@@ -77,9 +73,8 @@ class Known:
 
     model: CavityModel  # cavity model of the parameters
     draws: Floats  # shape (n_draws, n_free), in um and rad
-    # fibre, light: end of the fibre and direction of its light at each draw, shape (n_draws, 1, 3)
-    fibre: Floats
-    light: Floats
+    fibre: Floats  # its end at each draw, shape (n_draws, 1, 3)
+    light: Floats  # direction of its light, likewise
 
     @classmethod
     def of(cls, model: CavityModel, draws: Floats) -> "Known":
@@ -89,10 +84,9 @@ class Known:
         return cls(model, draws, vectors[:, None, -3:], chain.optical_axis(model.cell, vectors)[:, None])
 
     def facing(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """How mirror and fibre stand at each draw and pose, shape (n_draws, n_poses) each.
+        """How mirror and fibre stand at each draw and pose, in um, shape (n_draws, n_poses) each.
 
-        Distance of the fibre before the mirror's plane, cosine of the tilt, distance of the reflection point from the
-        mirror's origin, distance of that origin along the light.
+        Fibre before the mirror's plane, cosine of the tilt, offset of the reflection point, mirror's origin along it.
         """
         normals, origins = self.model.mirrors(self.draws, q)
         light = np.swapaxes(self.light, 1, 2)
@@ -114,8 +108,7 @@ def margin(
 ) -> Margin:
     """What a path leaves between mirror and fibre, with `draws` (n_draws, n_free) of the model's parameters.
 
-    exact: the draws know the gap, as a simulated truth does: the cell's own `gap_um` is not looked at.
-    rows: how many rows share the risk of `SIGMAS` standard deviations: each is held to its part (Bonferroni).
+    exact: the draws know the gap, as a simulated truth does. rows: how many share the risk (Bonferroni).
     boxes: poses that a box around many of them shows to be inside need no sizes of their own, which are NaN then.
     """
     envelope = require_envelope(model.cell)
@@ -151,10 +144,9 @@ def _room(sizes: Floats, envelope: Envelope) -> Floats:
 
 
 def _left_by_boxes(few: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float], gap: bool) -> Bools:
-    """Which poses (n_poses, n_joints) need a look of their own: no box of joints around many of them stays inside.
+    """Which poses need a look of their own: no box of joints around many of them stays inside; `gap`: it is known.
 
-    Boxes are halved while that costs less than a look at their poses; between the values that are looked at a quantity
-    may bend twice as much as it does on them. `gap` is false where the gap is not known.
+    Boxes are halved while that pays; between what is looked at a quantity may bend twice as much as it does there.
     """
     cell, left, full = few.model.cell, np.zeros(len(q), dtype=bool), np.ptp(q, axis=0) + 1e-300
     groups = [np.arange(len(q))]
@@ -207,10 +199,7 @@ def _sizes(known: Known, q: Floats, bounds: tuple[Envelope, Floats, float, float
 
 
 def _far(samples: Floats, z: float, extra_sd: float = 0.0) -> Floats:
-    """Upper end at `z` standard deviations of samples (n, m) with an independent normal part added; shape (m,).
-
-    A tilt times an offset is no normal quantity: the quantile follows skewness and kurtosis (Cornish and Fisher 1938).
-    """
+    """Upper end at `z` sd of samples (n, m) plus a normal part, (m,), also of skew ones (Cornish and Fisher 1938)."""
     mean, sd = samples.mean(axis=0), samples.std(axis=0)
     both = np.maximum(np.hypot(sd, extra_sd), 1e-12)
     away = (samples - mean) / both

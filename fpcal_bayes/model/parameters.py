@@ -34,9 +34,8 @@ class Parameter:
 
     name: str  # as in every file, table and plot: ``alpha_2``, ``beta_wf``
     unit: str  # ``deg``, ``um`` or ``ppm``: the unit in which a person reads and writes it
-    #: nominal, prior_sd: In internal units (rad, um, 1). ``prior_sd`` is zero where the parameter cannot be freed.
-    nominal: float
-    prior_sd: float
+    nominal: float  # in internal units (rad, um, 1)
+    prior_sd: float  # likewise; zero where the parameter cannot be freed
     kind: Kind  # ``intrinsic`` (of the robot) or ``extrinsic`` (where mirror and fibre sit)
     #: Position in the model vector: `LINK_SLOTS` of each link, what further beams have of their own, then the
     #: `EXTRINSICS` of the first beam.

@@ -59,6 +59,11 @@ class Trust:
         """The sentences that forbid the use of the result, or an empty text."""
         return "; ".join(reason.text for reason in self.reasons if KINDS[reason.kind])
 
+    @property
+    def texts(self) -> list[str]:
+        """What is held against it, a sentence each."""
+        return [reason.text for reason in self.reasons]
+
     def because(self, *reasons: Reason) -> "Trust":
         """The same with further reasons; a kind and text that stand already are not repeated."""
         return Trust(tuple(dict.fromkeys((*self.reasons, *reasons))))

@@ -39,7 +39,7 @@ def flat_content(estimate: Estimate) -> dict[str, Any]:
         "optical_axis": cell.optical_axis,
         "usable": int(estimate.trust.usable),
         "verdict": estimate.trust.verdict,
-        "reasons": "; ".join(reason.text for reason in estimate.trust.reasons),
+        "reasons": "; ".join(estimate.trust.texts),
         "session": estimate.data.get("session", ""),
         "time_h": estimate.time_h,
         "utc": made,

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text, require_writable
+from fpcal_bayes.core.files import read_text, require_suffix, require_writable
 from fpcal_bayes.core.times import clock as read_clock
 from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.recordings import write_recordings
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES
+from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Order, Ticket, orders_of
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.rig.results import doubtful_of, recordings_of, sweeps_of, write_session
+from fpcal_bayes.rig.results import doubtful_of, recordings_of, sweeps_of
 from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 SCHEMA = "fpcal-measure/1"
@@ -63,10 +63,7 @@ def origin_of(ticket: Ticket, campaign: Sweeps | None, now_s: float) -> Origin:
 
 
 class Agenda:
-    """The orders of a ticket and what came of them, with a journal beside the session's file `output`.
-
-    Raises InputError if the ticket is out of date, was measured before, or the journal is another ticket's.
-    """
+    """The orders of a ticket and what came of them, with a journal beside the session's file `output`."""
 
     def __init__(self, ticket: Ticket, cell: Cell, rig: Rig, output: Path, origin: Origin, command: str = "") -> None:
         self.ticket = ticket
@@ -80,8 +77,7 @@ class Agenda:
         self._journal = output.with_name(f"{output.name}.journal")
         self._disturbed = 0
         self._offered: set[int] = set()
-        if output.suffix.lower() not in (".csv", *HDF5_SUFFIXES):
-            raise InputError(f"{output}: expected a file name that ends in .csv, {' or '.join(HDF5_SUFFIXES)}")
+        require_suffix(output, ".csv", *HDF5_SUFFIXES)
         require_writable(output)
         whole = next((order.row for order in self.orders if order.whole), None)
         if whole is not None and isinstance(rig.instrument, IDSDevice):
@@ -157,7 +153,8 @@ class Agenda:
         if isinstance(self.rig.instrument, IDSDevice):
             found = self.sweeps()
             if found is not None:
-                write_session(self.output, found, doubtful_of(self.orders, self.outcomes), self.cell, self._command)
+                doubtful = doubtful_of(self.orders, self.outcomes)
+                write_sweeps(self.output, found, self.cell, command=self._command, doubtful=doubtful)
         else:
             found = recordings_of(self.orders, self.outcomes, self.cell, self.folder, self.origin.moment_s)
             if found is not None:

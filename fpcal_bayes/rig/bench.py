@@ -27,7 +27,7 @@ from fpcal_bayes.rig.drivers.photodiode import PhotodiodeProgram
 from fpcal_bayes.rig.drivers.pi import PIStage
 from fpcal_bayes.rig.drivers.smaract import SmarActStage
 from fpcal_bayes.rig.route import Guard
-from fpcal_bayes.rig.settings import ControllerSettings, IDSDevice, ProgramDevice, Rig
+from fpcal_bayes.rig.settings import ControllerSettings, IDSDevice, Rig
 
 #: Longest and shortest pause between two looks at the devices, in s of the wall.
 _LONGEST_PAUSE, _SHORTEST_PAUSE = 0.01, 0.0005
@@ -95,10 +95,7 @@ class Bench:
         return q
 
     def go(self, target: Floats, what: str, *, watch: bool = False) -> Floats:
-        """Move to a pose and wait until it is reached and held; the joint values read back.
-
-        With `watch` it raises `Disturbed`, at the target, if the fringes were lost on the way.
-        """
+        """Move to a pose and hold it; joint values read back. With `watch`, `Disturbed` there if fringes were lost."""
         self._log.check()
         here = self.position()
         # Where the joints were sent they stand; the encoders' last digits are no motion.
@@ -165,9 +162,9 @@ class Bench:
         i = int(np.argmax(away)) if away.any() else int(np.argmax(np.abs(q - target) / self._guard.tolerance))
         joint, scale, axis = self._cell.joints[i], self._cell.joint_scales[i], self._rig.joints[i].axis
         stands = f"q{i + 1} stands at {q[i] / scale:.9g} {joint.unit} after {s:.3g} s"
-        return DeviceError(
-            axis.name, self._address(axis.name), f"move q{i + 1} to {target[i] / scale:.9g}", f"not settled: {stands}"
-        )
+        address = next(each.address for each in self._rig.controllers if each.name == axis.name)
+        command = f"move q{i + 1} to {target[i] / scale:.9g}"
+        return DeviceError(axis.name, address, command, f"not settled: {stands}")
 
     def read(self, target: Floats) -> Reading:
         """Read positions and length at rest, at `target`; `Disturbed` if these do not stand still."""
@@ -300,13 +297,9 @@ class Bench:
         for link in self._links:
             link.close()
 
-    def _address(self, name: str) -> object:
-        return next((link.address for link in self._links if link.device == name), "?")
-
     def _link(self, name: str, device: Any) -> Link:
-        link = Link(name, device.address, device.timeout_s, self._halt, self._log)
-        self._links.append(link)
-        return link
+        self._links.append(Link(name, device.address, device.timeout_s, self._halt, self._log))
+        return self._links[-1]
 
     def _stage(self, settings: ControllerSettings) -> Stage:
         joints = tuple(i for i, joint in enumerate(self._rig.joints) if joint.axis.name == settings.name)
@@ -331,11 +324,6 @@ def only_one(rig: Rig) -> Iterator[None]:
                 what = "another fpcal drives it: wait until it has ended"
                 raise InputError(f"{controller.name} at {controller.address}: {what}") from error
         yield
-
-
-def is_recording(rig: Rig) -> bool:
-    """Whether a program records, in place of an interferometer that counts."""
-    return isinstance(rig.instrument, ProgramDevice)
 
 
 def _outcome(number: int, readings: list[Reading], closing: float) -> dict[str, Any]:

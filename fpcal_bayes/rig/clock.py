@@ -75,10 +75,7 @@ class Halt:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """While this lasts, Ctrl-C and requests to end ask that all stops, and do nothing else.
-
-        Nothing is raised in the middle of an exchange with a device; waits end because their `select` does.
-        """
+        """While this lasts, Ctrl-C and requests to end ask that all stops; no exchange with a device is cut by them."""
 
         def hear(number: int, frame: FrameType | None) -> None:
             self.request(f"interrupted by {signal.Signals(number).name}")

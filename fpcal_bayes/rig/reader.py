@@ -2,30 +2,18 @@
 
 import math
 import time
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.files import read_text, require_line_end
-from fpcal_bayes.io.validate import Tables, literal
+from fpcal_bayes.io.validate import Tables, literal, read_toml
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.joints import Joint
+from fpcal_bayes.rig import settings
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.drivers import attocube, pi, smaract
 from fpcal_bayes.rig.drivers.attocube import IDSSettings, Namespace
 from fpcal_bayes.rig.drivers.interface import Address
-from fpcal_bayes.rig.settings import (
-    ControllerSettings,
-    EmulationSettings,
-    FaultSettings,
-    IDSDevice,
-    JointSettings,
-    ProgramDevice,
-    Rig,
-    StageDriver,
-)
 
 SCHEMA = "fpcal-rig/1"
 
@@ -35,25 +23,16 @@ FAULTS = ("no-answer", "half-line", "end-stop", "following-error", "reset", "slo
 _PORTS = {"pi-gcs2": pi.DEFAULT_PORT, "smaract-mcs2": smaract.DEFAULT_PORT, "attocube-ids": attocube.DEFAULT_PORT}
 
 
-def read_rig(source: str | Path, cell: Cell) -> Rig:
+def read_rig(source: str | Path, cell: Cell) -> settings.Rig:
     """Read the rig of `cell` from a TOML file; InputError if anything in it is not as documented."""
     cell.require_one_beam("a rig")
-    path = Path(source)
-    text = read_text(path)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{source}: not a TOML file: {error}") from error
-    rig = _Reader(str(source)).rig(table, cell)
-    if text[-1:].isdigit():
-        require_line_end(path, text)
-    return rig
+    return _Reader(str(source)).rig(read_toml(Path(source)), cell)
 
 
 class _Reader(Tables):
     """Turns the tables of one file into a rig; every refusal names the file and the key."""
 
-    def rig(self, table: dict[str, Any], cell: Cell) -> Rig:
+    def rig(self, table: dict[str, Any], cell: Cell) -> settings.Rig:
         self.keys(table, "", {"schema", "name", "clock", "session", "controller", "joint", "interferometer", "emulate"})
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
@@ -73,8 +52,8 @@ class _Reader(Tables):
         if idle:
             raise self.error(f"controller.{sorted(idle)[0]}", "no joint of the cell is on it, expected one or more")
         instrument = self.instrument(self.table(table, "", "interferometer"))
-        counting = [instrument.name] if isinstance(instrument, IDSDevice) else []
-        return Rig(
+        counting = [instrument.name] if isinstance(instrument, settings.IDSDevice) else []
+        return settings.Rig(
             file=str(self.file),
             name=self.text(table, "", "name"),
             clock=self.clock(self.optional(table, "", "clock")),
@@ -92,14 +71,14 @@ class _Reader(Tables):
         speedup = self.number(table, "clock", "speedup", low=1.0, high=1e6, default=1.0)
         return Clock(speedup, self.number(table, "clock", "anchor_s", low=0.0, default=time.time()))
 
-    def controller(self, named: dict[str, Any], name: str) -> ControllerSettings:
+    def controller(self, named: dict[str, Any], name: str) -> settings.ControllerSettings:
         table, place = self.table(named, "controller", name), f"controller.{name}"
         self.keys(table, place, {"driver", "address", "timeout_s", "servo_on"})
-        driver = self.choice(table, place, "driver", get_args(StageDriver), None)
+        driver = self.choice(table, place, "driver", get_args(settings.StageDriver), None)
         address, servo_on = self.address(table, place, _PORTS[driver]), self.flag(table, place, "servo_on")
-        return ControllerSettings(name, driver, address, self.timeout(table, place, 2.0), servo_on)
+        return settings.ControllerSettings(name, driver, address, self.timeout(table, place, 2.0), servo_on)
 
-    def joint(self, table: dict[str, Any], place: str, joint: Joint, controllers: set[str]) -> JointSettings:
+    def joint(self, table: dict[str, Any], place: str, joint: Joint, controllers: set[str]) -> settings.JointSettings:
         unit, scale, stated = joint.unit, 1.0 if joint.unit == "um" else math.radians(1.0), joint.controller
         known = {f"speed_{unit}_s", f"tolerance_{unit}", "settle_s", "settle_timeout_s", "controller", "channel"}
         self.keys(table, place, known)
@@ -110,7 +89,7 @@ class _Reader(Tables):
             raise self.error(
                 f"{place}.controller", f"expected one of {', '.join(sorted(controllers))}, found {name!r:.60}"
             )
-        return JointSettings(
+        return settings.JointSettings(
             replace(stated, name=name, channel=self.line(table, place, "channel", stated.channel)),
             speed=self.number(table, place, f"speed_{unit}_s", low=1e-9, high=1e6) * scale,
             tolerance=self.number(table, place, f"tolerance_{unit}", low=1e-9, high=1e3) * scale,
@@ -118,7 +97,7 @@ class _Reader(Tables):
             settle_timeout_s=self.number(table, place, "settle_timeout_s", low=0.001, high=3600.0, default=10.0),
         )
 
-    def each_once(self, joints: tuple[JointSettings, ...], places: list[str]) -> None:
+    def each_once(self, joints: tuple[settings.JointSettings, ...], places: list[str]) -> None:
         seen: dict[tuple[str, str], str] = {}
         for place, joint in zip(places, joints, strict=True):
             name, channel = joint.axis.name, joint.axis.channel
@@ -127,11 +106,11 @@ class _Reader(Tables):
                 what = f"{name} channel {channel} moves {before} already, expected another"
                 raise self.error(f"joint.{place}.channel", what)
 
-    def instrument(self, table: dict[str, Any]) -> IDSDevice | ProgramDevice:
+    def instrument(self, table: dict[str, Any]) -> settings.IDSDevice | settings.ProgramDevice:
         place = "interferometer"
         if "record" in table:
             self.keys(table, place, {"record", "timeout_s"})
-            return ProgramDevice(self.text(table, place, "record"), self.timeout(table, place, 10.0))
+            return settings.ProgramDevice(self.text(table, place, "record"), self.timeout(table, place, 10.0))
         known = {"driver", "name", "address", "timeout_s", "axis", "namespace", "sign", "noise_nm", "samples"}
         self.keys(table, place, known | {"steady_nm", "least_contrast_permille", "air"})
         self.choice(table, place, "driver", ("attocube-ids",), None)
@@ -142,7 +121,7 @@ class _Reader(Tables):
         samples = self.whole(table, place, "samples", 1, 10_000, 8)
         spread_nm = 10.0 * noise * math.sqrt(samples) * 1e3
         contrast = "least_contrast_permille"
-        settings = IDSSettings(
+        read = IDSSettings(
             axis=self.whole(table, place, "axis", 0, 2, 0),
             namespace=self.choice(table, place, "namespace", get_args(Namespace), "auto"),
             sign=sign,
@@ -153,14 +132,14 @@ class _Reader(Tables):
         )
         address = self.address(table, place, attocube.DEFAULT_PORT)
         name = self.line(table, place, "name", "IDS3010")
-        return IDSDevice(name, address, self.timeout(table, place, 2.0), settings, noise)
+        return settings.IDSDevice(name, address, self.timeout(table, place, 2.0), read, noise)
 
-    def emulation(self, table: dict[str, Any], devices: set[str]) -> EmulationSettings:
+    def emulation(self, table: dict[str, Any], devices: set[str]) -> settings.EmulationSettings:
         self.keys(table, "emulate", {"truth", "seed", "time_h", "settle_s", "fault"})
         entries = table.get("fault", [])
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
             raise self.error("emulate.fault", "expected [[emulate.fault]] tables")
-        return EmulationSettings(
+        return settings.EmulationSettings(
             truth=self.line(table, "emulate", "truth", ""),
             seed=self.whole(table, "emulate", "seed", 0, 2**32 - 1, 0),
             time_h=self.number(table, "emulate", "time_h", default=0.0),
@@ -168,9 +147,9 @@ class _Reader(Tables):
             faults=tuple(self.fault(entry, f"emulate.fault {i}", devices) for i, entry in enumerate(entries, 1)),
         )
 
-    def fault(self, entry: dict[str, Any], place: str, devices: set[str]) -> FaultSettings:
+    def fault(self, entry: dict[str, Any], place: str, devices: set[str]) -> settings.FaultSettings:
         self.keys(entry, place, {"device", "kind", "at_s", "duration_s"})
-        return FaultSettings(
+        return settings.FaultSettings(
             self.choice(entry, place, "device", tuple(sorted(devices)), None),
             self.choice(entry, place, "kind", FAULTS, None),
             self.number(entry, place, "at_s", low=0.0),

@@ -1,18 +1,14 @@
-"""What was measured, as a session: rows, what is in doubt, and the file that holds both."""
+"""What was measured, as a session: rows, recordings, and what is in doubt."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fpcal_bayes.core.times import iso
-from fpcal_bayes.core.typing import Bools, Floats
-from fpcal_bayes.io.campaign import write_campaign
-from fpcal_bayes.io.sweeps import HDF5_SUFFIXES, write_sweeps
 from fpcal_bayes.io.traces import read_trace
-from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord
+from fpcal_bayes.measure.campaign import DoubtfulRecord
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.ticket import Order
@@ -35,7 +31,8 @@ def sweeps_of(
         for label, target, reading in zip(order.labels, order.targets, others, strict=True):
             side = np.where(target != before, np.sign(target - before), side).astype(int)
             before = target
-            end = _stood(target != order.start, start, np.array(reading["q"]))
+            # A joint that was not sent anywhere stands where it stood, whatever its encoder shows.
+            end = np.where(target != order.start, np.array(reading["q"]), start)
             celsius = reading["temperature_c"]
             rows.append(
                 {
@@ -93,7 +90,7 @@ def recordings_of(
     traces = [read_trace(folder / outcome["trace"], float(s)) for (_, outcome), s in zip(kept, scales, strict=True)]
     sweeps = Sweeps.of_um_rad(
         ends[0],
-        _stood(moved, *ends),
+        np.where(moved, ends[1], ends[0]),
         session=[order.session for order, _ in kept],
         label=[order.label for order, _ in kept],
         time_h=(np.array(moments) - origin_s) / 3600.0,
@@ -101,16 +98,3 @@ def recordings_of(
         file="session",
     )
     return TraceIndex.of(sweeps, traces)
-
-
-def write_session(path: Path, sweeps: Sweeps, doubtful: DoubtfulRecord | None, cell: Cell, command: str) -> None:
-    """Write a session, whole or not at all; a CSV holds its rows only."""
-    if path.suffix.lower() in HDF5_SUFFIXES:
-        write_campaign(path, replace(Campaign.of(sweeps, cell, command=command), doubtful=doubtful), cell)
-    else:
-        write_sweeps(path, sweeps, cell)
-
-
-def _stood(moved: Bools, start: Floats, end: Floats) -> Floats:
-    """Joint values at the end: one that was not sent anywhere stands where it stood, whatever its encoder shows."""
-    return np.where(moved, end, start)

@@ -201,10 +201,7 @@ class Guard:
 
 
 def dry_run(guard: Guard, orders: Sequence[Order], at: Floats) -> list[list[Leg]]:
-    """Every move of every order, looked at and timed, none made.
-
-    Raises ForbiddenMoveError at the first move that must not be made.
-    """
+    """Every move of every order, looked at and timed, none made; `ForbiddenMoveError` at the first forbidden one."""
     moves: list[list[tuple[Floats, Floats, str]]] = []
     for before, order in zip([None, *orders], orders, strict=False):
         moves.append(guard.moves(order, at, before))

@@ -42,8 +42,7 @@ class Failed(Exception):
 def measure(agenda: Agenda, bench: Bench, guard: Guard, tell: Callable[[Progress], None]) -> Summary:
     """Drive all orders that are left; `Failed` if a device is lost, a move is forbidden, or all must stop.
 
-    Every move of the ticket is looked at before the first is made. Whatever goes wrong, the axes are stopped before
-    anything else is done.
+    Every move is looked at before the first is made. Whatever goes wrong, the axes are stopped before all else.
     """
     if not agenda.left:
         return _summary(agenda, agenda.should_stop()[1])

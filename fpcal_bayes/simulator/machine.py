@@ -122,10 +122,7 @@ class Machine:
         return result
 
     def reach(self, poses: Floats, side: Floats) -> Floats:
-        """Own-axis errors with which the joints reach poses one after the other, shape (n, n_joints).
-
-        A return error stays while a joint stands still; reversal is by the direction of approach.
-        """
+        """Own-axis errors with which joints reach poses in their order, shape (n, n_joints); one at rest keeps its."""
         reached = np.empty_like(poses)
         error = self.return_sd * self.rng.standard_normal(poses.shape[1])
         last = poses[0]
@@ -176,7 +173,7 @@ class Machine:
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
 
-        `approach` are signs of the motion by which each joint came there, 0 where it has not moved yet.
+        approach: signs of the motion by which each joint came there, 0 where it has not moved yet.
         """
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))

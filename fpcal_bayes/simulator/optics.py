@@ -17,14 +17,17 @@ from fpcal_bayes.simulator.machine import Machine
 
 #: Points at which the speed of a sweep is looked at before it is recorded.
 _COARSE = 257
+#: Periods of the ripple of the velocity in a recording.
+_RIPPLE_CYCLES = 7
+#: Ends of a wavelength scan in um, and its samples.
+_SCAN = (1.520, 1.600, 1601)
 
 
 @dataclass(frozen=True)
 class RecorderSettings:
     """Motion, disturbances and noise of a recording; the defaults are those of a good laboratory.
 
-    With the defaults the fastest of the paper's sweeps, 40 um along the optical axis, has 35 samples a fringe, all
-    others more than 50.
+    With them the fastest of the paper's sweeps has 35 samples a fringe, all others more than 50.
     """
 
     duration_s: float = 10.0  # of the motion of a sweep or a path
@@ -34,10 +37,7 @@ class RecorderSettings:
     #: sweep, shape (n,). The robot is simulated, so the rig knows.
     samples_per_fringe: float | Floats | None = None
     fewest_samples: int = 40  # of a trace, where `samples_per_fringe` sets the rate
-    #: velocity_ripple, ripple_cycles: Relative amplitude of a sine in the velocity and its periods in a recording, a
-    #: whole number; its phase is drawn.
-    velocity_ripple: float = 0.1
-    ripple_cycles: int = 7
+    velocity_ripple: float = 0.1  # relative amplitude of a sine in the velocity, of drawn phase
     #: Peak to peak change of the signal's gain during a recording, about, relative: a ramp and a bow in drawn shares.
     envelope_change: float = 0.01
     #: The same of a voltage added to the signal, relative to the trace's mean fringe amplitude.
@@ -46,8 +46,6 @@ class RecorderSettings:
     #: Standard deviation of a sample's voltage relative to the trace's mean fringe amplitude; None takes the volts that
     #: the cell states.
     noise: float | None = None
-    #: Standard deviation of independent noise on the cavity length at each sample (vibration), in um.
-    length_noise: float = 0.0
     #: Whether visibility follows the mirror's distance and tilt along a trace; else it stays as at the trace's start.
     fading: bool = True
     #: wavelength_error, wavelength_drift: What the laser is off by, and its drift during a recording, in um; they
@@ -58,32 +56,20 @@ class RecorderSettings:
     temperature_c: float = float("nan")
     pressure_hpa: float = float("nan")
     humidity_pct: float = float("nan")
-    #: scan_from, scan_to, scan_samples: Ends of a wavelength scan in um and its samples.
-    scan_from: float = 1.520
-    scan_to: float = 1.600
-    scan_samples: int = 1601
-    reference_fringes: float = 3.0  # fringes that the reference scans before and after a path span
     #: Whether a path starts from the nearest point at half fringe height, to which the reference joint is moved.
     quadrature: bool = True
 
     def __post_init__(self) -> None:
-        def above(name: str) -> bool:
-            return bool(np.all(np.asarray(getattr(self, name)) > 0))
-
-        positive = ("duration_s", "rate_hz", "fewest_samples", "scan_from", "scan_to", "reference_fringes")
-        checks = {name: (above(name), "a number above zero") for name in positive}
-        for name in ("rest_s", "envelope_change", "offset_drift", "cyclic_error", "length_noise"):
-            checks[name] = getattr(self, name) >= 0, "zero or more"
-        checks |= {
-            "velocity_ripple": (0 <= self.velocity_ripple < 1, "0 to below 1: the joint must not turn back"),
-            "ripple_cycles": (int(self.ripple_cycles) == self.ripple_cycles > 0, "a whole number above zero"),
-            "noise": (self.noise is None or self.noise >= 0, "zero or more"),
-            "scan_samples": (self.scan_samples >= 2, "two or more"),
-            "samples_per_fringe": (self.samples_per_fringe is None or above("samples_per_fringe"), "above zero"),
-        }
-        for name, (good, expected) in checks.items():
-            if not good:
-                raise InputError(f"recorder: {name} = {getattr(self, name)}: expected {expected}")
+        for name in ("duration_s", "rate_hz", "fewest_samples", "samples_per_fringe"):
+            stated = getattr(self, name)
+            if stated is not None and not np.all(np.asarray(stated) > 0):
+                raise InputError(f"recorder: {name} = {stated}: expected a number above zero")
+        for name in ("rest_s", "envelope_change", "offset_drift", "cyclic_error", "noise"):
+            if (getattr(self, name) or 0.0) < 0:
+                raise InputError(f"recorder: {name} = {getattr(self, name)}: expected zero or more")
+        if not 0 <= self.velocity_ripple < 1:
+            what = "expected 0 to below 1: the joint must not turn back"
+            raise InputError(f"recorder: velocity_ripple = {self.velocity_ripple}: {what}")
 
 
 #: How joints have reached poses: own-axis errors (n, n_joints) in um and rad, without the encoders' part, and
@@ -174,7 +160,7 @@ class SimulatedOptics:
         if n == 0:
             return np.zeros(0)
         time, s = np.linspace(0.0, 1.0, n), self.settings
-        turn = 2.0 * np.pi * s.ripple_cycles
+        turn = 2.0 * np.pi * _RIPPLE_CYCLES
         done: Floats = time + s.velocity_ripple / turn * (np.sin(turn * time + ripple) - np.sin(ripple))
         done[-1] = 1.0
         rest = round(s.rest_s / s.duration_s * (n - 1))
@@ -187,8 +173,6 @@ class SimulatedOptics:
         time = np.linspace(0.0, 1.0, len(length)) if at is None else at
         if not s.fading:
             distance, tilt = distance[:1], tilt[:1]
-        if s.length_noise > 0:
-            length = length + s.length_noise * chances.random.standard_normal(len(length))
         light = optics.wavelength + s.wavelength_error + s.wavelength_drift * time
         share = reflected(optics, length, distance, tilt, wavelength=light, index=self.index)
         amplitude = fringe(optics, distance, tilt)[1]
@@ -204,7 +188,7 @@ class SimulatedOptics:
     def scan(self, q: Floats, time_h: float, chances: Chances, reached: Reached | None = None) -> WavelengthScan:
         """A wavelength scan at rest at one joint vector (n_joints,)."""
         s, optics = self.settings, self.cell.interferometer
-        told = np.linspace(s.scan_from, s.scan_to, s.scan_samples)
+        told = np.linspace(*_SCAN)
         length, distance, tilt = self.views(q[None], np.array([time_h]), np.zeros(1, dtype=np.int64), reached)
         share = reflected(optics, length, distance, tilt, wavelength=told + s.wavelength_error, index=self.index)
         height = optics.gain * float(fringe(optics, distance, tilt)[1][0])

@@ -24,8 +24,8 @@ from fpcal_bayes.simulator.machine import Machine
 from fpcal_bayes.simulator.optics import Chances, Reached, RecorderSettings, SimulatedOptics
 from fpcal_bayes.simulator.sweeps import machine_of
 
-#: Samples of the reference scan for each of its fringes.
-_REFERENCE_SAMPLES = 40
+#: Fringes that the reference scans before and after a path span, and samples for each of them.
+_REFERENCE_FRINGES, _REFERENCE_SAMPLES = 3.0, 40
 
 
 def check_recordable(sweeps: Sweeps) -> None:
@@ -52,8 +52,8 @@ def record_sweeps(
 ) -> TraceIndex:
     """Record sweeps on the simulated cell; one with mechanics is a machine that is drawn by `seed`.
 
-    sweeps: a plan of sweeps of one joint each, and of absolute lengths; each is recorded with the truth of its time.
-    Joints reach either end with the cell's repeatability; traces hold the positions that the controller believes.
+    sweeps: a plan of sweeps of one joint each, and of absolute lengths. Joints reach either end with the cell's
+    repeatability; traces hold the positions that the controller believes.
     scans: which sweeps have a wavelength scan before and after, shape (n,); absolute lengths have one in any case.
     """
     settings = RecorderSettings() if settings is None else settings
@@ -147,7 +147,7 @@ def record_path(
         errors = machine.reach(path, machine.side) - machine.periodic(path)
     rig = SimulatedOptics(cell, truth, RecorderSettings() if settings is None else settings, machine)
     chance = Chances.several(seed, 1, len(cell.joints))[0]
-    n_reference = max(FEWEST, round(_REFERENCE_SAMPLES * rig.settings.reference_fringes))
+    n_reference = max(FEWEST, round(_REFERENCE_SAMPLES * _REFERENCE_FRINGES))
     n_path = max(FEWEST, round(rig.settings.rate_hz * rig.settings.duration_s) + 1)
     reference = np.repeat([True, False, True], [n_reference, n_path, n_reference])
     at = np.linspace(0.0, 1.0, len(reference))
@@ -163,7 +163,7 @@ def record_path(
 
     def scan_at(pose: Floats) -> Floats:
         moved = np.repeat(pose[None], n_reference, axis=0)
-        moved[:, joint] += _swing(cell, pose, joint, slope, rig.settings.reference_fringes, n_reference)
+        moved[:, joint] += _swing(cell, pose, joint, slope, n_reference)
         return moved
 
     first = scan_at(path[0])
@@ -196,9 +196,9 @@ def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:
     return joint, float(slopes[joint])
 
 
-def _swing(cell: Cell, q: Floats, joint: int, slope: float, fringes: float, n: int) -> Floats:
+def _swing(cell: Cell, q: Floats, joint: int, slope: float, n: int) -> Floats:
     """Moves of the reference joint, out and back, towards the middle of its range; shape (n,)."""
     low, high = cell.low[joint], cell.high[joint]
     inwards = -1.0 if np.isfinite(low + high) and q[joint] > (low + high) / 2 else 1.0
-    moves: Floats = inwards * fringes * cell.wavelength / 2.0 / abs(slope) * np.sin(np.linspace(0.0, np.pi, n)) ** 2
-    return moves
+    size = inwards * _REFERENCE_FRINGES * cell.wavelength / 2.0 / abs(slope)
+    return np.asarray(size * np.sin(np.linspace(0.0, np.pi, n)) ** 2)

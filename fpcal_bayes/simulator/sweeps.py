@@ -79,8 +79,7 @@ def simulate_um(
 ) -> Sweeps:
     """Measure sweeps on the simulated cell; rows that are not signed get the size of their change.
 
-    A cell with mechanics is a machine whose error motions are drawn from the stated sizes by `machine_seed` (by
-    default `seed`), with functions of another family than those that are fitted; see `simulator.machine`.
+    A cell with mechanics is a machine whose error motions are drawn by `machine_seed` (by default `seed`).
 
     A row's reading is the difference of one at its end and one at its start, each with the noise sigma / sqrt(2).
     Rows of a group share the reading and the pose reached at their start, so their noises have correlation 1/2.

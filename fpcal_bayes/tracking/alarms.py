@@ -31,17 +31,13 @@ HOURS_PER_WEEK = 168.0
 class Limits:
     """When a session is called inconsistent."""
 
-    # full_per_week, extrinsic_per_week: false alarms a week that call for a full calibration, and that only widen the
-    # extrinsic parameters
-    full_per_week: float = 0.014
-    extrinsic_per_week: float = 0.02
+    full_per_week: float = 0.014  # false alarms a week that call for a full calibration
+    extrinsic_per_week: float = 0.02  # those that only widen the extrinsic parameters
     looks: int = 3  # for how many sessions a jump is looked for after it
     window: int = 6  # number of sessions whose innovations are summed
-    # knock_deg, knock_um: standard deviation of a jump of an extrinsic parameter
-    knock_deg: float = 0.1
+    knock_deg: float = 0.1  # standard deviation of a jump of an extrinsic parameter
     knock_um: float = 20.0
-    # change_deg, change_um: the same of an intrinsic parameter
-    change_deg: float = 0.1
+    change_deg: float = 0.1  # the same of an intrinsic parameter
     change_um: float = 2.0
 
     def jump(self, drift: DriftModel) -> Floats:
@@ -65,12 +61,10 @@ class Onset:
     hours: float  # time since the session before it
     age: int  # number of sessions since, itself included
     response: Floats  # what is left of a jump in the error of the state now, shape (n_states, n_parameters)
-    # information, score: of the regression, shapes (n_parameters, n_parameters) and (n_parameters,)
-    information: Floats
-    score: Floats
-    # squared, dof: sum of normalised innovations squared since, and of their degrees of freedom
-    squared: float
-    dof: int
+    information: Floats  # of the regression, shape (n_parameters, n_parameters)
+    score: Floats  # likewise, shape (n_parameters,)
+    squared: float  # sum of normalised innovations squared since
+    dof: int  # of their degrees of freedom
 
     def with_session(self, innovation: Innovation, gain: Floats, predicted_response: Floats) -> "Onset":
         """With one more session, taken in by `gain`; `predicted_response` is `response` carried to its time."""
@@ -102,11 +96,9 @@ class Monitor:
     """What the tests remember from session to session."""
 
     onsets: tuple[Onset, ...] = ()  # sessions that may hold a jump, oldest first
-    # normalised innovation squared and degrees of freedom of the last sessions, oldest first
-    recent: tuple[tuple[float, int], ...] = ()
-    # cumulative sums of normal scores: of what extrinsic parameters could explain, and of the rest
-    cusum_extrinsic: float = 0.0
-    cusum_residual: float = 0.0
+    recent: tuple[tuple[float, int], ...] = ()  # innovation squared and degrees of freedom, oldest first
+    cusum_extrinsic: float = 0.0  # cumulative sum of normal scores: of what extrinsic parameters could explain
+    cusum_residual: float = 0.0  # of the rest
 
 
 #: A cumulative sum of normal scores above 0.5 that reaches this does so by chance once in 2,000 weeks of 8-hourly
@@ -131,10 +123,7 @@ def extend(
     limits: Limits,
     drift: DriftModel,
 ) -> Monitor:
-    """Take a session, `hours` after the one before, into the memory of the tests.
-
-    `matrix` is the transition of the state over them; `innovation` and Kalman `gain` belong together.
-    """
+    """Take a session into the memory of the tests, `hours` and the transition `matrix` after the one before."""
     fresh = _fresh(session, hours, limits, drift)
     onsets = [onset.with_session(innovation, gain, matrix @ onset.response) for onset in monitor.onsets]
     onsets.append(fresh.with_session(innovation, gain, fresh.response))
@@ -166,8 +155,7 @@ def _summed(total: float, squared: float, dof: int) -> float:
 def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: float = 0.0) -> list[Finding]:
     """Tests that fail after a session that `extend` took in, those that call for a full calibration first.
 
-    A change of the robot before an earlier session counts only if it raises the log likelihood by more than
-    `step_gain`, as a knock just before the last one does.
+    An earlier change of the robot counts only if it gains more log likelihood than a knock just before, `step_gain`.
     """
     last, found = monitor.onsets[-1], []
     for onset in monitor.onsets:
@@ -207,10 +195,7 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
 
 
 def power(innovation: Innovation, hours: float, limits: Limits, drift: DriftModel) -> Floats:
-    """Probability that a session shows a jump, by its size in `Limits.jump`, of each parameter, shape (n_parameters,).
-
-    The session, `hours` after the one before, may be measured or planned. Zero for extrinsic parameters.
-    """
+    """Probability that a session, measured or planned, shows a jump of each parameter (n,); zero for extrinsic ones."""
     intrinsic = ~drift.extrinsic
     onset = _fresh("", hours, limits, drift)
     onset = onset.with_session(innovation, np.zeros((drift.n_states, len(innovation.misfit))), onset.response)
@@ -264,10 +249,7 @@ def _explained(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[float, int]:
 
 
 def _single_jumps(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
-    """A jump of each intrinsic parameter alone: standard score, size, information, gain in log likelihood.
-
-    By regression that allows for a jump of the extrinsic ones at the same session.
-    """
+    """Score, size, information, log likelihood gain of a jump of each intrinsic parameter beside an extrinsic one."""
     e, i = np.flatnonzero(extrinsic), np.flatnonzero(~extrinsic)
     own = onset.information[np.ix_(e, e)] + np.eye(len(e)) / _NUISANCE**2
     cross = onset.information[np.ix_(e, i)]

@@ -24,20 +24,17 @@ from fpcal_bayes.tracking.measurement import SweepMeasurement
 class RowChanges:
     """An innovation whose rows change by whole half wavelengths, by the Woodbury identity.
 
-    With `w` half wavelengths taken off row i, its square becomes ``squared - 2 w along[i] + w**2 size[i]``. With the
-    whitened Jacobian ``H = Q R``, the inverse covariance of the whitened rows is ``I - Q M Q'``, where
-    ``M = I - (I + R P R')^-1`` has a row for each state.
+    With `w` half wavelengths off row i its square is ``squared - 2 w along[i] + w**2 size[i]``. With the Jacobian
+    ``H = Q R`` the rows' inverse covariance is ``I - Q M Q'``, ``M = I - (I + R P R')^-1`` with a row per state.
     """
 
-    # squared, along, size: normalised innovation squared with the changes made so far, and see above, shape (n_rows,)
-    squared: float
-    along: Floats
-    size: Floats
+    squared: float  # normalised innovation squared, with the changes made so far
+    along: Floats  # see above, shape (n_rows,)
+    size: Floats  # likewise
     # product of the half wavelengths of each two rows without the state, shape (n_rows, n_rows), nearly all zero
     own: sparse.csc_array
-    # seen, weighed: half a wavelength of each row along Q, and times M, both of shape (n_rows, n_states)
-    seen: Floats
-    weighed: Floats
+    seen: Floats  # half a wavelength of each row along Q, shape (n_rows, n_states)
+    weighed: Floats  # the same times M
 
     def taken_off(self, row: int, waves: int) -> Self:
         """With whole half wavelengths taken off one row."""
@@ -52,8 +49,7 @@ def row_changes(measurement: SweepMeasurement, predicted: State) -> RowChanges:
     """The changes of half a wavelength that the rows of a session, linearised at `predicted`, may have."""
     half_wave, whitening = measurement.model.half_waves(measurement.rows), measurement.whitening
     misfit, jacobian = measurement.linearise(predicted.mean)
-    mix = sparse.diags_array(whitening.scale) if whitening.mix is None else whitening.mix
-    waves = sparse.csr_array(mix @ sparse.diags_array(half_wave))
+    waves = sparse.csr_array(whitening.as_matrix @ sparse.diags_array(half_wave))
     directions, triangle = np.linalg.qr(jacobian)
     spread = np.eye(len(triangle)) + triangle @ predicted.covariance @ triangle.T
     explained = np.eye(len(triangle)) - np.linalg.inv(spread)
@@ -79,10 +75,7 @@ _ACCEPT = 1e-3
 
 
 def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: Sweeps) -> tuple[Sweeps, list[str]]:
-    """The rows of a session with their signs, decided by what the state predicts, and a warning if rows were left out.
-
-    Rows with a clear sign are taken in first, which may make those of others clear. Rows that stay open are left out.
-    """
+    """The rows with the signs that the state predicts, and a warning if rows that stay open were left out."""
     known = sweeps.signed | sweeps.absolute
     if known.all():
         return sweeps, []
@@ -116,10 +109,9 @@ def with_signs(drift: DriftModel, model: CavityModel, predicted: State, sweeps: 
 def correct_slips(
     sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
 ) -> tuple[Floats, list[str]]:
-    """Take whole half wavelengths off rows if that explains an innovation far better than all else does.
+    """Take whole half wavelengths off signed rows if that explains a large innovation far better than all else.
 
-    Gives the changes (n_rows,), in um, corrected or not, and what is to be said. The session is signed and its
-    innovation too large; `jumps`, each of shape (n_states,), are standard deviations of those that may explain it.
+    Gives dL (n_rows,), in um, corrected or not, and what is to be said; `jumps` (n_states,) are sd of likely ones.
     """
     half_wave = measurement.model.half_waves(measurement.rows)
     count = len(sweeps)
@@ -156,10 +148,7 @@ def correct_slips(
 def outlying_sweep(
     sweeps: Sweeps, measurement: SweepMeasurement, innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]
 ) -> Ints | None:
-    """Rows of the sweep whose noise, of three degrees of freedom, explains an innovation better than all else does.
-
-    None if a change of the cell explains it better; arguments as in `correct_slips`.
-    """
+    """Rows of the sweep whose Student-3 noise explains an innovation best; None: a change of the cell does."""
     misfit, jacobian = measurement.linearise(predicted.mean)
     own = measurement.whitening.apply(np.eye(len(misfit)))
     solved = linalg.cho_solve(
@@ -186,10 +175,7 @@ def outlying_sweep(
 
 
 def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, ...]) -> float:
-    """How much the best explanation without a slip raises the log likelihood, its rarity taken off; at least zero.
-
-    That is chance, each of `jumps`, or a parameter of the last of them alone.
-    """
+    """What chance, a jump of `jumps`, or one of one parameter gains in log likelihood, rarity taken off."""
     gains = [0.0]
     rarity = float(np.log(_JUMP))
     for jump in jumps:
@@ -203,11 +189,7 @@ def _other_gains(innovation: Innovation, predicted: State, jumps: tuple[Floats, 
 
 
 def _most(evidence: float, log_odds: float, innovation: Innovation, squared: float, left: Floats) -> float:
-    """How much the log likelihood can rise at most by the slips found so far and further ones.
-
-    Among few rows the state may hide a slip, and one more may explain all that is left; among many each shows by
-    itself.
-    """
+    """Most that slips can raise the log likelihood; among few rows one more may explain all that is left."""
     if len(innovation.misfit) == innovation.dof:
         return evidence + log_odds + 0.5 * innovation.squared
     falls = squared - left.min(axis=0)

@@ -27,9 +27,8 @@ class State:
     """What is known at a time."""
 
     time_h: float  # hours since the campaign began
-    # mean, covariance: of the states of a `DriftModel`, shapes (n_states,) and (n_states, n_states)
-    mean: Floats
-    covariance: Floats
+    mean: Floats  # of the states of a `DriftModel`, shape (n_states,)
+    covariance: Floats  # shape (n_states, n_states)
     temperature_c: float = float("nan")  # last temperature that was logged, or NaN
 
 
@@ -37,9 +36,8 @@ class State:
 class Transition:
     """One step in time: x becomes ``matrix @ x + shift`` plus noise of covariance `noise`."""
 
-    # matrix, noise: shape (n_states, n_states)
-    matrix: Floats
-    noise: Floats
+    matrix: Floats  # shape (n_states, n_states)
+    noise: Floats  # likewise
     shift: Floats  # shape (n_states,)
 
 
@@ -47,9 +45,8 @@ class Transition:
 class DriftModel:
     """Drift of a set of parameters.
 
-    The state holds the parameters, as deviations from their nominal value in units of their prior standard deviation,
-    the error motions of the joints, which stay as they are, then what drives the parameters: rates, returning motions,
-    temperature coefficients, each in units of its own standard deviation.
+    The state holds the parameters, from nominal in prior standard deviations, the error motions, which stay, then what
+    drives the parameters: rates, returning motions, temperature coefficients, in their own standard deviations.
     """
 
     parameters: ParameterSet  # the parameters that are followed
@@ -58,8 +55,7 @@ class DriftModel:
     # `with_hidden_noise`)
     hidden: Floats | None = field(default=None, compare=False)
     motions: MotionStates | None = field(default=None, compare=False)  # of a machine, as its calibration found them
-    # how many times as fast as stated robot, and mirror and fibre walk (see `with_learnt_pace`)
-    pace: tuple[float, float] = (1.0, 1.0)
+    pace: tuple[float, float] = (1.0, 1.0)  # robot's, and mirror's and fibre's, times the stated walk
 
     @classmethod
     def of(cls, cell: Cell, parameters: ParameterSet | None = None) -> "DriftModel":
@@ -138,10 +134,7 @@ class DriftModel:
         return tuple(np.flatnonzero(part).tolist() for part in parts)
 
     def initial(self, values: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """Mean (n_states,) and covariance of the state after a calibration, given those in um and rad.
-
-        What drives the parameters starts at its prior: a calibration at one time says nothing about it.
-        """
+        """Mean and covariance of the state after a calibration in um and rad; what drives it starts at its prior."""
         n = self.n_parameters
         mean, full = np.zeros(self.n_states), np.eye(self.n_states)
         mean[:n] = (values - self.parameters.nominal) / self.scale

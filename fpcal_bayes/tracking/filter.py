@@ -33,15 +33,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Innovation:
-    """What rows say beyond the prediction, linearised at it.
+    """What rows say beyond the prediction, linearised at it; of many rows the `equivalent_rows`."""
 
-    For many rows it holds the `equivalent_rows`, so that all it is asked costs no more than linearly in rows.
-    """
-
-    # misfit, jacobian: whitened measurement minus prediction (n_equivalent,), and derivatives by the state
-    # (n_equivalent, n_states)
-    misfit: Floats
-    jacobian: Floats
+    misfit: Floats  # whitened measurement minus prediction, shape (n_equivalent,)
+    jacobian: Floats  # its derivatives by the state, shape (n_equivalent, n_states)
     factor: Floats  # lower Cholesky factor of the misfit's covariance, shape (n_equivalent, n_equivalent)
     log_volume: float
     dof: int  # number of rows that were measured
@@ -102,10 +97,7 @@ class Update:
 
 
 def predict(drift: DriftModel, state: State, time_h: float, temperature_c: float = float("nan")) -> State:
-    """The state at a later time, before anything is measured then.
-
-    `temperature_c` is logged at that time, or NaN: the temperature is then taken as unchanged.
-    """
+    """The state at a later time, before anything is measured then; an unlogged temperature is NaN, unchanged."""
     kelvin = kelvin_between(state.temperature_c, temperature_c)
     mean, covariance = drift.propagate(state.mean, state.covariance, time_h - state.time_h, kelvin)
     known = state.temperature_c if isnan(temperature_c) else temperature_c
@@ -187,11 +179,17 @@ def inflate(state: State, sd: Floats) -> State:
     return replace(state, covariance=state.covariance + np.diag(sd**2))
 
 
-def kalman(state: State, n_rows: int):  # type: ignore[no-untyped-def]
-    """A filter of filterpy that holds a state and takes in `n_rows` rows."""
-    filtered = KalmanFilter(len(state.mean), n_rows)
+def kalman(state: State):  # type: ignore[no-untyped-def]
+    """A filter of filterpy that holds a state."""
+    filtered = KalmanFilter(len(state.mean), 1)
     filtered.x, filtered.P = state.mean, state.covariance
     return filtered
+
+
+def take_rows(filtered: KalmanFilter, rows: Floats, derivatives: Floats) -> None:
+    """Take whitened rows (n_rows,) with their derivatives (n_rows, n_states) into a filter of filterpy."""
+    filtered.dim_z = len(rows)
+    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
 
 
 def _factor(jacobian: Floats, covariance: Floats) -> Floats:

@@ -89,11 +89,9 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
 
 
 def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track], Track]) -> Track:
-    """The track with the drift as fast as its innovations say, where these contradict the stated sizes.
+    """The track with the pace that its last sessions show, where they contradict the stated sizes; else as it is.
 
-    `parts` are the sweeps of its sessions; `follow` takes in the sessions after a track of the first ones under its
-    drift. The paces have a log-normal prior, a factor of three wide; each becomes the root of its posterior's mean
-    square.
+    Sessions whose outcomes depend on the pace are taken in again.
     """
     count, drifts = len(found.outcomes), [len(part) > 0 for part in found.drift.drifting]
     if count == 1 or not any(drifts):
@@ -179,10 +177,7 @@ class FittedSizes:
 
 
 def fit_sizes(found: Track, parts: list[Sweeps]) -> FittedSizes:
-    """The factors on the random walks of robot, and of mirror and fibre, that the sessions `parts` support.
-
-    `InputError` where they cannot tell.
-    """
+    """Factors on the walks of robot, and of mirror and fibre, that sessions support, or `InputError`."""
     if len(found.outcomes) < 2:
         raise InputError(f"{parts[0].file}: expected sessions after the calibration to learn drift from")
     which = [i for i, names in enumerate(found.drift.drifting) if names]
@@ -197,10 +192,7 @@ def fit_sizes(found: Track, parts: list[Sweeps]) -> FittedSizes:
 
 
 def profile_interval(log_factors: Floats, profile: Floats, level: float) -> tuple[float, float, float]:
-    """The likeliest factor and the ends of its interval, from the profile of the log likelihood on a grid.
-
-    Ends by the likelihood ratio (chi-square, one degree of freedom); 0 or infinity where the grid does not hold them.
-    """
+    """Likeliest factor, ends of its interval by the likelihood ratio; 0 or infinity beyond the grid."""
     fine = np.linspace(log_factors[0], log_factors[-1], 50 * (len(log_factors) - 1) + 1)
     smooth = interpolate.CubicSpline(log_factors, np.maximum(profile, profile.max() - 50.0))(fine)
     within = np.flatnonzero(smooth > smooth.max() - 0.5 * float(special.chdtri(1, 1.0 - level)))

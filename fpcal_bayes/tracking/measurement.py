@@ -16,12 +16,9 @@ _ROWS_PER_STATE = 2
 
 
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """Few whitened rows that say the same about the state as many.
+    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states).
 
-    A rotation that makes ``[jacobian, misfit]`` triangular leaves a row for each state, one that holds what no state
-    explains, and rows of zeros, which are dropped (square-root information filter, Bierman 1977). Sums of squares and
-    determinants stay. Given are whitened measurement minus prediction (n_rows,) and its derivatives (n_rows, n_states);
-    at most twice as many rows as states are given back as they are.
+    A triangle of ``[jacobian, misfit]``, rows of zeros dropped (square-root information filter, Bierman 1977).
     """
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:
@@ -34,9 +31,8 @@ def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
 class LinearMeasurement:
     """Rows ``z = H x + e`` with e of unit covariance."""
 
-    # z, h: whitened, shapes (n_rows,) and (n_rows, n_states)
-    z: Floats
-    h: Floats
+    z: Floats  # whitened, shape (n_rows,)
+    h: Floats  # likewise, shape (n_rows, n_states)
     log_volume: float = 0.0  # logarithm of the determinant of the whitening
 
     def misfit(self, mean: Floats) -> Floats:
@@ -52,13 +48,10 @@ class LinearMeasurement:
 class SweepMeasurement:
     """The changes of cavity length of a session's sweeps."""
 
-    # drift, model: what the state means, and the cavity model of the same parameters
-    drift: DriftModel
-    model: CavityModel
-    # rows, target, whitening: sweeps laid out for the kernels, their measured changes with sign (n_rows,), their
-    # whitening
-    rows: Rows
-    target: Floats
+    drift: DriftModel  # what the state means
+    model: CavityModel  # cavity model of the same parameters
+    rows: Rows  # sweeps laid out for the kernels
+    target: Floats  # their measured changes with sign, shape (n_rows,)
     whitening: Whitening
     motions: Floats | None = None  # derivatives by the states of the error motions, shape (n_rows, n_motions), in um
 

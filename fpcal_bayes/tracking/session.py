@@ -31,23 +31,18 @@ _MOST_OUTLIERS, _SET_ASIDE = 2, 1e3
 class SessionOutcome:
     """What a session said and what was made of it."""
 
-    # session, time_h, utc: its name, its last time in hours, and the same as clock time or empty
-    session: str
-    time_h: float
-    utc: str
-    # predicted, state: before and after the session; the first holds no widening
-    predicted: State
-    state: State
-    # standard deviations by which the predicted state was widened, shape (n_states,); zero if all is as modelled
-    jump: Floats
+    session: str  # its name
+    time_h: float  # its last time
+    utc: str  # the same as clock time, or empty
+    predicted: State  # before the session, without a widening
+    state: State  # after it
+    jump: Floats  # sd by which the predicted state was widened, shape (n_states,); zero if all is as modelled
     monitor: Monitor = field(default_factory=Monitor)  # memory of the tests after it
     n_sweeps: int = 0  # rows that were used
-    # nis, dof: normalised innovation squared (not divided) and its degrees of freedom
-    nis: float = 0.0
-    dof: int = 0
-    # verdict, evidence: whether all is as modelled, and in words what speaks against it
-    verdict: SessionVerdict = "as-modelled"
-    evidence: tuple[str, ...] = ()
+    nis: float = 0.0  # normalised innovation squared, not divided
+    dof: int = 0  # its degrees of freedom
+    verdict: SessionVerdict = "as-modelled"  # whether all is as modelled
+    evidence: tuple[str, ...] = ()  # in words what speaks against it
     warnings: tuple[str, ...] = ()  # sentences about rows that were corrected or left out
     log_likelihood: float = 0.0  # of the rows given all sessions before
     converged: bool = True  # whether the update came to rest
@@ -61,10 +56,7 @@ class SessionOutcome:
 def take_in(
     drift: DriftModel, model: CavityModel, limits: Limits, state: State, monitor: Monitor, sweeps: Sweeps
 ) -> SessionOutcome:
-    """Take in the sweeps of one session, measured later than `state`; rows of kind ``path`` are not used.
-
-    `drift` and `model` are of the same parameters; `state` and `monitor` stand after the session before.
-    """
+    """Take in the sweeps of one session later than `state`, which stands with `monitor` after the one before."""
     session, time_h, temperature = str(sweeps.session[0]), float(sweeps.time_h.max()), mean_temperature(sweeps)
     hours = time_h - state.time_h
     predicted = predict(drift, state, time_h, temperature)
@@ -178,10 +170,7 @@ class _Judge:
     def explain(
         self, measurement: SweepMeasurement, found: list[Finding]
     ) -> tuple[SessionVerdict, list[Finding], Floats]:
-        """What moved, why, and by how much the state is to be widened.
-
-        The rows are not linear over a jump, so the tests are made again where the best knock leads.
-        """
+        """What moved, why, and the sd of the widening; the tests are made again where the best knock leads."""
         tried = []
         for size in _STEP_SIZES:
             wide = inflate(self.predicted, self.step(size))

@@ -23,8 +23,7 @@ _UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
     """The sweeps of each session, in order of time; `InputError` where they break the rules of a history.
 
-    Sessions may stand in any order, are measured, do not overlap or repeat each other, and their clock times run as
-    ``time_h`` does. None lies after `now_h`, or without it after this machine's clock where rows carry ``utc``.
+    Sessions are measured, do not overlap or repeat, and their clocks run as ``time_h`` does, none later than now.
     """
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
@@ -32,13 +31,11 @@ def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
     for before, after in pairwise(parts):
         end, begin = float(before.time_h.max()), float(after.time_h.min())
         if begin < end:
-            raise located(
-                sweeps.file,
-                f"session {after.session[0]!s} begins at {begin:g} h before session {before.session[0]!s} ends at "
-                f"{end:g} h, expected sessions one after the other",
-                row=int(after.rows[np.argmin(after.time_h)]),
-                column="time_h",
+            text = (
+                f"begins at {begin:g} h before session {before.session[0]!s} ends at {end:g} h, expected sessions one "
+                "after the other"
             )
+            raise _refusal(after, np.argmin(after.time_h), text, "time_h")
     _check_clocks(parts)
     _refuse_duplicates(parts)
     _refuse_future(parts, now_h)
@@ -58,10 +55,7 @@ def mean_temperature(sweeps: Sweeps) -> float:
 
 
 def hours_of(text: str, sweeps: Sweeps) -> float:
-    """A time that a user gives, hours or clock time, in hours since the campaign began.
-
-    `InputError` for a clock time where no session carries one.
-    """
+    """A user's time, hours or clock time, in hours of the campaign; `InputError` if no session has a clock."""
     wanted = read_time(text)
     if isinstance(wanted, float):
         return wanted
@@ -84,6 +78,10 @@ def hours_now(sweeps: Sweeps, otherwise: float) -> float:
     return max(otherwise, hours_of(datetime.now(UTC).isoformat(), sweeps))
 
 
+def _refusal(part: Sweeps, row: int | np.int64, text: str, column: str | None = None) -> InputError:
+    return located(part.file, f"session {part.session[0]!s} {text}", row=int(part.rows[row]), column=column)
+
+
 def _refuse_duplicates(parts: list[Sweeps]) -> None:
     for part in parts:
         # Counted fringes repeat, labels of one moment do not.
@@ -91,11 +89,7 @@ def _refuse_duplicates(parts: list[Sweeps]) -> None:
         for i in np.flatnonzero(part.label != ""):
             key = (part.time_h[i], str(part.label[i]), *part.q_start[i], *part.q_end[i], part.dl[i], str(part.group[i]))
             if key in seen:
-                raise located(
-                    part.file,
-                    f"session {part.session[0]!s} holds the row of line {part.rows[seen[key]]} twice",
-                    row=int(part.rows[i]),
-                )
+                raise _refusal(part, i, f"holds the row of line {part.rows[seen[key]]} twice")
             seen[key] = int(i)
     repeated, end = repeated_rows(join(parts)), 0
     for number, after in enumerate(parts):
@@ -104,36 +98,22 @@ def _refuse_duplicates(parts: list[Sweeps]) -> None:
         for before in parts[:number] if 2 * repeated[begin:end].sum() > len(after) else ():
             again = repeated_rows(join([before, after]))[len(before) :]
             if 2 * again.sum() > len(after):
-                raise located(
-                    after.file,
-                    f"session {after.session[0]!s} repeats session {before.session[0]!s} to the last digit, expected "
-                    "each session once",
-                    row=int(after.rows[np.argmax(again)]),
-                    column="session",
-                )
+                text = f"repeats session {before.session[0]!s} to the last digit, expected each session once"
+                raise _refusal(after, np.argmax(again), text, "session")
 
 
 def _refuse_future(parts: list[Sweeps], now_h: float | None) -> None:
     for part in parts:
-        if now_h is not None and float(part.time_h.max()) > now_h:
-            raise located(
-                part.file,
-                f"session {part.session[0]!s} lies in the future: {part.time_h.max():g} h, now is {now_h:g} h",
-                row=int(part.rows[np.argmax(part.time_h)]),
-                column="time_h",
-            )
         if now_h is not None:
+            if float(part.time_h.max()) > now_h:
+                text = f"lies in the future: {part.time_h.max():g} h, now is {now_h:g} h"
+                raise _refusal(part, np.argmax(part.time_h), text, "time_h")
             continue
         for i in np.flatnonzero(part.utc != ""):
             ahead = (clock(str(part.utc[i])) - datetime.now(UTC)).total_seconds() / 3600.0
             if ahead > _CLOCK_SLACK_H:
-                raise located(
-                    part.file,
-                    f"session {part.session[0]!s} lies in the future by this machine's clock (give --now to say when "
-                    "it is)",
-                    row=int(part.rows[i]),
-                    column="utc",
-                )
+                text = "lies in the future by this machine's clock (give --now to say when it is)"
+                raise _refusal(part, i, text, "utc")
 
 
 def _check_clocks(parts: list[Sweeps]) -> None:

@@ -20,7 +20,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.drift import DriftModel, State
-from fpcal_bayes.tracking.filter import kalman, kelvin_between
+from fpcal_bayes.tracking.filter import kalman, kelvin_between, take_rows
 from fpcal_bayes.tracking.measurement import Measurement, equivalent_rows
 from fpcal_bayes.tracking.session import SessionOutcome, take_in
 
@@ -43,11 +43,9 @@ class Smoothed:
 
 
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
-    """States after each session given all sessions, in order of time.
+    """States after each session given all sessions, in order of time; widenings are noise of the step before.
 
-    Widenings after a jump count as noise of the step before their session. `outcomes` begin with the calibration and
-    hold their measurements (else `ValueError`: see `tracker.smooth_track`); without that of the calibration its state
-    is taken as it is.
+    `outcomes` begin with the calibration, whose state is taken as it is without its measurement; others hold theirs.
     """
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
@@ -99,10 +97,8 @@ def with_measurements(
 class _Trajectory:
     """States at all times, and what drives them there."""
 
-    # means, covariances: of the states less their known shifts, shapes (n_times, n_states) and (n_times, n_states,
-    # n_states)
-    means: Floats
-    covariances: Floats
+    means: Floats  # of the states less their known shifts, shape (n_times, n_states)
+    covariances: Floats  # shape (n_times, n_states, n_states)
     # the state before any session is start + covariance @ pull, and what the drift adds at each later time is noise @
     # pull; shape (n_times, n_states)
     pulls: Floats
@@ -122,9 +118,8 @@ class _Course:
     """The sessions, the steps between them, and where they start; all without the shifts by a known temperature."""
 
     start: State  # before the first measurement
-    # matrices, noises: of the step into each time, shape (n_times, n_states, n_states)
-    matrices: Floats
-    noises: Floats
+    matrices: Floats  # of the step into each time, shape (n_times, n_states, n_states)
+    noises: Floats  # likewise
     shifts: Floats  # sum of the known shifts up to each time, shape (n_times, n_states)
     measurements: list[Measurement | None]  # one a time, or None
 
@@ -156,13 +151,12 @@ class _Course:
         for matrix, noise, shift, point, measurement in zip(
             self.matrices, self.noises, self.shifts, at, self.measurements, strict=True
         ):
-            filtered = kalman(state, 1)
+            filtered = kalman(state)
             filtered.predict(F=matrix, Q=noise)
             if measurement is not None:
                 misfit, jacobian = measurement.linearise(point + shift)
                 rows, derivatives = equivalent_rows(misfit + jacobian @ point, jacobian)
-                filtered.dim_z = len(rows)
-                filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+                take_rows(filtered, rows, derivatives)
             state = replace(state, mean=filtered.x, covariance=symmetric(filtered.P))
             means.append(state.mean)
             covariances.append(state.covariance)
@@ -171,8 +165,9 @@ class _Course:
     def smoothed(self, means: Floats, covariances: Floats) -> _Trajectory:
         """The trajectory that follows from the states after each session."""
         # The method of the class uses the transition into each time; the function of the module does not.
-        smoother = kalman(self.start, 1)
-        smoothed, spread, gains, predicted = smoother.rts_smoother(means, covariances, self.matrices, self.noises)
+        smoothed, spread, gains, predicted = kalman(self.start).rts_smoother(
+            means, covariances, self.matrices, self.noises
+        )
         pulls = np.zeros_like(means)
         expected = np.einsum("kij,kj->ki", self.matrices[1:], means[:-1])
         pulls[1:] = np.linalg.solve(predicted[:-1], (smoothed[1:] - expected)[..., None])[..., 0]
@@ -206,10 +201,7 @@ _AFTER_JUMP = 8
 def follow_sessions(
     drift: DriftModel, model: CavityModel, limits: Limits, known: Sequence[SessionOutcome], parts: Sequence[Sweeps]
 ) -> list[SessionOutcome]:
-    """Take in the sessions after those that are known, at least the calibration.
-
-    `drift` has its `hidden` noise; `parts` are the sweeps of all sessions, in order of time.
-    """
+    """Take in the sessions `parts`, in order of time, after those that are known; `drift` has its `hidden` noise."""
     outcomes = list(known)
     for part in parts[len(outcomes) :]:
         before = outcomes[-1]
@@ -222,10 +214,7 @@ def follow_sessions(
 
 
 def looked_at_again(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> SessionOutcome:
-    """The last outcome; where a look is due, with the state to which the sessions lead together.
-
-    `outcomes` begin with the calibration and hold the measurements of the last sessions.
-    """
+    """The last outcome; where a look is due, with the state to which all sessions lead together."""
     last = outcomes[-1]
     if not _is_due(outcomes):
         return last

@@ -42,10 +42,7 @@ class CalibrationSolution:
 
 
 def solutions_of(found: Identification, draws: Floats) -> tuple[CalibrationSolution, ...]:
-    """The solutions of a calibration, the lowest minimum first; empty where there is only one.
-
-    Each of the posterior's `draws` (n_draws, n), in um and rad, counts for the minimum nearest to it.
-    """
+    """The solutions of a calibration, lowest first, none if there is one only; draws count for the nearest."""
     problem, minima = found.problem, (found.solution, *found.other_minima)
     if len(minima) == 1 or not len(draws):
         return ()
@@ -79,11 +76,7 @@ def likeliest(
     starts: Sequence[tuple[SessionOutcome, float]],
     parts: Sequence[Sweeps],
 ) -> list[SessionOutcome]:
-    """The outcomes to go on with: the first ones from one solution where the sessions tell, else `together` as it is.
-
-    `together` are those from all solutions at once, `starts` the outcome of the calibration and the share of the
-    posterior of each solution, `parts` the sweeps of all sessions, in order of time.
-    """
+    """Outcomes to go on with: from one of `starts` (outcome, share) where the first sessions tell, else `together`."""
     looks = list(parts[: LOOKS + 1])
     courses = [list(together[: LOOKS + 1])]
     for start, _ in starts:

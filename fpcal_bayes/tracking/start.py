@@ -40,10 +40,7 @@ _JITTER = 1e-18
 
 
 def linear_start(estimate: Estimate, draws: Floats, sweeps: Sweeps) -> Estimate:
-    """The maximum of the posterior, with the covariance by which its linearised predictions spread as the draws do.
-
-    The `draws` (n_draws, n), in um and rad, are more than n; `sweeps` are those of the calibration.
-    """
+    """The maximum of the posterior, with the covariance by which its linear predictions spread as `draws` do."""
     parameters = estimate.parameters
     model = CavityModel.of(estimate.cell, parameters, estimate.vector())
     sd = parameters.prior_sd
@@ -65,10 +62,7 @@ _LEAST_SD = 1e-3
 
 
 def with_hidden_noise(drift: DriftModel, model: CavityModel, state: State) -> DriftModel:
-    """The drift with the noise that an uncertain geometry adds to it (`hidden`), from the state after the calibration.
-
-    `drift` and `model` are of the same parameters. Where the cell leaves no room for sweeps the drift stays as it was.
-    """
+    """The drift with the noise that an uncertain geometry adds (`hidden`), by the state after the calibration."""
     n = drift.n_parameters
     known = (state.mean[:n].tobytes(), state.covariance[:n, :n].tobytes())
     try:

@@ -20,7 +20,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import MECHANICS_LEFT_OUT, POOR_FIT_BELOW, Reason, Trust
 from fpcal_bayes.tracking.alarms import ROBOT_MOVED, Limits
 from fpcal_bayes.tracking.drift import DriftModel, State, likely_drift
-from fpcal_bayes.tracking.filter import kalman
+from fpcal_bayes.tracking.filter import kalman, take_rows
 from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement, equivalent_rows
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome, followed_drift
@@ -39,9 +39,8 @@ _CALIBRATED = 0.6
 class Track(Result):
     """What following a campaign gave."""
 
-    # cell, drift: what was followed, and how it drifts
-    cell: Cell
-    drift: DriftModel
+    cell: Cell  # what was followed
+    drift: DriftModel  # how it drifts
     outcomes: tuple[SessionOutcome, ...]  # one per session, in order of time; the first is the calibration
     status: tuple[str, ...]  # of each parameter after the calibration
     resumed: int = 0  # how many of the outcomes were taken over from an earlier run
@@ -110,11 +109,7 @@ def estimate_of(
     data: dict[str, str] | None = None,
     valid_until_h: float | None = None,
 ) -> Estimate:
-    """A state as an estimate, in um and rad.
-
-    `status` is that of each parameter after the calibration; what the data no longer halve the variance of becomes
-    weak.
-    """
+    """A state as an estimate; `status` is that after the calibration, weak where the variance is no longer halved."""
     covariance = drift.covariance(state.covariance)
     left = np.diag(covariance) / drift.scale**2
     now = tuple(
@@ -139,12 +134,10 @@ def track(
     known: Track | None = None,
     now_h: float | None = None,
 ) -> Track:
-    """Follow the free parameters of a cell, with its drift sizes, through the measured sweeps of a campaign.
+    """Follow the free parameters of a cell through the measured sweeps of a campaign, whose first session is full.
 
-    The first session is the full calibration. `drift` stands in place of the cell's own, to which `likely_drift` adds
-    terms if a temperature is logged; `known` is an earlier track of the first sessions, which are not taken in again;
-    sessions after `now_h` are refused. `InputError` if the cell states no drift, sessions overlap, repeat or lie in the
-    future, or the first session is no calibration.
+    `drift` stands in place of `likely_drift`; sessions of `known`, an earlier track, are not taken in again; none may
+    be after `now_h`. `InputError` for a cell without drift, sessions out of order, a first that is no calibration.
     """
     drift = likely_drift(cell, sweeps) if drift is None else drift
     limits = Limits() if limits is None else limits
@@ -176,11 +169,7 @@ def smooth_track(track: Track, sweeps: Sweeps) -> Smoothed:
 def calibrate(
     cell: Cell, drift: DriftModel, sweeps: Sweeps
 ) -> tuple[SessionOutcome, tuple[str, ...], tuple[tuple[SessionOutcome, float], ...]]:
-    """Identify all parameters from the first session; `InputError` if it determines too little.
-
-    Gives its outcome, the status of each parameter, and where the posterior has several minima the outcome from each of
-    them alone and its share of the posterior.
-    """
+    """Outcome of the full first session, or `InputError`; status by parameter; of several minima outcome and share."""
     found, warnings = _identified(cell, drift, sweeps)
     if found.spectrum.rank < _CALIBRATED * len(drift.parameters):
         raise InputError(
@@ -218,9 +207,8 @@ def _machine_outcome(
     taken = SweepMeasurement.of(drift, problem.model, problem.sweeps, first.state.mean)
     misfit, jacobian = replace(taken, target=problem.target).linearise(first.state.mean)
     rows, derivatives = equivalent_rows(misfit + jacobian @ first.state.mean, jacobian)
-    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)), 1)
-    filtered.dim_z = len(rows)
-    filtered.update(rows, R=np.eye(len(rows)), H=derivatives)
+    filtered = kalman(replace(first.state, mean=np.zeros(drift.n_states), covariance=np.eye(drift.n_states)))
+    take_rows(filtered, rows, derivatives)
     measurement = replace(SweepMeasurement.of(drift, problem.model, problem.sweeps, filtered.x), target=problem.target)
     return replace(
         first,

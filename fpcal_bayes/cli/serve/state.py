@@ -172,12 +172,7 @@ class Served:
     def joints(self, asked: Asked) -> dict[str, Any]:
         """Joint values of a path with what is predicted of its error.
 
-        Raises
-        ------
-        RefusedError
-            If the estimate is not to be used, or out of date, and the request does not say the reason.
-        InputError
-            If the request is not as documented, or the path may leave the cell's envelope.
+        `RefusedError` if the estimate is not to be used, or out of date, and the request does not say the reason.
         """
         current = self.current()
         estimate, cell = current.judged(self.now()), self.cell
@@ -208,7 +203,7 @@ class Served:
             "predicted_sd_nm": list(map(known, sd.tolist())),
             "estimate": self.estimate()[0][CONTENT_HASH],
             "trust": trust.content(),
-            "warnings": [*current.warnings, *reach_warnings(task), *(reason.text for reason in trust.reasons)],
+            "warnings": [*current.warnings, *reach_warnings(task), *trust.texts],
         }
 
     def decision(self) -> dict[str, Any]:

@@ -48,14 +48,12 @@ class Identification(Result):
     """Result of `identify`."""
 
     estimate: Estimate  # maximum of the posterior with its Laplace covariance
-    # problem, solution: the least-squares problem as it was solved last, and its minimum
-    problem: Problem
-    solution: Solution
+    problem: Problem  # the least-squares problem as it was solved last
+    solution: Solution  # its minimum
     free: ParameterSet  # the parameters that were identified
     spectrum: Spectrum  # what the data tell about them
     fit: GoodnessOfFit  # how well the data are met
-    # further minima of the sum of squares that count for the posterior, lowest first
-    other_minima: tuple[Solution, ...]
+    other_minima: tuple[Solution, ...]  # further ones that count for the posterior, lowest first
     signs: SignDecision | None  # how the unsigned rows were decided, or None
     starts: int  # number of starting points that were tried
     seconds: float  # time of the identification itself
@@ -240,7 +238,7 @@ def identify(
     )
     if trust.usable and fit.expected > LEAST_EXPECTED:
         trust = trust.because(*axis_rivals(problem, solution))
-    warnings += [reason.text for reason in trust.reasons]
+    warnings += trust.texts
     # What is held, or stood in as prior, is trusted no more than where it came from.
     leaned_on = [known for known in (prior, None if len(chosen) == len(cell.free) else start) if known is not None]
     trust = trust.because(*(reason for known in leaned_on for reason in known.trust.reasons))
@@ -270,10 +268,9 @@ def _starting_unknowns(problem: Problem, start: Estimate | None) -> Floats:
     """Scaled unknowns (n_unknowns,) of `start`, or the middle of the prior."""
     if start is None:
         return np.zeros(problem.n_unknowns)
-    values = problem.values(np.zeros(problem.n_unknowns))
-    for i, name in enumerate(problem.model.free.names):
-        if name in start.parameters:
-            values[i] = start.values[start.parameters.position(name)]
+    values, free = problem.values(np.zeros(problem.n_unknowns)), problem.model.free
+    known = [name for name in free.names if name in start.parameters]
+    values[free.positions(known)] = start.block(known)[0]
     return problem.unknowns(values)
 
 
@@ -308,10 +305,7 @@ def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
 def _fit(
     problem: Problem, first: Floats, rng: np.random.Generator, max_starts: int
 ) -> tuple[Problem, Solution, list[Solution], int]:
-    """Minimise from `first`, from its mirror images, and from draws of the prior while the fit is worse than chance.
-
-    Returns the problem and its lowest minimum, every minimum that was found, and the number of starting points.
-    """
+    """Lowest minimum from `first`, its images, and prior draws while the fit is poor; all minima, number of starts."""
     problem, solution = _converge(problem, first)
     found = [solution]
     found += [minimise(problem, image) for image in sign_images(problem, solution)[: max_starts - 1]]

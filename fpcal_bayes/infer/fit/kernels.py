@@ -16,12 +16,7 @@ from fpcal_bayes.model.kernels.lengths import LANES, batch_lengths, few_vector_l
 def whiten_groups(rows: Floats, members: Ints, own: Floats, shared: Floats, gain: Floats, scale: Floats) -> None:
     """Take off each row, in place, what those before it in its group tell about their common errors.
 
-    rows: shape (n_points, n_rows, n), contiguous; the members are overwritten.
-    members: positions of the rows of each group, shape (n_groups, n_members).
-    own: one over the standard deviation of each row's own error, same shape.
-    shared, gain: effect of the common errors on each row, and their estimate from it, shape (n_groups, n_members,
-    n_common).
-    scale: one over the standard deviation of what is left, shape (n_groups, n_members).
+    rows: shape (n_points, n_rows, n), contiguous; the members are overwritten. The others are fields of a `Batch`.
     """
     n_groups, n_members, n_common = shared.shape
     n = rows.shape[2]

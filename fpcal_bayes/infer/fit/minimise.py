@@ -123,10 +123,7 @@ def _shortened(
 
 
 def newton_step(problem: Problem, unknowns: Floats, residuals: Floats) -> Floats:
-    """Newton step (n_unknowns,) with the Hessian by central differences of the gradient J'r.
-
-    Where the Hessian is not positive definite its eigenvalues are taken by size, so that the step goes down.
-    """
+    """Newton step with the Hessian by differences of the gradient J'r; its eigenvalues by size: it goes down."""
     width = 1e-4
     shifts = width * np.eye(len(unknowns))
     ahead, behind = np.split(problem.gradients(unknowns + np.concatenate([shifts, -shifts])), 2)

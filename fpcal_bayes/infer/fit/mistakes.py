@@ -69,11 +69,7 @@ class Mended:
 
 
 def mend(problem: Problem, solution: Solution, worst: Floats) -> list[Mended]:
-    """Mistakes that explain a poor fit, the best first and all others that do as well.
-
-    problem, solution: as identified; rows without sign are left out.
-    worst: size of each row's residual, shape (n_rows,): mistakes of the joints that the worst rows move come first.
-    """
+    """Mistakes that explain a poor fit, the best first; sizes of residuals `worst` (n_rows,) order what is tried."""
     known = problem.sweeps.signed | problem.sweeps.absolute
     if known.sum() < min(problem.n_free, len(known)):
         return []

@@ -19,17 +19,14 @@ from fpcal_bayes.model.cavity import CavityModel
 class Batch:
     """Groups of equally many rows, each row whitened given those before it in its group.
 
-    In units of its own error, a row is ``shared @ z`` plus that error, the z being the errors that the rows of a group
-    have in common, of unit variance. What the rows before it tell about z is taken off (a Kalman filter on z), which
-    is the inverse Cholesky factor of the group's covariance without forming it.
+    In units of its own error a row is ``shared @ z`` plus that error, z common to the group, of unit variance. What
+    earlier rows tell of z is taken off (a Kalman filter on z): the inverse Cholesky factor, without forming it.
     """
 
     members: Ints  # positions of the rows, shape (n_groups, n_members)
     own: Floats  # one over the standard deviation of each row's own error, same shape
-    # shared, gain: shape (n_groups, n_members, n_common); the prediction of a row is `gain` times the sum over earlier
-    # rows of `shared` times the row
-    shared: Floats
-    gain: Floats
+    shared: Floats  # effect of the common errors on each row, shape (n_groups, n_members, n_common)
+    gain: Floats  # times the sum over earlier rows of `shared` times the row: the prediction of a row
     scale: Floats  # one over the standard deviation of what is left, shape (n_groups, n_members)
 
     @classmethod
@@ -156,8 +153,7 @@ class Whitening:
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
     """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
 
-    A row's variance is that of its reading plus the joints' repeatability at both ends. Rows of a group share the
-    reading and the joint errors at their start, which gives equal readings a correlation of 1/2.
+    Rows of a group share reading and joint errors at their start: equal readings have a correlation of 1/2.
     """
     repeatability = model.cell.repeatability
     starts = ends = np.zeros((len(sweeps), 0))

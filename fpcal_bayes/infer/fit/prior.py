@@ -36,13 +36,10 @@ def bends(estimate: Estimate) -> bool:
 class Prior:
     """Prior of some parameters: a parameter vector is a function of scores that are independent standard normal."""
 
-    # mean, sd: of each parameter, in um and rad, shape (n,); of one whose prior is not normal `mean` is the nominal
-    # value
-    mean: Floats
-    sd: Floats
+    mean: Floats  # in um and rad, shape (n,); the nominal value where the prior is not normal
+    sd: Floats  # in um and rad, shape (n,)
     others: tuple[tuple[int, Marginal], ...] = ()  # positions of the parameters whose priors are not normal, with these
-    # square root of the covariance where the prior is jointly normal, shape (n, n); else None
-    factor: Floats | None = None
+    factor: Floats | None = None  # root of the covariance, (n, n), where the prior is jointly normal
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "Prior":

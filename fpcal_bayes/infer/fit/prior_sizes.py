@@ -39,11 +39,7 @@ def kinds(parameters: ParameterSet) -> list[tuple[str, NDArray[np.int64]]]:
 
 
 def with_likely_priors(problem: Problem, solution: Solution) -> tuple[Problem, dict[str, float]]:
-    """The problem with wider or narrower priors, and their factors by kind, where the data contradict those stated.
-
-    Else the problem as it is. Priors that are not independent normals, and problems with considered parameters, are
-    taken as they are stated.
-    """
+    """The problem under likelier priors, with factors by kind, where the data contradict independent normals."""
     if problem.prior.factor is not None or problem.prior.others or problem.considered is not None:
         return problem, {}
     stated, blocks = problem.prior, kinds(problem.model.free)

@@ -51,8 +51,7 @@ def hold_rest(
 ) -> tuple[CavityModel, Considered | None]:
     """The model with the parameters outside `chosen` held at `start`, or at nominal, and what is unknown of them.
 
-    A parameter that `start` knows is considered, in linear rows around its value. One that only its prior tells of may
-    be off by degrees, where no line holds: it is free in the model beside the chosen ones, whatever is stated of it.
+    What `start` knows is considered, linear around its value; what only its prior tells stays free: no line holds.
     """
     known = start.parameters.names if start is not None else ()
     vector = cell.parameters.nominal.copy()
@@ -92,10 +91,8 @@ class Problem:
     whitening: Whitening
     prior: Prior
     considered: Considered | None = None  # held but uncertain parameters, or None
-    # derivatives of the rows by the considered unknowns, shape (n_rows, n_considered), in um
-    sensitivity: Floats | None = None
-    # logarithms of the factors on the stated sizes of the mechanics, shape (n_scales,), or None: as stated
-    log_scales: Floats | None = None
+    sensitivity: Floats | None = None  # of rows to the considered unknowns, (n_rows, n_considered), in um
+    log_scales: Floats | None = None  # log factors on the stated sizes of the mechanics, (n_scales,)
 
     @classmethod
     def of(
@@ -225,10 +222,14 @@ class Problem:
         block = max(1, 8_000_000 // (len(self.target) * self.n_unknowns))
         for first in range(0, len(points), block):
             part = points[first : first + block]
-            change, scaled = self.unwhitened_batch(part)
-            weighed = self.whitening.weigh_each(change)
+            weighed, scaled = self._weighed_batch(part)
             result[first : first + block] = (weighed[:, None, :] @ scaled)[:, 0, :] + part
         return result
+
+    def _weighed_batch(self, points: Floats) -> tuple[Floats, Floats]:
+        """Rows and derivatives whose products are those of the whitened ones."""
+        change, scaled = self.unwhitened_batch(points)
+        return self.whitening.weigh_each(change), scaled
 
     def residuals(self, unknowns: Floats) -> Floats:
         """Whitened data rows, then prior rows, shape (n_rows + n_unknowns,)."""
@@ -239,10 +240,7 @@ class Problem:
         return np.vstack([self.data_jacobian(unknowns), np.eye(self.n_unknowns)])
 
     def covariance(self, unknowns: Floats) -> Floats:
-        """Laplace covariance of free and considered parameters in um and rad, shape (n_unknowns, n_unknowns).
-
-        The block of the considered parameters is the covariance they came with, and the cross block is Schmidt's.
-        """
+        """Laplace covariance of free and considered parameters in um and rad, with Schmidt's cross block."""
         jacobian = self.data_jacobian(unknowns)
         inverse = linalg.solve_triangular(posterior_triangle(jacobian), np.eye(self.n_unknowns))
         scaled = inverse @ inverse.T

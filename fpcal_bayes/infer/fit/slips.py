@@ -27,9 +27,8 @@ class Slips:
     """Corrections found."""
 
     counts: Ints  # half wavelengths to take from each dL, shape (n_rows,)
-    # problem, solution: with the corrected values, and its minimum
-    problem: Problem
-    solution: Solution
+    problem: Problem  # with the corrected values
+    solution: Solution  # its minimum
 
 
 def find_slips(problem: Problem, solution: Solution) -> Slips:

@@ -26,8 +26,7 @@ WEAK_SHARE = 0.5
 class Spectrum:
     """Singular values and vectors of a whitened, prior-scaled Jacobian."""
 
-    # descending, shape (n,): what each direction tells, in prior over noise standard deviations
-    singular_values: Floats
+    singular_values: Floats  # descending, shape (n,): prior over noise standard deviations of each direction
     directions: Floats  # right singular vectors as rows, shape (n, n), in prior-scaled units
     tolerance: float  # singular values at or below it count as zero
     rank: int  # number of singular values above it

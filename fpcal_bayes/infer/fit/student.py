@@ -43,10 +43,9 @@ def log_peak(dof: float) -> float:
 class StudentTangent:
     """Rows a (s - s0) + b whose half square has the slope, and about the curvature, of minus the log density at s0."""
 
-    # centre, gain, lift: s0, a and b of each row, shape (n_rows,)
-    centre: Floats
-    gain: Floats
-    lift: Floats
+    centre: Floats  # s0 of each row, shape (n_rows,)
+    gain: Floats  # a
+    lift: Floats  # b
 
     @classmethod
     def at(cls, standardised: Floats, dof: float) -> "StudentTangent":
@@ -68,10 +67,7 @@ class StudentTangent:
 
 @dataclass(frozen=True)
 class StudentProblem(Problem):
-    """A problem whose whitened rows have Student-t errors.
-
-    For rows that share a reading, what the rows before it do not explain of a row has them.
-    """
+    """A problem with Student-t errors of whitened rows; of rows that share a reading, of what those before leave."""
 
     dof: float = DOF
 
@@ -95,23 +91,11 @@ class StudentProblem(Problem):
         bent, slope = bend(residuals, self.dof)
         return bent, slope[:, :, None] * jacobian
 
-    def gradients(self, points: Floats) -> Floats:
-        """Gradients of half the sum of squares at many points (n_points, n_unknowns); same shape."""
-        result = np.empty_like(points)
-        block = max(1, 1_000_000 // (len(self.target) * self.n_unknowns))
-        for first in range(0, len(points), block):
-            part = points[first : first + block]
-            bent, jacobian = self.data_batch(part)
-            result[first : first + block] = (bent[:, None, :] @ jacobian)[:, 0, :] + part
-        return result
+    _weighed_batch = data_batch
 
 
 def robust_minimum(problem: StudentProblem, start: Floats) -> Solution:
-    """The lowest minimum found from `start` (n_unknowns,) and from the prior's middle.
-
-    Outliers give the sum of squares many minima: the search begins with noise so wide that there are none, and narrows
-    it down (graduated non-convexity, Blake and Zisserman 1987).
-    """
+    """Lowest minimum from `start` and the prior, as noise narrows (non-convexity graduated, Blake, Zisserman 1987)."""
     found = [minimise(problem, start)]
     for begin in (start, np.zeros(problem.n_unknowns)):
         unknowns = begin

@@ -23,9 +23,8 @@ class Block:
     """Some consecutive steps of all ensembles."""
 
     points: Floats  # scaled unknowns, shape (n_ensembles, n_steps, n_walkers, n)
-    # log_density, log_proposal: of the target and of the atlas, shape (n_ensembles, n_steps, n_walkers)
-    log_density: Floats
-    log_proposal: Floats
+    log_density: Floats  # of the target, shape (n_ensembles, n_steps, n_walkers)
+    log_proposal: Floats  # of the atlas, likewise
     accepted: Floats  # accepted steps of each ensemble, shape (n_ensembles,)
     random: Floats  # state of each ensemble's random numbers after the block, shape (n_ensembles, 627)
     evaluations: int  # points at which the density was evaluated

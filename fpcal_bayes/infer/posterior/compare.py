@@ -13,7 +13,6 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.infer.fit.identify import Identification, identify
-from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.posterior.draws import Likelihood, charted_draws, misfit_of
 from fpcal_bayes.infer.posterior.leave_out import LeaveOneOut, leave_one_out, left_out_each, standard_error
 from fpcal_bayes.infer.posterior.sample import sample
@@ -33,8 +32,6 @@ LEAST_ERRORS = 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
 _POOR_DRAWS, _POOR_REFITS = 400, 40
 _MOST_REFITS = 200
-#: Cavity shorter than this in um: mirror and fibre touch.
-_TOUCHING = 1.0
 
 _PATH_WORDS: dict[Opd, str] = {
     "axis": "the axis path",
@@ -135,11 +132,8 @@ class ModelResult:
         fit = self.identification.fit
         size = f"chi-square {fit.chi2_data:,.0f} where {fit.expected:.0f} is expected"
         if self.state == "no minimum":
-            touching = ", and the best of them leads the mirror onto the fibre" if self._touches() else ""
-            return (
-                f"{self.spec.words} does not fit: no minimum was found from {self.identification.starts} starting "
-                f"points{touching} ({size})"
-            )
+            starts = f"no minimum was found from {self.identification.starts} starting points"
+            return f"{self.spec.words} does not fit: {starts} ({size})"
         if self.misfit is not None:
             return f"{self.spec.words}: {self.misfit}"
         unsampled = f"its posterior could not be sampled ({'; '.join(self.failures)})" if self.failures else ""
@@ -160,7 +154,6 @@ class ModelResult:
             "name": self.spec.name,
             "opd": self.spec.opd,
             "likelihood": self.spec.likelihood,
-            **({} if self.identification.machine is None else _evidence(self.identification.machine)),
             "state": self.state,
             **told,
             "chi2_data": fit.chi2_data,
@@ -170,26 +163,17 @@ class ModelResult:
             "converged": self.identification.converged and not self.failures,
         }
 
-    def _touches(self) -> bool:
-        problem, unknowns = self.identification.problem, self.identification.solution.unknowns
-        poses = problem.model.pose_rows(np.vstack([problem.sweeps.q_start, problem.sweeps.q_end]))
-        return bool(np.abs(problem.model.predict(problem.values(unknowns), poses)).min() < _TOUCHING)
-
 
 @dataclass(frozen=True)
 class Difference:
     """How much better one model predicts than another."""
 
-    # better, worse: the models
     better: ModelSpec
     worse: ModelSpec
-    # elpd, se: sum over the rows of the difference of their log densities, and its standard error
-    elpd: float
-    se: float
+    elpd: float  # sum over the rows of the difference of their log densities
+    se: float  # its standard error
     at_least: bool  # whether `elpd` is a lower bound, since rows of the worse model could not be left out
-    # whether the better model fits and the worse one does not: a few rows may then make up most of the difference,
-    # which makes its standard error large, not the verdict doubtful
-    rejected: bool = False
+    rejected: bool = False  # whether only the better one fits: a few rows may then make up the difference and its se
 
     @property
     def clear(self) -> bool:
@@ -284,10 +268,10 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit, sample and compare two models or more on the sweeps of one session.
+    """Fit and sample each model, and compare their predictions; `progress` is told what is done next, in words.
 
-    `draws` are the effective draws of every parameter of a model that fits; `progress` is called with what is done
-    next, in words. `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
+    `draws` are effective draws of each model. `InputError` if the sweeps carry no measurement, or a likelihood does not
+    take them.
     """
     fits: dict[tuple[str, str], Identification] = {}
     models = []
@@ -328,16 +312,6 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         return replace(model, failures=posterior.failures)
     model = replace(model, misfit=posterior.misfit)
     return replace(model, loo=leave_one_out(posterior, likelihood, most_refits=refits, seed=seed))
-
-
-def _evidence(machine: MechanicsFit) -> dict[str, float]:
-    """Log evidence of the linearised rows, geometry and weights marginalised, scales by Laplace's approximation."""
-    mode = machine.scales.mode
-    _, volume = np.linalg.slogdet(
-        machine.density.curvature(mode) * np.outer(machine.density.prior_sd, machine.density.prior_sd)
-    )
-    constant = -0.5 * len(machine.rows.target) * float(np.log(2.0 * np.pi))
-    return {"log_evidence": machine.density.value(mode) + constant - 0.5 * float(volume)}
 
 
 def _differences(models: Sequence[ModelResult]) -> tuple[Difference, ...]:

@@ -16,11 +16,9 @@ _TAIL = (0.05, 0.95)
 class Diagnostics:
     """Convergence of draws of several ensembles."""
 
-    # nested R-hat of each parameter, the ensembles being the superchains (Margossian et al. 2024), shape (n,).
-    rhat: Floats
-    # ess_bulk, ess_tail: effective sizes (Vehtari et al. 2021), shape (n,).
-    ess_bulk: Floats
-    ess_tail: Floats
+    rhat: Floats  # nested, the ensembles being the superchains (Margossian et al. 2024), shape (n,)
+    ess_bulk: Floats  # effective size (Vehtari et al. 2021), shape (n,)
+    ess_tail: Floats  # likewise
     autocorrelation_time: float  # longest over the parameters, in steps
     length: int  # steps of each walker
 

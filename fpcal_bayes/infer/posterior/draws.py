@@ -51,8 +51,7 @@ class Posterior(Result):
     acceptance: float  # share of all moves
     evaluations: int  # points at which the density was evaluated
     seconds: float  # sampling time
-    # of rows that may slip or have heavy tails: how many repeats of them are less likely
-    predictive_p: float | None = None
+    predictive_p: float | None = None  # where rows may slip or have heavy tails: share of less likely repeats
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT CONVERGED"
@@ -65,11 +64,7 @@ class Posterior(Result):
 
     @property
     def trust(self) -> Trust:
-        """What is held against the draws.
-
-        Second solutions and doubtful signs are sampled, and a poor fit to Gaussian noise says nothing of rows that may
-        slip or have heavy tails.
-        """
+        """What is held against the draws; second solutions and signs are sampled, rows may slip or have heavy tails."""
         told = {"second-solution", "signs"}
         if isinstance(self.target, SlipTarget) or self.target.dof is not None:
             told |= {"poor-fit", "too-good-fit"}
@@ -145,10 +140,7 @@ class WeightedDraws:
 
 
 def smoothed_weights(log_weights: Floats, independent: float = 1.0) -> tuple[Floats, float]:
-    """Log weights (n_points,) that add up to one, their tail smoothed, and the shape k of that tail.
-
-    A k that is infinite stands for weights of which one outweighs all others.
-    """
+    """Log weights that add up to one, their tail smoothed, and its shape k; infinite where one outweighs all others."""
     # Importing arviz takes long: only where it is used.
     from arviz_stats.base import array_stats
 
@@ -189,10 +181,7 @@ def charted_draws(
 
 
 def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0) -> Floats:
-    """Draws of the posterior around all of its minima, shape (draws, n_free), in um and rad; some stand in it twice.
-
-    None, shape (0, n_free), where the charts do not tell enough of the posterior, as of a poor fit.
-    """
+    """Draws of the posterior, (draws, n_free), in um and rad; none, (0, n_free), where charts tell too little."""
     random = np.random.default_rng(seed)
     for known in islice(growing_draws(found, "gaussian", draws, random), _MOST_ROUNDS):
         if known.worth >= _LEAST_WORTH * draws:
@@ -201,11 +190,7 @@ def independent_draws(found: Identification, draws: int = N_DRAWS, seed: int = 0
 
 
 def draws_content(found: Identification, draws: int = N_DRAWS) -> dict[str, Any]:
-    """Draws as JSON, in um and deg: names and one row a draw; empty where the covariance has to do.
-
-    That is so if the fit did not converge or is so poor that the charts fail, or parameters are held: draws would let
-    the data speak about these; or if the draws stand with those of the mechanics.
-    """
+    """Draws as JSON, in um and deg; none without convergence, of held parameters, or with those of mechanics."""
     free = found.free
     if not found.converged or found.machine is not None or free.names != found.estimate.parameters.names:
         return {}

@@ -2,11 +2,11 @@
 
 A count that slips between two readings of a group is off from there on, and an error of one row moves, through the
 whitening, the rows after it. The sum over the slips of all rows of a group runs depth first, each row's likeliest slip
-first; branches that cannot add anything to a number in double precision
-are left out.
+first; branches that cannot add anything to a number in double precision are left out.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -20,34 +20,30 @@ _NEGLIGIBLE = 60.0
 @compiled
 def slip_sums(
     residuals: Floats,
-    log_eps: Floats,
-    log_not: Floats,
+    log_odds: Floats,
     corrected: Ints,
     can_slip: Bools,
-    half_wave: float,
-    most: int,
-    members: Ints,
-    own: Floats,
-    shared: Floats,
-    gain: Floats,
-    scale: Floats,
+    steps: tuple[float, int],
+    group: Any,
     prefix: int,
-    total: Floats,
-    stayed: Floats,
-) -> None:
-    """Log density of each group's first rows, and the probability that each of their counts is right.
+) -> tuple[Floats, Floats]:
+    """Log density of each group's first rows, (n_points, n_groups), and whether each count is right, as probability.
+
+    The density is without the constant of the normal one; the probabilities, (n_points, n_rows), are of the members.
 
     residuals: whitened rows of the corrected problem, shape (n_points, n_rows).
-    log_eps, log_not: logarithms of the probabilities of one particular slip and of none, shape (n_points,).
+    log_odds: logarithms of the probabilities of one particular slip and of none, shape (2, n_points).
     corrected, can_slip: half wavelengths taken from each row already, and whether it may slip, shape (n_rows,).
-    half_wave, most: half a wavelength in um, and the most that a count slips by from one row of a group to the next.
-    members, own, shared, gain, scale: the whitening of the groups, as for `whiten_groups`.
+    steps: half a wavelength in um, and the most that a count slips by from one row of a group to the next.
+    group: the whitening of the groups, as for `whiten_groups`.
     prefix: how many rows of each group count; the others are as if not measured.
-    total: result, shape (n_points, n_groups): without the constant of the normal density.
-    stayed: result, shape (n_points, n_rows): written for the members.
     """
+    half_wave, most = steps
+    log_eps, log_not = log_odds
+    members, own, shared, gain, scale = group
     n_groups, _, n_common = shared.shape
     n_counts = 2 * most + 1
+    total, stayed = np.empty((residuals.shape[0], n_groups)), np.ones(residuals.shape)
     # State before each row: effect of the slips of earlier rows, count, log density so far, and which slip is next.
     told = np.zeros((prefix + 1, n_common))
     level = np.zeros(prefix + 1, dtype=np.int64)
@@ -113,3 +109,4 @@ def slip_sums(
             total[p, g] = best + math.log(sum_all)
             for m in range(prefix):
                 stayed[p, members[g, m]] = kept[m] / sum_all
+    return total, stayed

@@ -43,8 +43,7 @@ class LeaveOneOut:
     """Log density of each row given all others."""
 
     elpd_rows: Floats  # shape (n_rows,), per um
-    # log density of each row given all rows, itself among them: never below the exact value of `elpd_rows`
-    bound_rows: Floats
+    bound_rows: Floats  # given all rows, itself among them: never below the exact value of `elpd_rows`
     pareto_k: Floats  # shape of the tail of each row's weights, shape (n_rows,)
     good_k: float  # up to this k the weights are good enough (Vehtari, Simpson, Gelman, Yao, Gabry 2024)
     refitted: Bools  # rows that were left out in earnest, shape (n_rows,)
@@ -164,10 +163,7 @@ def _left_out(
 
 
 def _bridge(with_row: Floats, without: Floats, weights: Floats, effective: float) -> float:
-    """Log of the mean of exp(`without`) (m,) under normalised weights that are worth `effective` independent draws.
-
-    It is steadied by log densities `with_row` (n,) at draws that the row itself has pulled near.
-    """
+    """Log mean of exp(`without`) under `weights`, steadied by log densities at draws that the row pulled near."""
     share = len(with_row) / (len(with_row) + effective)
     log_weights = np.log(np.maximum(weights, 1e-300))
     ratio = float(special.logsumexp(without + log_weights))

@@ -24,7 +24,7 @@ from fpcal_bayes.infer.fit.minimise import all_minima
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.posterior import ScaleCharts
 from fpcal_bayes.infer.mechanics.scales import ScaleProposal
-from fpcal_bayes.infer.posterior.moves import SCALES
+from fpcal_bayes.infer.posterior.moves import SCALES, independent_step, local_step
 from fpcal_bayes.infer.posterior.target import PosteriorTarget
 
 #: Numbers in the factors that are kept with their charts.
@@ -77,10 +77,7 @@ class MachineCharts:
     def charts(
         self, log_scales: Floats, made: dict[bytes, tuple[float, Floats]] | None = None
     ) -> tuple[Floats, list[ScaleCharts]]:
-        """What the linearised rows say of scales (n_points, n_scales), and charts around each reference.
-
-        `made` holds densities and factors by the scales' bytes.
-        """
+        """What linearised rows say of scales, and charts around each reference; `made` has some by the scales."""
         keys, made = [log.tobytes() for log in log_scales], {} if made is None else made
         missing = [i for i, key in enumerate(keys) if key not in self._kept and key not in made]
         made |= {keys[i]: each for i, each in zip(missing, self.density.at(log_scales[missing]), strict=True)}
@@ -161,12 +158,7 @@ class MachineMove(Move):  # type: ignore[misc]
         """Move every walker once."""
         random, charts = model.random, self.charts
         log_scales, made = charts.move_scales(state.coords[:, charts.n :], random)
-        points, log_density, log_proposal = charts.propose(log_scales, random, made)
-        log_uniform = np.log(random.random_sample(len(points)))
-        with np.errstate(invalid="ignore"):
-            log_ratio = (log_density - log_proposal) - (state.log_prob - state.blobs)
-        accepted = np.isfinite(log_proposal) & (log_uniform < log_ratio)
-        return self.update(state, State(points, log_prob=log_density, blobs=log_proposal), accepted), accepted
+        return independent_step(self, random, state, charts.propose(log_scales, random, made))
 
 
 class MachineLocalMove(Move):  # type: ignore[misc]
@@ -184,8 +176,4 @@ class MachineLocalMove(Move):  # type: ignore[misc]
         points[:, : charts.n] += scale * step
         log_uniform = np.log(random.random_sample(len(points)))
         density = charts.log_density(points)
-        accepted = log_uniform < density - state.log_prob
-        blobs = np.full(len(points), -np.inf)
-        if accepted.any():
-            blobs[accepted] = charts.log_proposal(points[accepted])
-        return self.update(state, State(points, log_prob=density, blobs=blobs), accepted), accepted
+        return local_step(self, state, points, density, log_uniform < density - state.log_prob, charts.log_proposal)

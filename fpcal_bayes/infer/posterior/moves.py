@@ -1,5 +1,6 @@
 """emcee moves: independent proposals from charts, and a local step shaped by the Jacobian where the walker stands."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from fpcal_bayes.infer.posterior.target import PosteriorTarget
 class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
     """Metropolis-Hastings with independent proposals from an atlas; those of `ahead` steps are made at once.
 
-    Each walker carries the log density with which the atlas proposes its place (the blob), so that the step is exact
-    also for walkers outside every chart: from there any move inside is refused. Another move brings them in and out.
+    Each walker carries the log density with which the atlas proposes its place (the blob): the step is exact outside
+    every chart, too, where any move inside is refused and another move leads.
     """
 
     def __init__(self, atlas: ProposalMixture, ahead: int = 1) -> None:
@@ -32,17 +33,39 @@ class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
         if not self._ready:
             self._ready = self._propose_ahead(random, *state.coords.shape)
         solved = self._ready.pop()
-        log_uniform = np.log(random.random_sample(len(state.coords)))
-        with np.errstate(invalid="ignore"):
-            log_ratio = (solved.log_density - solved.log_proposal) - (state.log_prob - state.blobs)
-        accepted = solved.inside & (log_uniform < log_ratio)
-        proposed = State(solved.points, log_prob=solved.log_density, blobs=solved.log_proposal)
-        return self.update(state, proposed, accepted), accepted
+        return independent_step(self, random, state, (solved.points, solved.log_density, solved.log_proposal))
 
     def _propose_ahead(self, random: Any, n_walkers: int, n: int) -> list[Solved]:
         total = self.ahead * n_walkers
         solved = self.atlas.propose(random.standard_normal((total, n)), random.random_sample(total))
         return [solved.take(slice(i, i + n_walkers)) for i in range(0, total, n_walkers)]
+
+
+def independent_step(
+    move: Move, random: Any, state: State, proposed: tuple[Floats, Floats, Floats]
+) -> tuple[State, Any]:
+    """The step to independent proposals: points, their log densities, and log proposal densities (the blobs)."""
+    points, log_density, log_proposal = proposed
+    log_uniform = np.log(random.random_sample(len(points)))
+    with np.errstate(invalid="ignore"):
+        log_ratio = (log_density - log_proposal) - (state.log_prob - state.blobs)
+    accepted = np.isfinite(log_proposal) & (log_uniform < log_ratio)
+    return move.update(state, State(points, log_prob=log_density, blobs=log_proposal), accepted), accepted
+
+
+def local_step(
+    move: Move,
+    state: State,
+    points: Floats,
+    log_density: Floats,
+    accepted: Any,
+    log_proposal: Callable[[Floats], Floats],
+) -> tuple[State, Any]:
+    """A local step, where proposal densities of the points that are reached are still to be worked out."""
+    blobs = np.full(len(points), -np.inf)
+    if accepted.any():
+        blobs[accepted] = log_proposal(points[accepted])
+    return move.update(state, State(points, log_prob=log_density, blobs=blobs), accepted), accepted
 
 
 #: Step sizes, in posterior standard deviations; each step draws one. Curvature allows small ones only where the
@@ -69,10 +92,7 @@ class LocalMove(Move):  # type: ignore[misc]
         forward = _log_determinant(factor) - 0.5 * (normal**2).sum(axis=1)
         backward = _log_determinant(back) - 0.5 * (returned**2).sum(axis=1)
         accepted = log_uniform < density - state.log_prob + backward - forward
-        blobs = np.full(len(points), -np.inf)
-        if accepted.any():
-            blobs[accepted] = self.atlas.log_proposal(points[accepted])
-        return self.update(state, State(points, log_prob=density, blobs=blobs), accepted), accepted
+        return local_step(self, state, points, density, accepted, self.atlas.log_proposal)
 
     def _metric(self, points: Floats) -> tuple[Floats, Floats]:
         """Lower Cholesky factors of J'J + I, shape (n_points, n, n), and log densities, of few points at a time."""

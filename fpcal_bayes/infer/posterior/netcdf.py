@@ -98,9 +98,8 @@ def _column(reader: Reader, group: Any, name: str, unit: str) -> Floats:
 class PosteriorSummary:
     """Draws of a posterior and what they are worth."""
 
-    # file, sha256: name without folder, and hash of the bytes
-    file: str
-    sha256: str
+    file: str  # name without folder
+    sha256: str  # hash of the bytes
     parameters: ParameterSet
     draws: Floats  # in the units a person reads, shape (n_chains, n_draws, n)
     prior: Floats  # draws of the prior in the same units, shape (n_prior_draws, n)
@@ -236,10 +235,9 @@ def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
 
 
 def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
-    """The draws as an ArviZ DataTree, in the units a person reads.
+    """The draws as an ArviZ DataTree, in the units a person reads; of long runs on many rows, likelihoods of some.
 
-    Rows that share a reading have the likelihood of a row given those before it in its group. Of long runs on many
-    rows, likelihoods and predictions of evenly spaced draws are kept.
+    Rows that share a reading have the likelihood of a row given those before it in its group.
     """
     # Importing arviz takes long: only where it is used.
     import arviz as az

@@ -103,10 +103,7 @@ class Proposal:
     def _advance(
         self, points: Floats, normal: Floats, inverse: Floats, miss: Floats, distance: Floats
     ) -> tuple[Floats, Bools]:
-        """Newton steps, halved where they do not come closer, then steps of the same slopes while these contract fast.
-
-        Returns the points reached, and which of them are closer than before by enough to go on.
-        """
+        """Points after Newton steps, halved or repeated with the same slopes, and which came closer by enough."""
         before, distance, points = distance, distance.copy(), points.copy()
         step = _times(inverse, miss)
         going = np.arange(len(points))

@@ -22,19 +22,14 @@ def half_squares(residuals: Floats, points: Floats) -> Floats:
 
 
 class PosteriorTarget:
-    """The posterior of a least-squares problem over its n unknowns, with a count of the points where it was evaluated.
+    """exp(-(|r(v)|^2 + |v|^2) / 2) of n unknowns v, r being the whitened data residuals, with a count of evaluations.
 
-    It is exp(-(|r(v)|^2 + |v|^2) / 2), r being the whitened data residuals. `log_density` may add a factor that the
-    residuals do not hold; charts then only propose, and the factor is met by the Metropolis step. A residual that
-    depends on one unknown alone makes the derivatives of the others by that unknown dispensable: the determinant is
-    that of the blocks.
-
+    `log_density` may add a factor that the residuals do not hold: charts only propose, the Metropolis step meets it.
     A row of unknown sign is the size of a change: its density is the sum of those of both signs. Rows that share a
     reading are taken with the sign that was decided.
 
     dof: degrees of freedom of Student-t rows; None for Gaussian ones.
-    doubt: probability that the sign of each row is the other one, shape (n_rows,); rows of unknown sign near zero whose
-    sign is doubtful are proposed for both at once.
+    doubt: probability that each row's sign is the other, (n_rows,): near zero such rows are proposed for both at once.
     """
 
     def __init__(self, problem: Problem, *, dof: float | None = None, doubt: Floats | None = None) -> None:
@@ -131,10 +126,9 @@ class PosteriorTarget:
         return self._row_log_likelihoods(self.standardised(points), points)
 
     def row_given_others(self, points: Floats) -> Floats:
-        """Log density of each row given all others at points (n_points, n_unknowns), shape (n_points, n_rows); per um.
+        """Log density of each row given all others, per um, at points (n_points, n_unknowns), shape (n_points, n_rows).
 
-        Rows that share no reading are independent. Among rows that do, a Gaussian row given the others has the mean and
-        the variance that the inverse covariance tells (Buerkner, Gabry, Vehtari 2021).
+        Gaussian rows that share a reading: by the inverse covariance (Buerkner, Gabry, Vehtari 2021).
         """
         mix = self.problem.whitening.mix
         if mix is None:
@@ -145,10 +139,7 @@ class PosteriorTarget:
         return np.asarray(0.5 * np.log(precision / (2.0 * np.pi)) - 0.5 * weighed**2 / precision)
 
     def predictive_p(self, points: Floats, rng: np.random.Generator) -> float:
-        """Probability that a repeat of the rows is less likely than they are (posterior predictive check).
-
-        `points` are draws of the posterior, shape (n_points, n_unknowns); a repeat is drawn at each.
-        """
+        """Share of repeats, one at each draw, that are less likely than the rows (posterior predictive check)."""
         repeat = self.draw_noise(points, rng) + self._repeated()
         both = (self.standardised(points), repeat)
         seen, again = (self._row_log_likelihoods(rows, points).sum(axis=1) for rows in both)

@@ -22,11 +22,9 @@ _NARROWING = 0.6
 
 
 class SlipTarget(PosteriorTarget):
-    """The posterior of a problem whose rows may have slipped.
+    """The posterior of a problem whose rows may have slipped; `slips` that were found only say where to look first.
 
     Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
-
-    slips: corrections that were found; they only say where to look first.
     """
 
     def __init__(self, slips: Slips) -> None:
@@ -121,26 +119,10 @@ class SlipTarget(PosteriorTarget):
 
     def _batch_sums(self, batch: Batch, corrected: Floats, points: Floats, prefix: int) -> tuple[Floats, Floats]:
         """The sums of `slip_sums` for the first rows of each group of a batch."""
-        log_odds = LOGIT_MEAN + LOGIT_SD * points[:, -1]
-        total, stayed = np.empty((len(points), len(batch.members))), np.ones(corrected.shape)
-        slip_sums(
-            np.ascontiguousarray(corrected),
-            special.log_expit(log_odds) - np.log(2.0 * MOST_HALF_WAVES),
-            special.log_expit(-log_odds),
-            self._corrected,
-            self._can_slip,
-            self._half_wave,
-            MOST_HALF_WAVES,
-            batch.members,
-            batch.own,
-            batch.shared,
-            batch.gain,
-            batch.scale,
-            prefix,
-            total,
-            stayed,
-        )
-        return total, stayed
+        logit, most = LOGIT_MEAN + LOGIT_SD * points[:, -1], MOST_HALF_WAVES
+        log_odds = np.array([special.log_expit(logit) - np.log(2.0 * most), special.log_expit(-logit)])
+        rows, group = np.ascontiguousarray(corrected), tuple(vars(batch).values())
+        return slip_sums(rows, log_odds, self._corrected, self._can_slip, (self._half_wave, most), group, prefix)
 
 
 def _mode(n_slipped: int, n_rows: int) -> tuple[float, float]:

@@ -3,12 +3,9 @@
 The measurand is the change of cavity length, from the aligned pose to the worst point of a task, that the controller
 does not know of. Its inputs are
 
-- fringe noise and joint repeatability during the calibration, and the prior knowledge of the parameters by block, if
-  the sweeps are given from which the estimate was made: all independent, since e = (I - K J) prior - K noise with the
-  gain K of the fit;
-- without the sweeps the parameters by block as the estimate's covariance has them: blocks are correlated;
-- laser wavelength and air index: a scale of every cavity length that is read. Through the fit it scales the change
-  that the estimate expects along the task, which the controller keeps constant on the axis path: hardly an error there;
+- the parameters by block as the estimate's covariance has them: blocks are correlated;
+- laser wavelength and air index: a scale of every cavity length that is read, and so of the change that the estimate
+  expects along the task, which the controller keeps constant on the axis path: hardly an error there;
 - repeatability and resolution of the joints while the task is driven; of a machine with error motions their terms.
 """
 
@@ -17,14 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.prior_sizes import kinds
-from fpcal_bayes.infer.fit.problem import Problem
 from fpcal_bayes.infer.tasks.error import linear_task_sd, task_jacobian, task_rows
-from fpcal_bayes.measure.sharing import Sharing
-from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.mechanics.errors import known_task_errors
@@ -35,8 +28,6 @@ COVERAGE = 0.95
 _DRAWS = 200_000
 #: Of a machine: causes below this share of the whole stand together.
 _LEAST_SHARE = 0.02
-#: Sweeps are those that an estimate was made from if they leave the same standard deviation but for this share.
-_AGREEMENT = 0.01
 
 
 @dataclass(frozen=True)
@@ -83,10 +74,8 @@ class Budget:
     along: float  # where on it the worst point stands, in `unit`
     unit: str
     lines: tuple[Line, ...]
-    # correlation coefficients of the inputs' contributions, signs of the sensitivities included, shape (n, n)
-    correlation: Floats
-    # probabilistically symmetric coverage interval of the measurand by Monte Carlo, in um
-    interval: tuple[float, float]
+    correlation: Floats  # of the inputs' contributions, signs of the sensitivities included, shape (n, n)
+    interval: tuple[float, float]  # probabilistically symmetric, by Monte Carlo, in um
 
     @property
     def combined(self) -> float:
@@ -95,14 +84,8 @@ class Budget:
         return float(np.sqrt(max(float(contributions @ self.correlation @ contributions), 0.0)))
 
 
-def budget_of(
-    estimate: Estimate, task: Task, *, sweeps: Sweeps | None = None, conditions: Conditions | None = None
-) -> Budget:
-    """The uncertainty budget, at its worst point, of a task whose joint path was found with `estimate`.
-
-    `sweeps` are the measured ones that the estimate was made from, all parameters of the estimate being free;
-    `InputError` if they are not, or if a point of the task is out of reach.
-    """
+def budget_of(estimate: Estimate, task: Task, *, conditions: Conditions | None = None) -> Budget:
+    """The uncertainty budget, at its worst point, of a task whose joint path was found with `estimate`."""
     conditions = Conditions() if conditions is None else conditions
     if estimate.mechanics is not None:
         return _machine_budget(estimate, task, conditions)
@@ -111,13 +94,8 @@ def budget_of(
     worst = int(np.argmax(linear_task_sd(jacobian, estimate.covariance)))
     row = jacobian[worst]
     change = float(model.predict(estimate.values, task_rows(model, task))[worst])
-    if sweeps is None:
-        lines, correlation = _posterior_lines(estimate, row)
-        scale = change
-    else:
-        lines, scale = _prior_lines(estimate, model, row, sweeps)
-        correlation = np.eye(len(lines))
-    lines += _scale_lines(conditions, scale)
+    lines, correlation = _posterior_lines(estimate, row)
+    lines += _scale_lines(conditions, change)
     lines += _joint_lines(estimate, model, task, worst)
     return _budget(task, worst, lines, correlation)
 
@@ -178,48 +156,6 @@ def _posterior_lines(estimate: Estimate, row: Floats) -> tuple[list[Line], Float
     np.fill_diagonal(correlation, 1.0)
     lines = [Line(name, "A, B", "normal", "um", 0.0, float(sd[k]), 1.0) for k, (name, _) in enumerate(blocks)]
     return lines, correlation
-
-
-def _prior_lines(estimate: Estimate, model: CavityModel, row: Floats, sweeps: Sweeps) -> tuple[list[Line], float]:
-    """Noise and prior by block, told apart through the gain of the fit, and the change that a unit scale makes."""
-    if not sweeps.measured:
-        raise InputError(f"{sweeps.file}: expected sweeps with dl_um and sigma_um, those the estimate was made from")
-    used = sweeps.take(sweeps.kind != "path")
-    problem = Problem.of(model, used)
-    unknowns = problem.unknowns(estimate.values)
-    problem = problem.relinearised(unknowns)
-    whitened = problem.data_jacobian(unknowns)
-    slopes = problem.prior.slopes(unknowns)
-    # e = seen . (Jw' noise - prior deviation), in whitened units: seen is the row of (Jw'Jw + I)^-1.
-    seen = np.linalg.solve(whitened.T @ whitened + np.eye(len(row)), slopes.T @ row)
-    left, stated = float(row @ slopes @ seen) ** 0.5, float(row @ estimate.covariance @ row) ** 0.5
-    if abs(left - stated) > _AGREEMENT * stated:
-        raise InputError(
-            f"{sweeps.file}: these sweeps, all parameters free, leave {1e3 * left:.3g} nm of the task, the estimate "
-            f"{1e3 * stated:.3g} nm: expected the sweeps that it was made from"
-        )
-    predicted, jacobian = model.predict_with_jacobian(estimate.values, problem.rows)
-    gain = problem.whitening.weigh(jacobian @ (slopes @ seen))
-    fringe = _reading_sd(gain, used)
-    others = float(np.sqrt(max(float(np.sum((whitened @ seen) ** 2)) - fringe**2, 0.0)))
-    typical = float(np.median(used.sigma))
-    lines = [Line("fringe noise", "A", "normal", "um", 0.0, typical, fringe / typical)]
-    if model.cell.repeatability.any():
-        lines.append(Line("joint repeatability, calibration", "B", "normal", "um", 0.0, others, 1.0))
-    for name, members in kinds(estimate.parameters):
-        part = float(np.linalg.norm(seen[members]))
-        lines.append(Line(f"prior of {name}", "B", "normal", "um", 0.0, part, 1.0))
-    return lines, float(gain @ predicted)
-
-
-def _reading_sd(gain: Floats, sweeps: Sweeps) -> float:
-    """Standard deviation of gain . noise in um; rows of a group share the reading at their start."""
-    scaled = gain * sweeps.sigma
-    variance = float(scaled @ scaled)
-    for members in Sharing.of(sweeps).read_alike:
-        # Half of each row's variance is common to the group.
-        variance += (float(scaled[members].sum()) ** 2 - float(scaled[members] @ scaled[members])) / 2.0
-    return float(np.sqrt(variance))
 
 
 def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int) -> list[Line]:

@@ -28,19 +28,13 @@ def task_rows(model: CavityModel, task: Task) -> Rows:
 
 
 def task_jacobian(model: CavityModel, values: Floats, task: Task) -> Floats:
-    """Derivatives of L(q) - L(q0) along a task by the model's free parameters, shape (n_points, n_free).
-
-    They are taken at `values` (n_free,), in um and rad.
-    """
+    """Derivatives of L(q) - L(q0) along a task by the free parameters, at `values` (n_free,), (n_points, n_free)."""
     _, jacobian = model.predict_with_jacobian(values, task_rows(model, task))
     return jacobian
 
 
 def linear_task_sd(jacobian: Floats, covariance: Floats) -> Floats:
-    """Standard deviation of the task error along the path, to first order, in um, shape (n_points,).
-
-    `jacobian` (n_points, n_free) is from `task_jacobian`, `covariance` that of the free parameters in um and rad.
-    """
+    """First-order sd of the task error along the path, in um, (n_points,), by `task_jacobian` and a covariance."""
     variance = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian, optimize=True)
     # Rounding may leave a variance of zero slightly below it.
     sd: Floats = np.sqrt(np.clip(variance, 0.0, None))

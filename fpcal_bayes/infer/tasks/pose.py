@@ -10,6 +10,7 @@ their lengths and the angles between them remain. Along the beam the change of c
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import task_rows
@@ -28,9 +29,7 @@ _LEAST_MOVE = 1.0
 class PoseErrors:
     """Errors of the mirror's place and direction along a path."""
 
-    # angle between the true mirror normal and the one the estimate expects, each seen from its own fibre frame, in rad,
-    # shape (n_draws, n_points)
-    normal: Floats
+    normal: Floats  # angle between true and expected normal, each from its fibre frame, rad, (n_draws, n_points)
     # by which the true change of pose since the start differs from the one the estimate expects, in the order of
     # `FREEDOMS`, in um and rad, shape (n_draws, n_points, 5)
     changes: Floats
@@ -50,8 +49,8 @@ def pose_changes(
 ) -> tuple[Floats, Floats]:
     """Difference between the mirror as it stands and as the estimate expects it, for many truths; as in `task_errors`.
 
-    Tilts of the mirror normal, each seen from its own fibre frame, along the expected mirror's X and Y, in rad, shape
-    (n_draws, n_points, 2), and the changes since the start as in `PoseErrors`.
+    Tilts of the normal, seen from its own fibre frame, along the expected mirror's X and Y, in rad, shape (n_draws,
+    n_points, 2), and the changes since the start as in `PoseErrors`.
     """
     task_rows(model, task)
     true, place = _mirrors(model, np.atleast_2d(truth_values), task)
@@ -60,7 +59,8 @@ def pose_changes(
     across = np.hypot(normal[..., 0], normal[..., 1])
     tilt = normal[..., :2] * (np.arctan2(across, normal[..., 2]) / np.where(across > 0, across, 1.0))[..., None]
     true_turn, expected_turn = (frames @ np.swapaxes(frames[:, :1], -1, -2) for frames in (true, expected))
-    since = _rotation_vectors(true_turn @ np.swapaxes(expected_turn, -1, -2))
+    turned_on = true_turn @ np.swapaxes(expected_turn, -1, -2)
+    since = Rotation.from_matrix(turned_on.reshape(-1, 3, 3)).as_rotvec().reshape(turned_on.shape[:-1])
     moved, asked = ((points[:, 1:] - points[:, :1])[..., [0, 2]] for points in (place, wanted))
     # As complex numbers a common turn is a factor of modulus one.
     moved, asked = moved @ [1.0, 1.0j], asked @ [1.0, 1.0j]
@@ -102,10 +102,7 @@ def pose_errors(
 
 
 def _mirrors(model: CavityModel, values: Floats, task: Task) -> tuple[Floats, Floats]:
-    """Mirror orientations (n_draws, 1 + n_points, 3, 3) and places of its point (..., 3) in the fibre frame.
-
-    Both at the start and along the path.
-    """
+    """Mirror orientations (n_draws, 1 + n_points, 3, 3) and places of its point, in the fibre frame, start first."""
     vectors, cell = np.array([model.vector(v) for v in values]), model.cell
     joints = np.vstack([np.zeros_like(task.start), task.start, task.q])
     tools = InverseModel(cell).tool_poses(vectors, joints)
@@ -124,19 +121,3 @@ def _mirrors(model: CavityModel, values: Floats, task: Task) -> tuple[Floats, Fl
     point = (np.swapaxes(mirror[:, 0], -1, -2) @ spot[..., None])[:, None]
     back = np.swapaxes(fibre, -1, -2)[:, None]
     return (back @ mirror)[:, 1:], (back @ (origin[..., None] + mirror @ point))[:, 1:, :, 0]
-
-
-def _rotation_vectors(rotations: Floats) -> Floats:
-    """Rotation vector of each rotation (..., 3, 3), in rad, shape (..., 3); exact near zero."""
-    skew = np.stack(
-        [
-            rotations[..., 2, 1] - rotations[..., 1, 2],
-            rotations[..., 0, 2] - rotations[..., 2, 0],
-            rotations[..., 1, 0] - rotations[..., 0, 1],
-        ],
-        axis=-1,
-    )
-    sine = np.linalg.norm(skew, axis=-1) / 2.0
-    angle = np.arctan2(sine, (np.trace(rotations, axis1=-2, axis2=-1) - 1.0) / 2.0)
-    factor = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 1.0)
-    return skew / 2.0 * factor[..., None]

@@ -151,10 +151,7 @@ def predict_from_draws(
 
 
 def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: float | None = None) -> Floats:
-    """The draw (n_free,) whose cavity lengths along a task are nearest to the mean over all draws (n_draws, n_free).
-
-    The mean of the draws themselves lies beside the bent surface on which they lie, and is no good to control with.
-    """
+    """The draw (n_free,) whose lengths along a task are nearest to the mean: the mean draw is off the surface."""
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)
     nearest = int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))

@@ -63,10 +63,8 @@ class Knowledge:
     """What is known of a cell's parameters when a task is planned."""
 
     cell: Cell
-    # what the controller holds, or None: then the draws themselves say, task by task (see `central_draw`)
-    estimate: Estimate | None
-    # of the posterior, from its own file or from the estimate's; None where there is only the covariance
-    draws: PosteriorDraws | None
+    estimate: Estimate | None  # what the controller holds; None: the draws say (see `central_draw`)
+    draws: PosteriorDraws | None  # of the posterior; None where there is only the covariance
 
     def held(self, task: str, *, radius: float | None = None) -> Estimate:
         """The estimate that the controller holds for a task."""
@@ -92,10 +90,7 @@ class Knowledge:
         return covariance_sd(estimate, task) if self.draws is None else self.predict(estimate, task).sd
 
     def drawn(self, estimate: Estimate) -> tuple[CavityModel, Floats]:
-        """The model, and draws (n_draws, n_free) of what is known: the posterior's, or of the estimate's covariance.
-
-        Of a cell whose estimate is not to be used the prior is known.
-        """
+        """The model, and draws of what is known: the posterior's, the covariance's; the prior's of no usable one."""
         if not estimate.trust.usable:
             return prior_draws(self.cell)
         if self.draws is None:
@@ -105,11 +100,7 @@ class Knowledge:
     def plan(
         self, task: str, *, radius: float | None = None, n_points: int | None = None, compensate: bool = True
     ) -> tuple[Estimate, Task]:
-        """The estimate that the controller holds for a task, and the joint path it makes with it.
-
-        With `compensate` the path makes up for what is known of error motions, where that gains. With mechanics a path
-        has 31 points by default, since return errors make a peak to peak grow with their number.
-        """
+        """The estimate that the controller holds, and its path, which makes up for error motions where that gains."""
         estimate = self.held(task, radius=radius)
         n_points = n_points or path_points(estimate)
         found = find_task(self.cell, estimate.vector(), task, radius=radius, n_points=n_points)
@@ -121,8 +112,7 @@ def read_knowledge(
 ) -> Knowledge:
     """Read an estimate JSON or its `text`, with the draws that it may hold, or a posterior netCDF file (``.nc``).
 
-    `held` is an estimate JSON that the controller holds while the truth is drawn from the posterior. `InputError` if a
-    file cannot be used or is of another cell.
+    `held`: an estimate that the controller holds beside posterior draws. `InputError` if a file cannot be used.
     """
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":

@@ -91,9 +91,7 @@ def validation_plan(
 def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: int) -> list[int]:
     """Numbers of the `n` candidate sweeps that together find the errors of every task with the largest power.
 
-    expected: of the fitted rows, and the candidates' as fresh ones.
-    effects: of those rows.
-    sweep: number of each fresh row's sweep, from 0, each of as many neighbouring rows, shape (n_fresh,).
+    `expected` and `effects` hold the candidates as fresh rows; `sweep` numbers the sweep of each, (n_fresh,).
     """
     together = [kind.rows for kind in effects.values()]
     shares = np.concatenate([np.full(len(rows), 1.0 / max(len(rows), 1)) for rows in together])

@@ -48,11 +48,9 @@ class Expected:
 
     @classmethod
     def of(cls, found: Identification, sweeps: Sweeps, fitted: Bools, drift: Floats | None = None) -> "Expected":
-        """The rows that `found` was made from, those picked by `fitted` (n,), beside the others of `sweeps`.
+        """The rows that `found` was made from, picked by `fitted` (n,), beside fresh ones; `InputError` if too many.
 
-        drift: square root (n_free, n_drift), in um and rad, of the covariance by which the geometry drifted between; by
-        default it did not.
-        Raises InputError if rows are too many, or the fit holds parameters that are uncertain.
+        drift: square root (n_free, n_drift), in um and rad, of the covariance by which the geometry drifted between.
         """
         problem, unknowns = found.problem, found.solution.unknowns
         if len(sweeps) > _MOST_ROWS:

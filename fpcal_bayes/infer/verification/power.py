@@ -63,10 +63,7 @@ def power_of(excess: Floats, n_rows: int) -> Floats:
 
 
 def effects_of(expected: Expected, tasks: Sequence[tuple[Task, float, float]], *, seed: int = 0) -> dict[str, Effects]:
-    """Errors that bring each task beyond its tolerance, by the task's name.
-
-    tasks: paths that were found with the fit, with tolerance and upper edge of the band, peak to peak, in um.
-    """
+    """Errors that bring each of `tasks` (path, tolerance, upper edge of the band, in um) beyond it, by its name."""
     problem, rng = expected.problem, np.random.default_rng([seed, 7])
     model, cell = problem.model, problem.model.cell
     values = problem.values(expected.unknowns)

@@ -99,10 +99,7 @@ class Verification:
 
 
 def read_verification(path: str | Path, calibration: Estimate) -> Verification:
-    """The verification of a calibration, in what ``verify --json`` or ``identify --hold-out --json`` wrote.
-
-    Raises InputError if there is none, or it is of another session than the calibration.
-    """
+    """The verification of a calibration in a result file; `InputError` if there is none, or of another session."""
     content = read_result(path, calibration.cell)
     require_unchanged(path, content)
     made = content.get("verification")
@@ -182,12 +179,9 @@ def verify(
 
 
 def kept_rows(sweeps: Sweeps, share: float) -> Bools:
-    """Rows that stay in a calibration when a share of the sweeps verifies it, shape (n,).
+    """Rows that stay when a share of the sweeps verifies the calibration, shape (n,); `InputError` if none is left out.
 
     Whole sweeps are left out, spread over the session, of each set of moving joints; one at least of each stays.
-    Rows of kind path are neither.
-
-    Raises InputError if the share leaves no sweep out.
     """
     number = sweep_numbers(sweeps)
     first = np.unique(number, return_index=True)[1]

@@ -28,57 +28,23 @@ class View(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """A robot, its mirror, the fibre that faces it, and the optics.
-
-    Attributes
-    ----------
-    name
-        As given in the TOML file.
-    joints
-        From base to tool.
-    parameters
-        Every parameter of the model vector, in its order, freed or not.
-    wavelength
-        In um.
-    opd
-        Length the interferometer sees: ``axis`` (along the optical axis) or ``perpendicular``.
-    optical_axis
-        Axis of the fibre frame along which light leaves: ``minus-y`` or ``z``.
-    target
-        What the light meets: ``plane-mirror`` or ``corner-cube``.
-    beam
-        Name of the first beam, or empty in a cell that names none; path model, wavelength and target above are its.
-    further
-        The other beams.
-    drift
-        How the parameters drift; those not named stay.
-    optics
-        Fibre, surfaces and photodiode, or None for those of `Interferometer` (see `interferometer`).
-    envelope
-        What keeps the mirror off the fibre, or None where the cell does not say.
-    tasks
-        Tasks of its own, beside those that every cell has.
-    mechanics
-        Sizes of the error motions, or None: the mechanism is taken as perfect. They stand outside `sha256`.
-    handedness_checked
-        Whether somebody has looked which way the axes go; lengths cannot tell a cell from its mirror images.
-    """
+    """A robot, its mirror, the fibre that faces it, and the optics."""
 
     name: str
-    joints: tuple[Joint, ...]
-    parameters: ParameterSet
-    wavelength: float
-    opd: Opd
-    optical_axis: OpticalAxis
-    drift: tuple[DriftSize, ...] = ()
-    optics: Interferometer | None = None
-    envelope: Envelope | None = None
-    tasks: tuple[OwnTask, ...] = ()
-    mechanics: Mechanics | None = None
-    handedness_checked: bool = False
+    joints: tuple[Joint, ...]  # from base to tool
+    parameters: ParameterSet  # every parameter of the model vector, in its order, freed or not
+    wavelength: float  # in um
+    opd: Opd  # length that the interferometer sees: along the optical axis, or perpendicular to the mirror
+    optical_axis: OpticalAxis  # axis of the fibre frame along which light leaves
+    drift: tuple[DriftSize, ...] = ()  # parameters that are not named stay
+    optics: Interferometer | None = None  # fibre, surfaces and photodiode; see `interferometer`
+    envelope: Envelope | None = None  # what keeps the mirror off the fibre, where the cell says so
+    tasks: tuple[OwnTask, ...] = ()  # beside those that every cell has
+    mechanics: Mechanics | None = None  # sizes of the error motions, outside `sha256`; None: a perfect mechanism
+    handedness_checked: bool = False  # whether somebody looked which way axes go: lengths do not tell mirror images
     target: Target = "plane-mirror"
-    beam: str = ""
-    further: tuple[Beam, ...] = ()
+    beam: str = ""  # name of the first beam, whose path model, wavelength and target stand above; empty if unnamed
+    further: tuple[Beam, ...] = ()  # the other beams
 
     @property
     def beams(self) -> tuple[str, ...]:
@@ -199,15 +165,7 @@ class Cell:
     def select(self, names: str | Sequence[str]) -> ParameterSet:
         """Choose parameters to identify, in the cell's order.
 
-        Parameters
-        ----------
-        names
-            ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or the cell gives the parameter no prior.
+        names: ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
         """
         wanted: set[str] = set()
         for name in names.split(",") if isinstance(names, str) else names:

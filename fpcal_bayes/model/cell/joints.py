@@ -38,20 +38,16 @@ class ControllerAxis:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: kind, limits (low, high; infinite where there is none), repeatability, controller, resolution, speed.
-
-    Lengths in um, angles in rad. `repeatability` is the standard deviation of the reached position, `resolution` the
-    smallest step (zero where it is not stated), `speed` what the joint travels or turns in a second at most, None where
-    the cell does not say.
-    """
+    """One joint; lengths in um, angles in rad."""
 
     kind: JointKind
+    # low, high: limits, infinite where there is none
     low: float
     high: float
-    repeatability: float
+    repeatability: float  # standard deviation of the reached position
     controller: ControllerAxis | None
-    resolution: float = 0.0
-    speed: float | None = None
+    resolution: float = 0.0  # smallest step; zero where it is not stated
+    speed: float | None = None  # what it travels or turns in a second at most, where the cell says so
 
     @property
     def unit(self) -> str:

@@ -32,7 +32,9 @@ from fpcal_bayes.model.kernels.lengths import (
     Z_ET,
     Z_WF,
     D,
+    Question,
     R,
+    Turned,
     fill_block,
     optical_axis,
     start_block,
@@ -82,17 +84,7 @@ def dot(axes: Floats, link: int, which: int, other_link: int, other: int) -> flo
 
 
 @compiled
-def chain_axes(
-    vector: Floats,
-    cosine: Floats,
-    sine: Floats,
-    revolute: Bools,
-    joint_q: Floats,
-    joint_cos: Floats,
-    joint_sin: Floats,
-    frame: Floats,
-    axes: Floats,
-) -> None:
+def chain_axes(chain: Turned, revolute: Bools, joints: Turned, frame: Floats, axes: Floats) -> None:
     """Axes and points of one group's chain in the world frame, for one model vector, prismatic joints at zero.
 
     frame: work space, shape (4, 3): X, Y, Z and origin of the frame that has been reached.
@@ -100,6 +92,8 @@ def chain_axes(
     alpha and d), Z (of theta and r), origin before it, origin after d. Last row: X of the tool (axis of beta_et), Y
     after beta_et (of theta_et), Z of the tool (of z_et), mirror normal, mirror origin.
     """
+    vector, cosine, sine = chain
+    joint_q, joint_cos, joint_sin = joints
     n_links = revolute.size
     first = STRIDE * n_links
     for i in range(3):
@@ -143,6 +137,17 @@ def chain_axes(
 
 
 @compiled
+def slide_axes(vector: Floats, revolute: Bools, axes: Floats, slides: Floats) -> None:
+    """Moves of what a prismatic joint carries, per um of its travel; writes `slides` (n_prismatic, 3)."""
+    prismatic = 0
+    for link in range(revolute.size):
+        if not revolute[link]:
+            for i in range(3):
+                slides[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
+            prismatic += 1
+
+
+@compiled
 def row_changes(starts: Ints, ends: Ints, lengths: Floats, derivatives: Floats, out: Floats, jacobian: Floats) -> None:
     """From poses (n_poses,), (n_poses, n) to rows; writes `out` (n_rows,) and `jacobian` (n_rows, n)."""
     for row in range(ends.size):
@@ -172,18 +177,11 @@ def optical_axis_moves(cosine: Floats, sine: Floats, first: int, axis_is_z: bool
 
 @compiled
 def group_changes(
-    columns: Ints,
-    vector: Floats,
-    joint_q: Floats,
-    axes: Floats,
-    fibre: Floats,
-    optical: Floats,
-    axis_moves: Floats,
-    prismatic_axes: Floats,
-    changes: Floats,
+    columns: Ints, vector: Floats, joint_q: Floats, axes: Floats, beam: Turned, slides: Floats, changes: Floats
 ) -> None:
     """Derivatives of N, D and the prismatic slopes of one group; writes `changes` (2 + n_prismatic, n_columns)."""
-    n_links, n_prismatic = axes.shape[0] - 1, prismatic_axes.shape[0]
+    fibre, optical, axis_moves = beam
+    n_links, n_prismatic = axes.shape[0] - 1, slides.shape[0]
     nx, ny, nz = axes[n_links, 3, 0], axes[n_links, 3, 1], axes[n_links, 3, 2]
     for j in range(columns.shape[0]):
         mode, link, which, point, before = columns[j, 0], columns[j, 1], columns[j, 2], columns[j, 3], columns[j, 4]
@@ -210,7 +208,7 @@ def group_changes(
             )
             changes[1, j] = wx * optical[0] + wy * optical[1] + wz * optical[2]
             for p in range(before):
-                changes[2 + p, j] = wx * prismatic_axes[p, 0] + wy * prismatic_axes[p, 1] + wz * prismatic_axes[p, 2]
+                changes[2 + p, j] = wx * slides[p, 0] + wy * slides[p, 1] + wz * slides[p, 2]
         if mode >= TURN_GAIN:
             at = STRIDE * link
             turned = joint_q[link] * (1.0 + vector[at + GAIN])
@@ -226,23 +224,10 @@ def group_changes(
 
 
 @compiled
-def batch_jacobians(
-    base: Floats,
-    slots: Ints,
-    values: Floats,
-    path: int,
-    axis_is_z: bool,
-    revolute: Bools,
-    group_q: Floats,
-    group_cos: Floats,
-    group_sin: Floats,
-    group_start: Ints,
-    prismatic_q: Floats,
-    starts: Ints,
-    ends: Ints,
-    columns: Ints,
-) -> tuple[Floats, Floats]:
+def batch_jacobians(question: Question, columns: Ints) -> tuple[Floats, Floats]:
     """As `batch_lengths`, with derivatives (n_vectors, n_rows, n_columns); `columns` come from `derivative_columns`."""
+    base, slots, values, path, axis_is_z, revolute, groups, starts, ends = question
+    group_q, group_cos, group_sin, group_start, prismatic_q = groups
     n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
@@ -250,7 +235,7 @@ def batch_jacobians(
     block_vector, block_cosine, block_sine = start_block(base, n_links, 1, 1)
     vector, cosine, sine = np.empty(base.size), np.empty(base.size), np.empty(base.size)
     frame, axes = np.empty((4, 3)), np.empty((n_links + 1, 5, 3))
-    block_axis, axis_moves, prismatic_axes = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
+    block_axis, axis_moves, slides = np.empty((3, 1)), np.empty((2, 3)), np.empty((n_prismatic, 3))
     changes = np.empty((2 + n_prismatic, n_wanted))
     slope, lengths, derivatives = np.empty(n_prismatic), np.empty(n_poses), np.empty((n_poses, n_wanted))
     for k in range(values.shape[0]):
@@ -260,14 +245,10 @@ def batch_jacobians(
         optical, fibre = block_axis[:, 0].copy(), vector[first + X_WF : first + Z_WF + 1]
         optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            chain_axes(vector, cosine, sine, revolute, group_q[g], group_cos[g], group_sin[g], frame, axes)
-            prismatic = 0
-            for link in range(n_links):
-                if not revolute[link]:
-                    for i in range(3):
-                        prismatic_axes[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
-                    prismatic += 1
-            group_changes(columns, vector, group_q[g], axes, fibre, optical, axis_moves, prismatic_axes, changes)
+            joints = group_q[g], group_cos[g], group_sin[g]
+            chain_axes((vector, cosine, sine), revolute, joints, frame, axes)
+            slide_axes(vector, revolute, axes, slides)
+            group_changes(columns, vector, group_q[g], axes, (fibre, optical, axis_moves), slides, changes)
             height, facing = dot(axes, n_links, 3, n_links, 4), 0.0
             for i in range(3):
                 height -= axes[n_links, 3, i] * fibre[i]
@@ -275,7 +256,7 @@ def batch_jacobians(
             for p in range(n_prismatic):
                 slope[p] = 0.0
                 for i in range(3):
-                    slope[p] += axes[n_links, 3, i] * prismatic_axes[p, i]
+                    slope[p] += axes[n_links, 3, i] * slides[p, i]
             for m in range(group_start[g], group_start[g + 1]):
                 distance = height
                 for p in range(n_prismatic):

@@ -24,6 +24,17 @@ BETA_ET, THETA_ET, BETA_WF, THETA_WF, Z_ET, X_WF, Y_WF, Z_WF = range(8)
 #: Parameter vectors computed side by side, so that one instruction serves several of them.
 LANES = 64
 
+#: Model vectors, their cosines and sines; or joint values, their cosines and sines.
+Turned = tuple[Floats, Floats, Floats]
+#: Values, cosines and sines of the joints of each group, (n_groups, n_joints), where the poses of each begin,
+#: (n_groups + 1,), and the prismatic joints, (n_poses, n_prismatic); see `fpcal_bayes.model.cavity.PoseGroups`.
+Groups = tuple[Floats, Floats, Floats, Ints, Floats]
+#: What the kernels of lengths and derivatives are asked: the model vector of what is held; places of the free
+#: parameters in it, (n,), and their values, (n_vectors, n); the path, 0 along the axis, 1 the perpendicular distance, 2
+#: or -2 that with a sign, on the side where it is positive; whether Zf is the optical axis; which joints turn; the
+#: poses; and the poses where each row starts and ends, a start of -1 standing for the length at the end itself.
+Question = tuple[Floats, Ints, Floats, int, bool, Bools, Groups, Ints, Ints]
+
 
 @compiled
 def is_angle(slot: int, n_links: int) -> bool:
@@ -35,7 +46,7 @@ def is_angle(slot: int, n_links: int) -> bool:
 
 
 @compiled
-def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> tuple[Floats, Floats, Floats]:
+def start_block(base: Floats, n_links: int, n_lanes: int, width: int) -> Turned:
     """Model vectors of a block of equal lanes, with cosines and sines, shape (model size, width) each."""
     vector, cosine, sine = np.empty((base.size, width)), np.empty((base.size, width)), np.empty((base.size, width))
     for slot in range(base.size):
@@ -89,24 +100,15 @@ def turn_mirror(link: Floats, q: float, plane: Floats, n_lanes: int) -> None:
 
 @compiled
 def carry_plane(
-    vector: Floats,
-    cosine: Floats,
-    sine: Floats,
-    revolute: Bools,
-    used: Bools,
-    joint_q: Floats,
-    joint_cos: Floats,
-    joint_sin: Floats,
-    plane: Floats,
-    slope: Floats,
-    n_lanes: int,
+    block: Turned, revolute: Bools, used: Bools, joints: Turned, plane: Floats, slope: Floats, n_lanes: int
 ) -> None:
     """Carry the mirror plane of one group to the world frame, prismatic joints at zero, for a block of LANES vectors.
 
     used: whether an entry of the model vector may differ from zero in some lane, shape (model size,).
     plane, slope: written: n and h, shape (4, LANES); slope of h in each prismatic joint, shape (n_prismatic, LANES).
-    n_lanes: columns in use; the others are neither read nor written.
     """
+    vector, cosine, sine = block
+    joint_q, joint_cos, joint_sin = joints
     n_links = revolute.size
     first = STRIDE * n_links
     # Flat views whose rows stand LANES apart: the compiler sees that rows do not overlap, and computes lanes together.
@@ -149,34 +151,17 @@ def carry_plane(
 
 
 @compiled
-def batch_lengths(
-    base: Floats,
-    slots: Ints,
-    values: Floats,
-    path: int,
-    axis_is_z: bool,
-    revolute: Bools,
-    group_q: Floats,
-    group_cos: Floats,
-    group_sin: Floats,
-    group_start: Ints,
-    prismatic_q: Floats,
-    starts: Ints,
-    ends: Ints,
-) -> Floats:
-    """Changes of cavity length, L(end) - L(start), for many parameter vectors, shape (n_vectors, n_rows), in um.
-
-    base: model vector of the values that are held.
-    slots, values: places of the free parameters in the model vector, (n,), and their values, (n_vectors, n).
-    path: 0 along the axis; 1 the perpendicular distance; 2 or -2 that with a sign, on the side where it is positive.
-    starts, ends: pose of each row; a start of -1 gives L(end) itself.
-    """
+def batch_lengths(question: Question) -> Floats:
+    """Changes of cavity length, L(end) - L(start), for many parameter vectors, shape (n_vectors, n_rows), in um."""
+    base, slots, values, path, axis_is_z, revolute, groups, starts, ends = question
+    group_q, group_cos, group_sin, group_start, prismatic_q = groups
     n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     n_lanes = max(1, min(n_vectors, LANES))
     first = STRIDE * n_links
     out = np.empty((n_vectors, n_rows))
-    vector, cosine, sine = start_block(base, n_links, n_lanes, LANES)
+    whole = start_block(base, n_links, n_lanes, LANES)
+    vector, cosine, sine = whole
     used = base != 0.0
     for j in range(slots.size):
         used[slots[j]] = True
@@ -188,9 +173,8 @@ def batch_lengths(
         fill_block(slots, values[block : block + here], n_links, vector, cosine, sine)
         optical_axis(cosine, sine, n_links, axis_is_z, axis, n_lanes)
         for g in range(n_groups):
-            carry_plane(
-                vector, cosine, sine, revolute, used, group_q[g], group_cos[g], group_sin[g], plane, slope, n_lanes
-            )
+            joints = group_q[g], group_cos[g], group_sin[g]
+            carry_plane(whole, revolute, used, joints, plane, slope, n_lanes)
             nx, ny, nz, height = plane[0], plane[1], plane[2], plane[3]
             for lane in range(n_lanes):
                 height[lane] -= nx[lane] * x[lane] + ny[lane] * y[lane] + nz[lane] * z[lane]
@@ -227,33 +211,22 @@ def batch_lengths(
 
 
 @compiled
-def few_vector_lengths(
-    base: Floats,
-    slots: Ints,
-    values: Floats,
-    path: int,
-    axis_is_z: bool,
-    revolute: Bools,
-    group_q: Floats,
-    group_cos: Floats,
-    group_sin: Floats,
-    group_start: Ints,
-    prismatic_q: Floats,
-    starts: Ints,
-    ends: Ints,
-) -> Floats:
+def few_vector_lengths(question: Question) -> Floats:
     """The same as `batch_lengths` with groups side by side in place of vectors; without gains and runouts."""
+    base, slots, values, path, axis_is_z, revolute, groups, starts, ends = question
+    group_q, group_cos, group_sin, group_start, prismatic_q = groups
     n_links, n_vectors, n_rows = revolute.size, values.shape[0], ends.size
     n_groups, n_prismatic = group_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
     out, used = np.empty((n_vectors, n_rows)), np.zeros(base.size, dtype=np.bool_)
     plane, slope, axis = np.empty((4, LANES)), np.empty((n_prismatic, LANES)), np.empty((3, LANES))
-    lengths, still, unit, zero = np.empty(prismatic_q.shape[0]), np.zeros(n_links), np.ones(n_links), np.zeros(n_links)
+    lengths, still = np.empty(prismatic_q.shape[0]), (np.zeros(n_links), np.ones(n_links), np.zeros(n_links))
     for v in range(n_vectors):
         whole = base.copy()
         for j in range(slots.size):
             whole[slots[j]] = values[v, j]
-        vector, cosine, sine = start_block(whole, n_links, LANES, LANES)
+        lanes = start_block(whole, n_links, LANES, LANES)
+        _, cosine, sine = lanes
         optical_axis(cosine, sine, n_links, axis_is_z, axis, LANES)
         turned_cos, turned_sin = cosine[:, 0].copy(), sine[:, 0].copy()
         for block in range(0, n_groups, LANES):
@@ -265,7 +238,7 @@ def few_vector_lengths(
                     for lane in range(here):
                         q_cos, q_sin = group_cos[block + lane, link], group_sin[block + lane, link]
                         cosine[at, lane], sine[at, lane] = c * q_cos - s * q_sin, s * q_cos + c * q_sin
-            carry_plane(vector, cosine, sine, revolute, used, still, unit, zero, plane, slope, LANES)
+            carry_plane(lanes, revolute, used, still, plane, slope, LANES)
             for lane in range(here):
                 nx, ny, nz = plane[0, lane], plane[1, lane], plane[2, lane]
                 height = plane[3, lane] - nx * whole[first + X_WF] - ny * whole[first + Y_WF] - nz * whole[first + Z_WF]
@@ -283,3 +256,45 @@ def few_vector_lengths(
         for row in range(n_rows):
             out[v, row] = lengths[ends[row]] - (lengths[starts[row]] if starts[row] >= 0 else 0.0)
     return out
+
+
+@compiled
+def batch_mirrors(base: Floats, slots: Ints, values: Floats, revolute: Bools, q: Floats) -> tuple[Floats, Floats]:
+    """Mirror normals and origins, columns three and four of wTt (paper equation (19)), (n_vectors, n_poses, 3) each."""
+    n_links, n_poses = revolute.size, q.shape[0]
+    first = STRIDE * n_links
+    normals, origins = np.empty((values.shape[0], n_poses, 3)), np.empty((values.shape[0], n_poses, 3))
+    block, block_cosine, block_sine = start_block(base, n_links, 1, 1)
+    joint_cos, joint_sin = np.cos(q), np.sin(q)
+    for k in range(values.shape[0]):
+        fill_block(slots, values[k : k + 1], n_links, block, block_cosine, block_sine)
+        vector, cosine, sine = block[:, 0], block_cosine[:, 0], block_sine[:, 0]
+        for m in range(n_poses):
+            nx = sine[first + THETA_ET]
+            ny = -cosine[first + THETA_ET] * sine[first + BETA_ET]
+            nz = cosine[first + THETA_ET] * cosine[first + BETA_ET]
+            ox, oy, oz = 0.0, 0.0, vector[first + Z_ET]
+            for link in range(n_links - 1, -1, -1):
+                at = STRIDE * link
+                c, s = cosine[at + THETA], sine[at + THETA]
+                oz += vector[at + R]
+                if revolute[link]:
+                    turned_cos, turned_sin = joint_cos[m, link], joint_sin[m, link]
+                    if vector[at + GAIN] != 0.0:
+                        turned = q[m, link] * (1.0 + vector[at + GAIN])
+                        turned_cos, turned_sin = math.cos(turned), math.sin(turned)
+                    oz += vector[at + RUNOUT_COS] * turned_cos + vector[at + RUNOUT_SIN] * turned_sin
+                    c, s = c * turned_cos - s * turned_sin, s * turned_cos + c * turned_sin
+                else:
+                    oz += q[m, link] * (1.0 + vector[at + GAIN])
+                nx, ny = c * nx - s * ny, s * nx + c * ny
+                ox, oy = c * ox - s * oy + vector[at + D], s * ox + c * oy
+                c, s = cosine[at + ALPHA], sine[at + ALPHA]
+                ny, nz = c * ny - s * nz, s * ny + c * nz
+                oy, oz = c * oy - s * oz, s * oy + c * oz
+                c, s = cosine[at + BETA], sine[at + BETA]
+                nx, nz = c * nx + s * nz, c * nz - s * nx
+                ox, oz = c * ox + s * oz, c * oz - s * ox
+            normals[k, m, 0], normals[k, m, 1], normals[k, m, 2] = nx, ny, nz
+            origins[k, m, 0], origins[k, m, 1], origins[k, m, 2] = ox, oy, oz
+    return normals, origins

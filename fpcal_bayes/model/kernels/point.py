@@ -26,6 +26,7 @@ from fpcal_bayes.model.kernels.jacobian import (
     derivative_columns,
     optical_axis_moves,
     row_changes,
+    slide_axes,
 )
 from fpcal_bayes.model.kernels.lengths import (
     GAIN,
@@ -34,6 +35,7 @@ from fpcal_bayes.model.kernels.lengths import (
     STRIDE,
     X_WF,
     Z_WF,
+    Question,
     fill_block,
     optical_axis,
     start_block,
@@ -54,26 +56,13 @@ def point_columns(revolute: Bools, slots: Ints) -> Ints:
 
 
 @compiled
-def batch_points(
-    base: Floats,
-    slots: Ints,
-    values: Floats,
-    path: int,
-    axis_is_z: bool,
-    revolute: Bools,
-    group_q: Floats,
-    group_cos: Floats,
-    group_sin: Floats,
-    group_start: Ints,
-    prismatic_q: Floats,
-    starts: Ints,
-    ends: Ints,
-    columns: Ints,
-) -> tuple[Floats, Floats]:
+def batch_points(question: Question, columns: Ints) -> tuple[Floats, Floats]:
     """As `batch_jacobians`, of the length to a point; `columns`, which may be none, come from `point_columns`.
 
     The path is 0 for a fixed beam, else the beam follows.
     """
+    base, slots, values, path, axis_is_z, revolute, groups, starts, ends = question
+    group_q, group_cos, group_sin, group_start, prismatic_q = groups
     n_links, n_rows, n_wanted = revolute.size, ends.size, columns.shape[0]
     n_groups, n_poses, n_prismatic = group_q.shape[0], prismatic_q.shape[0], prismatic_q.shape[1]
     first = STRIDE * n_links
@@ -91,13 +80,9 @@ def batch_points(
         fibre = vector[first + X_WF : first + Z_WF + 1]
         optical_axis_moves(cosine, sine, first, axis_is_z, axis_moves)
         for g in range(n_groups):
-            chain_axes(vector, cosine, sine, revolute, group_q[g], group_cos[g], group_sin[g], frame, axes)
-            prismatic = 0
-            for link in range(n_links):
-                if not revolute[link]:
-                    for i in range(3):
-                        slides[prismatic, i] = axes[link, 2, i] * (1.0 + vector[STRIDE * link + GAIN])
-                    prismatic += 1
+            joints = group_q[g], group_cos[g], group_sin[g]
+            chain_axes((vector, cosine, sine), revolute, joints, frame, axes)
+            slide_axes(vector, revolute, axes, slides)
             for m in range(group_start[g], group_start[g + 1]):
                 for i in range(3):
                     point[i] = frame[3, i] + vector[first + X_ET] * frame[0, i] + vector[first + Y_ET] * frame[1, i]

@@ -7,36 +7,29 @@ import numpy as np
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.model.kernels.compile import compiled
 from fpcal_bayes.model.kernels.jacobian import chain_axes
-from fpcal_bayes.model.kernels.lengths import GAIN, RUNOUT_COS, RUNOUT_SIN, STRIDE, start_block
+from fpcal_bayes.model.kernels.lengths import GAIN, RUNOUT_COS, RUNOUT_SIN, STRIDE, Turned, start_block
 
 #: Errors in um and rad at which Newton ends, and within which a pose counts as met.
 POSITION_GOAL, ANGLE_GOAL = 1e-9, 1e-13
 POSITION_MET, ANGLE_MET = 5e-8, 5e-11
 _STEPS = 60
 
+#: Work space: cosines and sines of the joints (n_joints,), and what `chain_axes` writes, `frame` and `axes`.
+Work = tuple[Floats, Floats, Floats, Floats]
+
 
 @compiled
-def pose_error(
-    vector: Floats,
-    cosine: Floats,
-    sine: Floats,
-    revolute: Bools,
-    q: Floats,
-    target: Floats,
-    joint_cos: Floats,
-    joint_sin: Floats,
-    frame: Floats,
-    axes: Floats,
-    error: Floats,
-) -> None:
+def pose_error(chain: Turned, revolute: Bools, q: Floats, target: Floats, work: Work, error: Floats) -> None:
     """What is missing between the tool frame at `q` and its target wTe, shape (4, 4); prismatic joints are in.
 
-    frame, axes: written as by `chain_axes`, the origin of `frame` with prismatic joints in.
+    work: written; the origin of its frame has prismatic joints in.
     error: written, shape (6,): position in um, rotation vector in rad, both in the world frame.
     """
+    vector, _, _ = chain
+    joint_cos, joint_sin, frame, axes = work
     for link in range(revolute.size):
         joint_cos[link], joint_sin[link] = math.cos(q[link]), math.sin(q[link])
-    chain_axes(vector, cosine, sine, revolute, q, joint_cos, joint_sin, frame, axes)
+    chain_axes(chain, revolute, (q, joint_cos, joint_sin), frame, axes)
     for link in range(revolute.size):
         if not revolute[link]:
             travel = q[link] * (1.0 + vector[STRIDE * link + GAIN])
@@ -95,31 +88,6 @@ def pose_jacobian(vector: Floats, revolute: Bools, q: Floats, frame: Floats, axe
 
 
 @compiled
-def solve_spd(matrix: Floats, right: Floats, n: int) -> bool:
-    """Solve a symmetric positive definite system in place by Cholesky; False if it is not definite."""
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(n):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True
-
-
-@compiled
 def error_size(error: Floats, length: float) -> float:
     """Sum of squares of a pose error, positions counted in `length`."""
     positions = (error[0] ** 2 + error[1] ** 2 + error[2] ** 2) / length**2
@@ -137,24 +105,13 @@ def within(error: Floats, position: float, angle: float) -> bool:
 
 
 @compiled
-def newton(
-    vector: Floats,
-    cosine: Floats,
-    sine: Floats,
-    revolute: Bools,
-    length: float,
-    target: Floats,
-    q: Floats,
-    joint_cos: Floats,
-    joint_sin: Floats,
-    frame: Floats,
-    axes: Floats,
-    error: Floats,
-    jacobian: Floats,
-) -> bool:
+def newton(chain: Turned, revolute: Bools, length: float, target: Floats, q: Floats, work: Work, error: Floats) -> bool:
     """Damped Newton steps from `q`, which is overwritten; whether the pose is met."""
+    vector, _, _ = chain
+    _, _, frame, axes = work
     n = revolute.size
-    pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
+    jacobian = np.empty((6, n))
+    pose_error(chain, revolute, q, target, work, error)
     if within(error, POSITION_GOAL, ANGLE_GOAL):
         return True
     trial, step, normal = np.empty(n), np.empty(n), np.empty((n, n))
@@ -172,18 +129,19 @@ def newton(
                 step[i] = 0.0
                 for k in range(6):
                     step[i] += jacobian[k, i] * error[k] / (length if k < 3 else 1.0)
-                for j in range(i + 1):
+                for j in range(n):
                     normal[i, j] = damping if i == j else 0.0
                     for k in range(6):
                         normal[i, j] += jacobian[k, i] * jacobian[k, j]
-            if solve_spd(normal, step, n):
+            if np.isfinite(normal).all() and np.isfinite(step).all():
+                step = np.linalg.solve(normal, step)
                 largest = 0.0
                 for i in range(n):
                     largest = max(largest, abs(step[i]) if revolute[i] else 0.0)
                 short = min(1.0, 1.0 / largest) if largest > 0.0 else 1.0
                 for i in range(n):
                     trial[i] = q[i] + short * step[i] * (1.0 if revolute[i] else length)
-                pose_error(vector, cosine, sine, revolute, trial, target, joint_cos, joint_sin, frame, axes, error)
+                pose_error(chain, revolute, trial, target, work, error)
                 smaller = error_size(error, length)
                 improved = smaller < size
             if improved:
@@ -191,7 +149,7 @@ def newton(
                 q[:] = trial
             else:
                 damping = max(damping, 1e-12) * 10.0
-                pose_error(vector, cosine, sine, revolute, q, target, joint_cos, joint_sin, frame, axes, error)
+                pose_error(chain, revolute, q, target, work, error)
                 # What rounding leaves cannot be improved upon.
                 if within(error, POSITION_MET, ANGLE_MET):
                     return True
@@ -199,44 +157,19 @@ def newton(
 
 
 @compiled
-def first_bad_pose(targets: Floats, tolerance: float) -> int:
-    """Position of the first of `targets` (n_poses, 4, 4) that is no rigid transform, or -1.
-
-    `tolerance` is what an entry of R R' - I may miss; a left-handed frame is none either.
-    """
-    for m in range(targets.shape[0]):
-        t = targets[m]
-        good = t[3, 0] == 0.0 and t[3, 1] == 0.0 and t[3, 2] == 0.0 and t[3, 3] == 1.0
-        for i in range(3):
-            good = good and math.isfinite(t[i, 3])
-            for j in range(i + 1):
-                product = t[i, 0] * t[j, 0] + t[i, 1] * t[j, 1] + t[i, 2] * t[j, 2]
-                # Not a number compares false.
-                good = good and abs(product - (1.0 if i == j else 0.0)) <= tolerance
-        handed = t[2, 0] * (t[0, 1] * t[1, 2] - t[0, 2] * t[1, 1])
-        handed += t[2, 1] * (t[0, 2] * t[1, 0] - t[0, 0] * t[1, 2])
-        handed += t[2, 2] * (t[0, 0] * t[1, 1] - t[0, 1] * t[1, 0])
-        if not (good and handed > 0.0):
-            return m
-    return -1
-
-
-@compiled
 def batch_tool_poses(vectors: Floats, revolute: Bools, q: Floats) -> Floats:
-    """Tool frames wTe, paper equation (12), of model vectors; shape (n_vectors, n_poses, 4, 4).
-
-    q: joint vectors, shape (n_vectors, n_poses, n_joints), or (1, n_poses, n_joints) for all vectors.
-    """
+    """Tool frames wTe, paper (12), (n_vectors, n_poses, 4, 4), at joints `q` of each vector, or one set for all."""
     n, n_vectors, n_poses = revolute.size, vectors.shape[0], q.shape[1]
     poses = np.zeros((n_vectors, n_poses, 4, 4))
     joint_cos, joint_sin = np.empty(n), np.empty(n)
-    frame, axes, error, origin = np.empty((4, 3)), np.empty((n + 1, 5, 3)), np.empty(6), np.eye(4)
+    frame, error, origin = np.empty((4, 3)), np.empty(6), np.eye(4)
+    work = joint_cos, joint_sin, frame, np.empty((n + 1, 5, 3))
     for k in range(n_vectors):
         _, block_cosine, block_sine = start_block(vectors[k], n, 1, 1)
-        cosine, sine = block_cosine[:, 0].copy(), block_sine[:, 0].copy()
+        chain = vectors[k], block_cosine[:, 0].copy(), block_sine[:, 0].copy()
         for m in range(n_poses):
             here = q[k if q.shape[0] > 1 else 0, m]
-            pose_error(vectors[k], cosine, sine, revolute, here, origin, joint_cos, joint_sin, frame, axes, error)
+            pose_error(chain, revolute, here, origin, work, error)
             for i in range(3):
                 for j in range(4):
                     poses[k, m, i, j] = frame[j, i]

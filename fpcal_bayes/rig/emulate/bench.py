@@ -21,10 +21,7 @@ from fpcal_bayes.simulator.machine import Machine
 
 
 class EmulatedBench:
-    """All devices of a rig, emulated: `lab` is the simulated cell behind them, `server.inject` gives them faults.
-
-    The truth is by default that of the rig's file, else the paper's.
-    """
+    """All devices of a rig, emulated: `lab` is the simulated cell behind them, `server.inject` gives them faults."""
 
     def __init__(self, rig: Rig, cell: Cell, truth: Truth | None = None, machine: Machine | None = None) -> None:
         stated = rig.emulation

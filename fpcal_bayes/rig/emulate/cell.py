@@ -7,6 +7,7 @@ import numpy as np
 from fpcal_bayes.measure.truth import Truth
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.cell.joints import ControllerAxis
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.simulator.machine import Machine
 
@@ -57,10 +58,7 @@ class Axis:
 
 
 class SimulatedCell:
-    """A cell with a truth through time, as its devices see it; `machine` holds mechanics beyond the geometry.
-
-    `noise` is the standard deviation of one position that the interferometer reads, in um; axes ring for `settle_s`.
-    """
+    """A cell with a truth through time, as its devices see it; `noise` is the sd of one reading of length, in um."""
 
     def __init__(
         self,
@@ -153,3 +151,39 @@ class SimulatedCell:
         """One position as the interferometer counts it, in um."""
         lost = self.slipped * self.cell.wavelength / 2.0
         return self.length() - self.zero + lost + self._noise * float(self._random.standard_normal())
+
+
+class EmulatedController:
+    """Joints of the cell behind a motion controller, by its channels."""
+
+    def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
+        self._lab = lab
+        self._joints = {axis.channel: joint for joint, axis in axes.items()}
+        self._axes = {axis.channel: axis for axis in axes.values()}
+        #: Times of the cell at which a stop came in.
+        self.stops: list[float] = []
+
+    def fault(self, kind: str, active: bool) -> None:
+        """The joints are hindered, or free again."""
+        for channel, joint in self._joints.items():
+            if kind == "slow-settling":
+                self._lab.axes[joint].settle_s = (1e3 if active else 1.0) * self._lab.settle_s
+                continue
+            if active:
+                self._lab.hold(joint)
+            else:
+                self._lab.release(joint)
+            self._suffer(channel, kind, active)
+
+    def _suffer(self, channel: str, kind: str, active: bool) -> None:
+        """What the controller itself shows of a fault."""
+
+
+def next_line(buffer: bytearray) -> str | None:
+    """Take a whole line from the buffer's beginning; None where its end has not come."""
+    if b"\n" not in buffer:
+        return None
+    end = buffer.index(b"\n")
+    text = bytes(buffer[:end]).decode("latin-1").strip()
+    del buffer[: end + 1]
+    return text

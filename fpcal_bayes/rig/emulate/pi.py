@@ -5,38 +5,31 @@ from collections.abc import Callable
 import numpy as np
 
 from fpcal_bayes.model.cell.joints import ControllerAxis
-from fpcal_bayes.rig.emulate.cell import SimulatedCell
+from fpcal_bayes.rig.emulate.cell import EmulatedController, SimulatedCell, next_line
 
 _UNKNOWN_COMMAND, _WRONG_PARAMETERS, _LIMITS, _STOPPED, _SERVO_OFF = 2, 1, 7, 10, 5
-_MOTION_ERROR = -1024
+#: Faults in which the servo goes off, and the error that stands then.
+_LOST = {"reset": 0, "following-error": -1024}
 
 _SINGLE = {0x18: "STP", 0x05: "#5", 0x07: "#7"}
 _COMMANDS = "*IDN?, ERR?, HLP?, MOV, MOV?, ONT?, POS?, SAI?, STP, SVO, SVO?, TMN?, TMX?, VEL, VEL?, #5, #7, #24"
 
 
-class PIController:
+class PIController(EmulatedController):
     """Axes of the cell behind GCS 2.0."""
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
-        self._lab = lab
-        self._joints = {axis.channel: joint for joint, axis in axes.items()}
-        self._axes = {axis.channel: axis for axis in axes.values()}
+        super().__init__(lab, axes)
         self._servo = dict.fromkeys(self._joints, True)
         self._error = 0
-        #: Wall times at which a stop came in.
-        self.stops: list[float] = []
 
     def answers(self, buffer: bytearray) -> list[bytes]:
         """One answer for each query among the requests."""
         found = []
         while buffer:
             if buffer[0] in _SINGLE:
-                name = _SINGLE[buffer.pop(0)]
-                line = self._single(name)
-            elif b"\n" in buffer:
-                end = buffer.index(b"\n")
-                text = bytes(buffer[:end]).decode("latin-1").strip()
-                del buffer[: end + 1]
+                line = self._single(_SINGLE[buffer.pop(0)])
+            elif (text := next_line(buffer)) is not None:
                 line = self._command(text) if text else None
             else:
                 break
@@ -44,22 +37,11 @@ class PIController:
                 found.append((line + "\n").encode("latin-1"))
         return found
 
-    def fault(self, kind: str, active: bool) -> None:
-        """The axes are hindered, or free again."""
-        for channel, joint in self._joints.items():
-            axis = self._lab.axes[joint]
-            if kind == "slow-settling":
-                axis.settle_s = 1e3 * self._lab.settle_s if active else self._lab.settle_s
-            elif not active:
-                self._lab.release(joint)
-                self._servo[channel] = kind != "reset"
-            elif kind == "reset":
-                self._lab.hold(joint)
-                self._servo[channel], self._error = False, 0
-            elif kind in ("end-stop", "following-error"):
-                self._lab.hold(joint)
-                if kind == "following-error":
-                    self._servo[channel], self._error = False, _MOTION_ERROR
+    def _suffer(self, channel: str, kind: str, active: bool) -> None:
+        if not active:
+            self._servo[channel] = kind != "reset"
+        elif kind in _LOST:
+            self._servo[channel], self._error = False, _LOST[kind]
 
     def _single(self, name: str) -> str | None:
         if name == "STP":

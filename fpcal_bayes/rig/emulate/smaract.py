@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 from fpcal_bayes.model.cell.joints import ControllerAxis
-from fpcal_bayes.rig.emulate.cell import SimulatedCell
+from fpcal_bayes.rig.emulate.cell import EmulatedController, SimulatedCell, next_line
 
 _MOVING, _CLOSED_LOOP, _SENSOR, _CALIBRATED, _REFERENCED = 0x1, 0x2, 0x20, 0x40, 0x80
 _FAULTS = {"end-stop": 0x100, "following-error": 0x400 | 0x800}
@@ -21,13 +21,11 @@ _RANGE = '-222,"Data out of range"'
 _NOT_REFERENCED = '-221,"Settings conflict;not referenced"'
 
 
-class MCS2:
+class MCS2(EmulatedController):
     """Joints of the cell behind an MCS2; lengths in pm, angles in ndeg."""
 
     def __init__(self, lab: SimulatedCell, axes: dict[int, ControllerAxis]) -> None:
-        self._lab = lab
-        self._axes = {axis.channel: axis for axis in axes.values()}
-        self._joints = {axis.channel: joint for joint, axis in axes.items()}
+        super().__init__(lab, axes)
         self._wire = {
             axis.channel: math.radians(1e-9) if lab.cell.revolute[joint] else 1e-6 for joint, axis in axes.items()
         }
@@ -35,35 +33,21 @@ class MCS2:
         self._referenced = dict.fromkeys(self._joints, True)
         self._failed = dict.fromkeys(self._joints, 0)
         self._errors: list[str] = []
-        #: Times of the cell at which a stop came in.
-        self.stops: list[float] = []
 
     def answers(self, buffer: bytearray) -> list[bytes]:
         """One answer for each query among the requests; an unknown one has none."""
         found = []
-        while b"\n" in buffer:
-            end = buffer.index(b"\n")
-            text = bytes(buffer[:end]).decode("latin-1").strip()
-            del buffer[: end + 1]
+        while (text := next_line(buffer)) is not None:
             line = self._command(text) if text else None
             if line is not None:
                 found.append((line + "\r\n").encode("latin-1"))
         return found
 
-    def fault(self, kind: str, active: bool) -> None:
-        """The channels are hindered, or free again."""
-        for channel, joint in self._joints.items():
-            if kind == "slow-settling":
-                self._lab.axes[joint].settle_s = 1e3 * self._lab.settle_s if active else self._lab.settle_s
-                continue
-            if active:
-                self._lab.hold(joint)
-            else:
-                self._lab.release(joint)
-            if kind == "reset":
-                # Whoever looks after the cell references the channels again before it is called mended.
-                self._referenced[channel] = not active
-            self._failed[channel] = _FAULTS.get(kind, 0) if active else 0
+    def _suffer(self, channel: str, kind: str, active: bool) -> None:
+        if kind == "reset":
+            # Whoever looks after the cell references the channels again before it is called mended.
+            self._referenced[channel] = not active
+        self._failed[channel] = _FAULTS.get(kind, 0) if active else 0
 
     def _command(self, text: str) -> str | None:
         upper = text.upper()

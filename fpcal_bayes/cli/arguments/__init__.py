@@ -1,1 +1,0 @@
-"""Options of all commands; nothing here is slow to import."""

@@ -14,6 +14,7 @@ from machine_errors import mechanics_task_errors
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import CONTENT_HASH, write_json
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.infer.posterior.compare import parse_models
 from fpcal_bayes.infer.posterior.sample import sample
@@ -52,6 +53,24 @@ def test_mechanics_are_stated_unless_asked_otherwise():
     assert load_cell().mechanics is not None
     assert load_cell(mechanics="none").mechanics is None
     assert load_cell().sha256 == load_cell(mechanics="none").sha256
+
+
+def test_an_estimate_with_fewer_orders_is_read(folder, tmp_path):
+    content = json.loads((folder / "estimate.json").read_text())
+    whole, stated = read_estimate(folder / "estimate.json", CELL), content["mechanics"]
+    kept = [i for i, name in enumerate(stated["names"]) if " of q1 [" not in name or int(name[-2]) < 6]
+    for key in ("names", "mean", "factor"):
+        stated[key] = [stated[key][i] for i in kept]
+    del content[CONTENT_HASH]
+    write_json(tmp_path / "older.json", content)
+    older = read_estimate(tmp_path / "older.json", CELL)
+    assert older.mechanics.names == whole.mechanics.names
+    left_out = [i for i in range(len(whole.mechanics.names)) if i not in kept]
+    expected = whole.mechanics.factor.copy()
+    expected[left_out] = 0.0
+    np.testing.assert_array_equal(older.mechanics.factor, expected)
+    assert len(left_out) == 18
+    run("task-error", tmp_path / "older.json", "--task", "circle")
 
 
 def test_a_perfect_mechanism_does_not_fit_a_machine(folder, capsys):

@@ -1,6 +1,6 @@
 """Error motions: their sizes, their weights, and what they do to the cavity length."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.cell_tables import read_mechanics
 from fpcal_bayes.io.validate import Tables
 from fpcal_bayes.measure.protocol import protocol_by_name
-from fpcal_bayes.measure.sharing import Sharing
+from fpcal_bayes.measure.sharing import Sharing, drive_of_sweeps
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.estimate import Estimate
@@ -20,7 +20,7 @@ from fpcal_bayes.model.mechanics import JointMechanics, Mechanics, Terms, design
 from fpcal_bayes.model.mechanics.errors import known_task_errors, known_task_sd
 from fpcal_bayes.model.mechanics.knowledge import MechanicsKnowledge
 from fpcal_bayes.model.mechanics.response import directions, pose_responses, responses
-from fpcal_bayes.model.mechanics.terms import PEAK_TO_VALLEY, harmonics, polynomials, weight_sd
+from fpcal_bayes.model.mechanics.terms import WEIGHT_SD, harmonics, polynomials, weight_sd
 from fpcal_bayes.simulator.machine import Machine, MachineSettings
 
 STAGE = JointMechanics(straightness_nm=30, pitch_urad=2, yaw_urad=2, roll_urad=2, linearity=45, reversal=10)
@@ -133,7 +133,40 @@ def test_sheet_words_by_draws():
         sd = np.repeat(sd, 2) if shape.startswith("fourier") else sd
         drawn = (rng.standard_normal((n, basis.shape[1])) * sd[-basis.shape[1] :]) @ basis.T
         assert np.median(np.ptp(drawn, axis=1)) == pytest.approx(7.0, rel=0.03), shape
-    assert set(bases) == set(PEAK_TO_VALLEY)
+    assert set(bases) == set(WEIGHT_SD)
+
+
+@pytest.mark.parametrize(("shape", "direction"), [("legendre", 5), ("legendre-bent", 1)])
+def test_weights_are_as_large_as_those_of_functions_of_one_peak_to_valley(shape, direction):
+    rng, x, bent = np.random.default_rng(1), np.linspace(-1.0, 1.0, 201), shape == "legendre-bent"
+    basis = polynomials(x, -1.0, 1.0)
+    falling = rng.standard_normal((4000, 8)) / np.arange(1, 9)
+    falling[:, : 1 * bent] = 0.0
+    values = falling @ basis.T
+    lines = np.polynomial.polynomial.polyfit(x, values.T, 1) if bent else np.zeros((2, len(values)))
+    falling /= np.ptp(values - np.polynomial.polynomial.polyval(x, lines), axis=1)[:, None]
+    stage = JointMechanics(straightness_nm=1e3, pitch_urad=1e6)
+    cell, settings = load_cell(), MachineSettings(spread=1.0)
+    machines = [Machine.draw(cell, Mechanics((stage,) * 6), np.zeros(56), rng, settings) for _ in range(250)]
+    waves = np.array([motions[direction](150.0 * x) for machine in machines for motions in machine.motions[:3]])
+    seen = np.linalg.lstsq(np.column_stack([np.ones(len(x)), basis]), waves.T, rcond=None)[0][1:].T
+    expected = np.sqrt(((falling**2).mean(axis=0) + (seen**2).mean(axis=0)) / 2.0)[bent:]
+    ratio = np.array(WEIGHT_SD[shape])[bent:] / expected
+    np.testing.assert_allclose(ratio, 1.0, atol=0.08)
+
+
+def test_functions_follow_the_tilts_of_machines_of_another_family():
+    """At the levers of the built-in cell, what they cannot follow stays far below what is asked of a circle."""
+    cell, left = load_cell(), []
+    assert cell.mechanics is not None
+    q = np.linspace(cell.low[0], cell.high[0], 301)
+    basis = np.column_stack([np.ones(len(q)), polynomials(q, cell.low[0], cell.high[0])])
+    for seed in range(10):
+        machine = Machine.draw(cell, cell.mechanics, cell.parameters.nominal, np.random.default_rng(seed))
+        tilts = np.array([tilt(q) for stage in machine.motions[:3] for tilt in stage[3:]]).T
+        rest = tilts - basis @ np.linalg.lstsq(basis, tilts, rcond=None)[0]
+        left.append(np.ptp(rest, axis=0) * 1e3 * np.abs(machine.lever[0]).max())
+    assert np.sqrt(np.mean(np.square(left))) < 6.0
 
 
 def test_tables_of_a_cell():
@@ -208,6 +241,47 @@ def test_directions_of_approach_follow_the_rows():
     np.testing.assert_array_equal(drive.start_side, [[0, 0], [1, 0], [1, 0], [1, 0]])
     np.testing.assert_array_equal(drive.end_side, [[1, 0], [-1, 0], [-1, 0], [1, 1]])
     np.testing.assert_array_equal(drive.start_min, [0, 2, 2, 4])
+
+
+@pytest.mark.parametrize("several", [1, 3])
+def test_noise_of_values_that_are_read_back_is_no_motion(several):
+    """Sweeps as a person drives them, and as encoders tell of them, from the same sides and to the same positions."""
+    cell, rng = load_cell(), np.random.default_rng(8)
+    plan, still = protocol_by_name("paper-mid", cell), Terms.of(cell, cell.mechanics).still
+    resolution = np.array([joint.resolution for joint in cell.joints])
+    as_driven = drive_of_sweeps(plan, 1.0, still)
+    for part in fields(as_driven):
+        np.testing.assert_array_equal(getattr(as_driven, part.name), getattr(drive_of_sweeps(plan, 1.0), part.name))
+    places, first = np.unique(plan.group, return_inverse=True)
+    starts = plan.q_start + (several * resolution * rng.standard_normal((len(places), 6)))[first]
+    ends = plan.q_end + several * resolution * rng.standard_normal(plan.q_end.shape)
+    read_back = replace(plan, q_start=starts, q_end=ends)
+    told = drive_of_sweeps(read_back, 1.0, still)
+    for name in ("start_side", "end_side", "start_reach", "end_reach", "moved"):
+        np.testing.assert_array_equal(getattr(told, name), getattr(as_driven, name))
+    assert (drive_of_sweeps(read_back, 1.0).start_side != as_driven.start_side).any()
+
+
+def test_a_joint_that_creeps_has_moved_in_the_end():
+    q = np.zeros((6, 2))
+    q[1:, 0] = np.arange(5) * 0.4
+    drive = drive_of(
+        q[:-1], q[1:], absolute=np.zeros(5, bool), sweep=np.arange(5), time_h=np.zeros(5), minutes_per_sweep=1.0,
+        still=np.ones(2),
+    )  # fmt: skip
+    np.testing.assert_array_equal(drive.end_side[:, 0], [0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(drive.end_reach[:, 0], [0, 0, 0, 1, 1])
+
+
+def test_a_stated_approach_holds_until_the_joint_moves():
+    start, end = np.array([[0.0, 0.0], [2.0, 0.0], [5.0, 0.0]]), np.array([[2.0, 0.0], [2.0, 3.0], [4.0, 3.0]])
+    stated = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    drive = drive_of(
+        start, end, absolute=np.zeros(3, bool), sweep=np.arange(3), time_h=np.zeros(3), minutes_per_sweep=1.0,
+        approach=stated,
+    )  # fmt: skip
+    np.testing.assert_array_equal(drive.end_side[:, 0], [-1, -1, -1])
+    np.testing.assert_array_equal(drive.start_side[:, 0], [0, -1, 1])
 
 
 def test_the_design_is_what_a_machine_of_these_weights_shows():

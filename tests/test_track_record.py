@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from track_fixtures import CELL, DRIFT, campaign, knock
@@ -110,6 +111,25 @@ def test_a_track_of_an_older_version_is_taken_in_anew(saved):
     )
     assert known is None
     assert note == "the track was saved by an older version: all sessions are taken in anew"
+
+
+def test_a_track_whose_covariances_are_whole_is_read(saved, tmp_path):
+    path = tmp_path / "campaign.h5"
+    with h5py.File(path, "r+") as file:
+        group = file["track"]
+        assert group["covariance"].ndim == 2
+        del group["covariance"]
+        group["covariance"] = saved.covariance
+    read = read_campaign(path, CELL).track
+    np.testing.assert_array_equal(read.covariance, saved.covariance)
+
+
+def test_a_covariance_that_is_not_symmetric_to_the_last_bit_is_kept(saved, tmp_path):
+    covariance = saved.covariance.copy()
+    covariance[0, 3, 1] = np.nextafter(covariance[0, 1, 3], 1.0)
+    path, part = tmp_path / "campaign.h5", early("s1", "s2", "s3", "s4")
+    write_campaign(path, replace(Campaign.of(part, CELL), track=replace(saved, covariance=covariance)), CELL)
+    np.testing.assert_array_equal(read_campaign(path, CELL).track.covariance, covariance)
 
 
 def test_a_state_that_does_not_say_how_it_began_is_refused(saved):

@@ -9,6 +9,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.columns import Column, from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
 from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
@@ -20,8 +21,15 @@ from fpcal_bayes.model.cell.cell import Cell
 SCHEMA = "fpcal-campaign"
 SCHEMA_VERSION = 1
 
-#: Arrays of a track record and their number of axes.
-_TRACK_ARRAYS = {"mean": 2, "covariance": 3, "jump": 2, "onset_response": 3, "onset_information": 3, "onset_score": 2}
+#: Arrays of a track record and their number of axes: covariances are triangles, in older files whole.
+_TRACK_ARRAYS = {
+    "mean": 2,
+    "covariance": None,
+    "jump": 2,
+    "onset_response": 3,
+    "onset_information": 3,
+    "onset_score": 2,
+}
 #: Texts and numbers of a doubtful record, the numbers with their units.
 _DOUBTFUL_TEXTS = ("session", "label", "reason")
 _DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed": ""}
@@ -142,8 +150,24 @@ def put_track(group: Any, record: TrackRecord) -> None:
     put_array(group, "names", record.names)
     put_array(group, "json", [record.summary])
     for name in _TRACK_ARRAYS:
-        put_array(group, name, getattr(record, name))
+        values = getattr(record, name)
+        put_array(group, name, _triangles(values) if name == "covariance" else values)
     put_text(group, CONTENT_HASH, _track_sha256(record))
+
+
+def _triangles(matrices: Floats) -> Floats:
+    """The lower triangles of matrices (n, m, m), shape (n, m (m + 1) / 2); the matrices where these do not tell all."""
+    rows, columns = np.tril_indices(matrices.shape[1])
+    packed: Floats = matrices[:, rows, columns]
+    return packed if _whole(packed, matrices.shape[1]).tobytes() == matrices.tobytes() else matrices
+
+
+def _whole(packed: Floats, size: int) -> Floats:
+    """The symmetric matrices (n, size, size) of which these are the lower triangles."""
+    rows, columns = np.tril_indices(size)
+    matrices = np.empty((len(packed), size, size))
+    matrices[:, rows, columns] = matrices[:, columns, rows] = packed
+    return matrices
 
 
 def _track_sha256(record: TrackRecord) -> str:
@@ -157,6 +181,8 @@ def get_track(reader: Reader, group: Any) -> TrackRecord:
     summary = _one_text(reader, group, "json")
     arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _TRACK_ARRAYS.items()}
     sessions, states = arrays["mean"].shape
+    if arrays["covariance"].shape == (sessions, states * (states + 1) // 2):
+        arrays["covariance"] = _whole(arrays["covariance"], states)
     if arrays["covariance"].shape != (sessions, states, states) or arrays["jump"].shape != (sessions, states):
         raise InputError(f"{reader.path}: {group.name}/covariance: expected the shape that mean has")
     if not all(np.isfinite(values).all() for values in arrays.values()):

@@ -142,7 +142,7 @@ class _Reader(Tables):
                 "mechanics.sizes_sha256", "the cell states other sizes of error motions now: identify it anew"
             )
         try:
-            return knowledge_of(stated, sizes, parameters)
+            return knowledge_of(stated, sizes, parameters, self.cell)
         except (KeyError, TypeError, ValueError) as error:
             raise self.error("mechanics", f"expected what fpcal writes there ({error})") from error
 

@@ -85,10 +85,13 @@ def _blocks(first: Ints) -> list[Ints]:
     return [np.array(rows) for rows in members.values() if len(rows) > 1]
 
 
-def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
-    """Order, times and directions of approach of the rows, as they stand in the file, session by session."""
+def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float, still: Floats | float = 0.0) -> Drive:
+    """Order, times and directions of approach of the rows, as they stand in the file, session by session.
+
+    A joint whose value changes by no more than `still`, in um or rad (n_joints,), does not move.
+    """
     chosen = [sweeps.session == name for name in sweeps.sessions]
-    parts = [_of_session(sweeps.take(mine), minutes_per_sweep) for mine in chosen]
+    parts = [_of_session(sweeps.take(mine), minutes_per_sweep, still) for mine in chosen]
     if len(parts) == 1:
         return parts[0]
     begun = np.cumsum([0, *(int(part.sweep.max()) + 1 for part in parts[:-1])])
@@ -100,12 +103,13 @@ def drive_of_sweeps(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
     return Drive(*(np.concatenate([getattr(part, f.name) for part in parts])[back] for f in fields(Drive)))
 
 
-def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
+def _of_session(sweeps: Sweeps, minutes_per_sweep: float, still: Floats | float) -> Drive:
     end = Sharing.of(sweeps).end
     moments, place = np.unique(end, return_inverse=True)
     if len(moments) < len(end):
         # What several beams read at one moment is one motion.
-        driven = replace(_of_session(sweeps.take(moments), minutes_per_sweep).take(place), absolute=sweeps.absolute)
+        driven = _of_session(sweeps.take(moments), minutes_per_sweep, still).take(place)
+        driven = replace(driven, absolute=sweeps.absolute)
     else:
         driven = drive_of(
             sweeps.q_start,
@@ -117,6 +121,7 @@ def _of_session(sweeps: Sweeps, minutes_per_sweep: float) -> Drive:
             t_start_h=sweeps.t_start_h,
             t_end_h=sweeps.t_end_h,
             approach=sweeps.approach_signs(),
+            still=still,
         )
     return replace(driven, beam=sweeps.beam, scaled=sweeps.scaled)
 

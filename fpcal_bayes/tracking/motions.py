@@ -33,7 +33,7 @@ from fpcal_bayes.motion.tasks import Task
 
 #: Combinations whose effect on the cavity length is below this, in um, root mean square over poses, are noise.
 _NEGLIGIBLE = 0.7e-3
-_MOST_STATES = 42
+_MOST_STATES = 56
 #: Draws of a state that travel with an estimate.
 _DRAWS = 400
 
@@ -56,13 +56,15 @@ class MotionStates:
     def factors(self) -> Floats:
         """Factors on the stated sizes (n_scales,): those that the calibration found, drawn back to the sheet.
 
-        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated.
+        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated,
+        and all as large as the root mean square over what remains unknown of their size.
         """
         found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
         prior[-1] = LOG_SD_NOISE**2
         told = np.maximum(1.0 / found - 1.0 / prior, 0.0) + 1.0 / LOG_SD_NOISE**2
         factors = np.exp(self.log_scales.mean(axis=0) / found / told)
-        factors[: -len(SINGLE_KINDS)] = np.maximum(factors[: -len(SINGLE_KINDS)], 1.0)
+        sized = slice(-len(SINGLE_KINDS))
+        factors[sized] = np.maximum(factors[sized], 1.0) * np.exp(1.0 / told[sized])
         return np.asarray(factors)
 
     @cached_property
@@ -98,7 +100,7 @@ class MotionStates:
 
     def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:
         """Whitening of a session's rows, and their derivatives by the states (n_rows, n_states), in um, at `values`."""
-        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep)
+        drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep, self.terms.still)
         made = design(self.terms, model.vector(values), drive, sweeps.sigma)
         n = made.motion_count
         shared = made.matrix[:, :n] * self.sizes

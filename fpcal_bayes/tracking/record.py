@@ -15,6 +15,7 @@ from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Mechanics, Terms
+from fpcal_bayes.model.mechanics.terms import HARMONICS, LEGENDRE
 from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
@@ -36,7 +37,7 @@ _found_rows: dict[tuple[Cell, DriftModel, str], Measurement | None] = {}
 
 def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:
     """Hash of what a track depends on beside cell and sweeps: drift sizes, limits of the tests, error motions."""
-    motions = [] if sizes is None else [sizes.sha256]
+    motions = [] if sizes is None else [sizes.sha256, LEGENDRE, HARMONICS]
     return content_sha256([[size.content() for size in drift.sizes], asdict(limits), *motions])
 
 
@@ -86,7 +87,7 @@ def resume(
             f"{cell.name!r}, opd {cell.opd!r} ({cell.sha256[:8]}); give --anew to replace it"
         )
     if record.settings_sha256 != settings_sha256(drift, limits, cell.mechanics):
-        return None, "the drift sizes or limits are no longer those of the saved track: all sessions are taken in anew"
+        return None, "drift, limits or error motions are no longer the saved track's: all sessions are taken in anew"
     try:
         track, hashes = _track(record, cell, drift)
         from_prior = track is not None and bool(json.loads(record.summary)["from_prior"])

@@ -117,7 +117,7 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     """
     began = time.perf_counter()
     terms = Terms.of(problem.model.cell, sizes, problem.model.free.names)
-    drive = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep)
+    drive = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep, terms.still)
     rng = np.random.default_rng(seed)
     unknowns = np.zeros(problem.n_unknowns) if start is None else start
     log = np.zeros(len(terms.scales))

@@ -18,6 +18,7 @@ from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
 from fpcal_bayes.infer.mechanics.scales import LOG_SD_NOISE
 from fpcal_bayes.model.mechanics import group_of
 from fpcal_bayes.model.mechanics.response import Responses, responses
+from fpcal_bayes.model.mechanics.terms import HARMONICS, LEGENDRE
 from fpcal_bayes.model.trust import Reason
 
 #: Family-wise probability of naming a term that is not there.
@@ -27,7 +28,7 @@ _BEYOND = 3.0
 #: Above this one no machine is so far off its sheet: the rows hold a mistake.
 _ABSURD = 30.0
 #: Orders that the fit leaves out, looked for in the residuals.
-_POLYNOMIALS, _HARMONICS = range(6, 11), range(5, 9)
+_POLYNOMIALS, _HARMONICS = range(LEGENDRE + 1, LEGENDRE + 6), range(HARMONICS + 1, 2 * HARMONICS + 1)
 
 
 def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:

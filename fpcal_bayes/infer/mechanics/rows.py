@@ -23,7 +23,8 @@ def row_whitening(model: CavityModel, sweeps: Sweeps, values: Floats, log_scales
     if sizes is None:
         return with_scale(whitening_of(model, sweeps, values), sweeps)
     terms = Terms.of(model.cell, sizes, model.free.names)
-    made = design(terms, model.vector(values), drive_of_sweeps(sweeps, sizes.minutes_per_sweep), sweeps.sigma)
+    drive = drive_of_sweeps(sweeps, sizes.minutes_per_sweep, terms.still)
+    made = design(terms, model.vector(values), drive, sweeps.sigma)
     log = np.zeros(len(terms.scales)) if log_scales is None else log_scales
     return scaled_whitening(RowNoise.of(sweeps, made), made, log)
 

@@ -73,7 +73,7 @@ class Expected:
         made, terms, log = None, None, np.zeros((1, 0))
         if found.machine is not None:
             terms = found.machine.terms
-            driven = drive_of_sweeps(sweeps, terms.sizes.minutes_per_sweep)
+            driven = drive_of_sweeps(sweeps, terms.sizes.minutes_per_sweep, terms.still)
             made = design(terms, model.vector(values), driven, sweeps.sigma)
             log = found.machine.scales.log[:: max(1, len(found.machine.scales.log) // _SCALES)]
         geometry = problem.prior.by_scores(jacobian, unknowns)

@@ -70,7 +70,7 @@ def effects_of(expected: Expected, tasks: Sequence[tuple[Task, float, float]], *
     vector = model.vector(values)
     sizes = Mechanics(tuple(_unseen(cell.mechanics, i, joint.kind) for i, joint in enumerate(cell.joints)))
     terms = Terms.of(cell, sizes, model.free.names)
-    driven = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep)
+    driven = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep, terms.still)
     made = design(terms, vector, driven, problem.sweeps.sigma)
     kinds = [_kind(cell, name) for name in made.names[: made.motion_count]]
     matrix = made.matrix[:, : made.motion_count]

@@ -73,7 +73,7 @@ def _columns(terms: Terms, q: Floats, at: Responses) -> Floats:
     """Columns of the error motions at poses: value of each basis function times its response, per weight."""
     cell, joint, direction, place, sd = terms.cell, *terms.weights
     endless = np.array([group_of(cell, i) == "rotary" for i in range(len(cell.joints))], dtype=bool)
-    basis = np.zeros((*q.shape, 2 * HARMONICS))
+    basis = np.zeros((*q.shape, max(LEGENDRE, 2 * HARMONICS)))
     basis[:, ~endless, :LEGENDRE] = polynomials(q[:, ~endless], cell.low[~endless], cell.high[~endless])
     basis[:, endless] = harmonics(q[:, endless])
     return basis[:, joint, place] * at.motion[:, joint, direction] * sd

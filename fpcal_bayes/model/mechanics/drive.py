@@ -67,16 +67,17 @@ def drive_of(
     t_start_h: Floats | None = None,
     t_end_h: Floats | None = None,
     approach: Floats | None = None,
+    still: Floats | float = 0.0,
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
     sweep: number of each row's sweep, rising by one, shape (n,).
     time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
     approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
+    still: a joint whose value changes by no more than this stands, (n_joints,): values that are read back have noise.
     """
-    (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep)
-    if approach is not None:
-        end_side = np.where(approach != 0, approach, end_side)
+    stated = np.zeros(q_end.shape) if approach is None else approach
+    (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep, stated, still)
     fraction = _fractions(q_start, q_end, absolute, sweep)
     # Times that differ are those of the rows; else the sweeps are so many minutes apart.
     begun = 60.0 * (time_h - time_h[0]) if np.ptp(time_h) > 0 else minutes_per_sweep * (sweep - sweep[0])
@@ -103,8 +104,18 @@ def sides_after(steps: Floats) -> Floats:
     return np.take_along_axis(known, latest, axis=0)
 
 
+def _steps(poses: Floats, still: Floats | float) -> Floats:
+    """How far each joint moves to each pose, zero while it is within `still` of where it came to last."""
+    steps, at = np.zeros(poses.shape), poses[0].copy()
+    for step, pose in zip(steps[1:], poses[1:], strict=True):
+        moved = np.abs(pose - at) > still
+        step[moved] = (pose - at)[moved]
+        at[moved] = pose[moved]
+    return steps
+
+
 def _approaches(
-    q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints
+    q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints, stated: Floats, still: Floats | float
 ) -> tuple[tuple[Floats, Floats], tuple[Ints, Ints]]:
     """At start and end of each row: directions of approach, zero before a joint's first move; positions reached."""
     n, n_joints = q_end.shape
@@ -117,8 +128,10 @@ def _approaches(
     poses[place] = q_end
     start_place = place[starts] - 1
     poses[start_place] = q_start[starts]
-    steps = np.vstack([np.zeros(n_joints), np.diff(poses, axis=0)])
-    sides = sides_after(steps)
+    steps = _steps(poses, still)
+    came = steps.copy()
+    came[place] = np.where(stated != 0, stated, steps[place])
+    sides = sides_after(came)
     reached = np.cumsum(steps != 0, axis=0)
     first = np.full(n, -1)
     first[starts] = start_place

@@ -13,8 +13,8 @@ from fpcal_bayes.model.cell.error_motions import Mechanics
 from fpcal_bayes.model.mechanics.terms import Terms
 from fpcal_bayes.model.parameters import ParameterSet
 
-#: Decimals of the draws, of unit variance, and digits of all else in a file.
-_DECIMALS, _DIGITS = 3, 6
+#: Decimals in a file of draws, weights and logarithms of factors, all of about unit size, and digits of the rest.
+_DRAWN, _WEIGHT, _FACTOR, _DIGITS = 2, 4, 3, 6
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,14 @@ class MechanicsKnowledge:
 
     def content(self, parameters: ParameterSet) -> dict[str, Any]:
         """The JSON content; parameters in um and deg."""
-        scale = np.ones(len(self.names))
-        scale[: self.n_parameters] = parameters.scales[parameters.positions(self.names[: self.n_parameters])]
+        n = self.n_parameters
+        scale = parameters.scales[parameters.positions(self.names[:n])]
         low, middle, high = np.exp(np.quantile(self.log_scales, [0.025, 0.5, 0.975], axis=0))
         return {
             "names": list(self.names),
-            "mean": _short(self.mean / scale),
-            "factor": [_short(row) for row in self.factor / scale[:, None]],
-            "draws": np.round(self.draws, _DECIMALS).tolist(),
+            "mean": [*_short(self.mean[:n] / scale), *np.round(self.mean[n:], _WEIGHT).tolist()],
+            "factor": [*map(_short, self.factor[:n] / scale[:, None]), *np.round(self.factor[n:], _WEIGHT).tolist()],
+            "draws": np.round(self.draws, _DRAWN).tolist(),
             "free": list(self.free),
             "session_min": self.session_min,
             "sizes_sha256": self.sizes.sha256,
@@ -82,12 +82,15 @@ class MechanicsKnowledge:
                 name: {"median": float(middle[i]), "low": float(low[i]), "high": float(high[i]), "share": 0.95}
                 for i, name in enumerate(self.scales)
             },
-            "log_scales": np.round(self.log_scales, _DECIMALS).tolist(),
+            "log_scales": np.round(self.log_scales, _FACTOR).tolist(),
         }
 
 
-def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: ParameterSet) -> MechanicsKnowledge:
-    """What `MechanicsKnowledge.content` wrote; `ValueError` if it does not hold together."""
+def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: ParameterSet, cell: Cell) -> MechanicsKnowledge:
+    """What `MechanicsKnowledge.content` wrote; `ValueError` if it does not hold together.
+
+    Weights of higher orders, which files of older programs do not hold, are zero.
+    """
     names = tuple(map(str, content["names"]))
     free = tuple(map(str, content["free"]))
     scales = tuple(content["scales"])
@@ -107,7 +110,12 @@ def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: Paramete
         raise ValueError("expected names of the parameters, then those of weights")
     scale = np.ones(len(names))
     scale[: len(first)] = parameters.scales[parameters.positions(first)]
-    return replace(made, mean=mean * scale, factor=factor * scale[:, None])
+    motions = made.terms(cell).motions
+    felt = [f"{motion.name} [{k + 1}]" for motion in motions for k in range(int((motion.sd > 0).sum()))]
+    names = (*first, *felt, *(name for name in names[len(first) :] if name not in felt))
+    held = [made.names.index(name) if name in made.names else len(made.names) for name in names]
+    mean, factor = np.append(mean * scale, 0.0), np.vstack([factor * scale[:, None], np.zeros(directions)])
+    return replace(made, names=names, mean=mean[held], factor=factor[held])
 
 
 def _short(values: Floats) -> list[float]:

@@ -1,9 +1,9 @@
 """The weights of a cell's error motions: which there are, how large they may be, which scale they share.
 
-An unknown function of a joint's value is a sum of basis functions whose weights are independent normal, their standard
-deviation falling as 1/k: Legendre polynomials k = 1 to 5 over the travel of a limited joint, harmonics k = 1 to 4 of an
-endless one. A size on a sheet is what such a function shows at the median: the factors below are the medians over draws
-(a test draws them anew).
+An unknown function of a joint's value is a sum of basis functions whose weights are independent normal: Legendre
+polynomials k = 1 to 8 over the travel of a limited joint, harmonics k = 1 to 4 of an endless one, which fall as 1/k. A
+size on a sheet is what such a function shows at the median (a test draws them anew). A function of one peak to valley may
+be mostly slope, bow or wave, so that its polynomials of order 2 to 4 are larger than 1/k tells.
 """
 
 from collections.abc import Collection
@@ -21,20 +21,23 @@ from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, Y
 
 Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
 
-#: Median peak to valley of a function whose first weight (k = 1) has the standard deviation 1. "bent": its line is
-#: not counted (a straightness is measured from the best line); "beyond-first": there is no fundamental.
-PEAK_TO_VALLEY: dict[Shape, float] = {
-    "legendre": 1.902,
-    "legendre-bent": 1.039,
-    "fourier": 3.682,
-    "fourier-beyond-first": 2.204,
+#: Standard deviations by k of the weights of a function whose median peak to valley is 1. Of polynomials they are as the
+#: root mean squares over functions of one peak to valley, half of them sums of polynomials that fall as 1/k, half smooth
+#: waves with a slope and a kink. "bent": its line is not counted (a straightness is measured from the best line);
+#: "beyond-first": there is no fundamental.
+WEIGHT_SD: dict[Shape, tuple[float, ...]] = {
+    "legendre": (0.411, 0.291, 0.224, 0.159, 0.115, 0.086, 0.069, 0.059),
+    "legendre-bent": (0.880, 0.416, 0.323, 0.249, 0.173, 0.132, 0.107, 0.091),
+    "fourier": (0.272, 0.136, 0.091, 0.068),
+    "fourier-beyond-first": (0.0, 0.227, 0.151, 0.113),
 }
-#: Highest polynomial and highest harmonic.
-LEGENDRE, HARMONICS = 5, 4
+#: Highest polynomial and highest harmonic. What kinks of stage tilts leave beyond order 5 is, at levers of some 80 mm,
+#: more than a session leaves of a circle.
+LEGENDRE, HARMONICS = 8, 4
 
 
 def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
-    """Legendre polynomials 1 to 5 over a travel from `low` to `high`, shape (n, 5); of joints (n, m), (n, m, 5)."""
+    """Legendre polynomials 1 to 8 over a travel from `low` to `high`, shape (n, 8); of joints (n, m), (n, m, 8)."""
     x = (2.0 * q - low - high) / (high - low)
     return np.asarray(legendre.legvander(x, LEGENDRE)[..., 1:], dtype=np.float64)
 
@@ -47,18 +50,16 @@ def harmonics(q: Floats) -> Floats:
 
 
 def weight_sd(size: float, shape: Shape) -> Floats:
-    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,) or (4,)."""
-    count = LEGENDRE if shape.startswith("legendre") else HARMONICS
-    sd: Floats = size / PEAK_TO_VALLEY[shape] / np.arange(1, count + 1)
-    if shape == "fourier-beyond-first":
-        sd[0] = 0.0
-    return sd
+    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (8,) or (4,)."""
+    return size * np.array(WEIGHT_SD[shape])
 
 
 #: Scales that are not those of error motions, in their order behind them.
 SINGLE_KINDS = ("approach", "drift", "encoder", "slow noise", "return", "noise")
 KINDS = ("along the beam", "other displacement", "tilt")
 _NM, _URAD = 1e-3, 1e-6
+#: Joints whose value changes by less than so many resolutions or return errors stand still.
+_STILL = 5.0
 #: Polynomials in time of a session's drift; each further one is half as large.
 DRIFT_ORDER = 2
 
@@ -140,6 +141,11 @@ class Terms:
         """Standard deviation of each joint's return error, by default its repeatability, in um or rad, (n_joints,)."""
         own = self._own([joint.return_sd for joint in self.sizes.joints])
         return np.where(own > 0, own, self.cell.repeatability)
+
+    @cached_property
+    def still(self) -> Floats:
+        """Changes of joint values that may be noise of the values as they are read back, in um or rad, (n_joints,)."""
+        return _STILL * np.maximum([joint.resolution for joint in self.cell.joints], self.return_sd)
 
     @cached_property
     def encoder(self) -> Floats:

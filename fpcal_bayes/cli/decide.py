@@ -32,7 +32,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     few = decision.sweeps if decision.action == "extrinsic" else None
     tables = [
         words.outlook_table(decision, goal, found),
-        *([] if few is None else [words.next_sweeps_table(few, cell)]),
+        *([] if few is None else [words.sweep_table(few, cell)]),
     ]
     show(options, [*tables, words.decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1

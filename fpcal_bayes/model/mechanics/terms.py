@@ -22,9 +22,9 @@ from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, Y
 Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
 
 #: Standard deviations by k of the weights of a function whose median peak to valley is 1. Those of polynomials are in
-#: proportion root mean squares over functions of one peak to valley: half are sums of polynomials that fall as 1/k, half
-#: are smooth waves with a slope and a kink. "bent": its line is not counted (a straightness is measured from the best
-#: line); "beyond-first": there is no fundamental.
+#: proportion root mean squares over functions of one peak to valley: half of these are sums of polynomials that fall as
+#: 1/k, half are smooth waves with a slope and a kink. "bent": its line is not counted (a straightness is measured from
+#: the best line); "beyond-first": there is no fundamental.
 WEIGHT_SD: dict[Shape, tuple[float, ...]] = {
     "legendre": (0.411, 0.291, 0.224, 0.159, 0.115, 0.086, 0.069, 0.059),
     "legendre-bent": (0.880, 0.416, 0.323, 0.249, 0.173, 0.132, 0.107, 0.091),

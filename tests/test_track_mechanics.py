@@ -92,10 +92,13 @@ def test_after_the_calibration_lengths_are_known_as_dense_algebra_says(sweeps):
     wide = np.log(np.append(np.full(log.shape[1] - 1, 3.0), 1.5))
     density = ((grid - log.mean(axis=0)) / log.std(axis=0)) ** 2 + (grid / np.log(1.5)) ** 2 - (grid / wide) ** 2
     weight = np.exp(-0.5 * (density - density.min(axis=0)))
-    values, factors = fit.values, np.exp((grid * weight).sum(axis=0) / weight.sum(axis=0))
-    # Beside approach, drift, encoder, slow noise, return and noise none is below what is stated.
+    middle = (grid * weight).sum(axis=0) / weight.sum(axis=0)
+    variance = ((grid - middle) ** 2 * weight).sum(axis=0) / weight.sum(axis=0)
+    values, factors = fit.values, np.exp(middle)
+    # Beside approach, drift, encoder, slow noise, return and noise none is below what is stated, and each is as large as
+    # its root mean square over what is unknown of it.
     assert (factors[:-6] < 1.0).any()
-    factors[:-6] = np.maximum(factors[:-6], 1.0)
+    factors[:-6] = np.maximum(factors[:-6], 1.0) * np.exp(variance[:-6])
     readings, returns = fit.noise.dense()
     noise = factors[-1] ** 2 * readings + factors[-2] ** 2 * returns
     weights = fit.design.matrix * factors[fit.design.scale]

@@ -30,10 +30,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         write_ticket(options.output, ticket, cell)
     write_result(options.json, "decide", found.estimate().content() | content)
     few = decision.sweeps if decision.action == "extrinsic" else None
-    tables = [
-        words.outlook_table(decision, goal, found),
-        *([] if few is None else [words.sweep_table(few, cell)]),
-    ]
+    tables = [words.outlook_table(decision, goal, found), *([] if few is None else [words.sweep_table(few, cell)])]
     show(options, [*tables, words.decision_sentence(decision, found)], content["warnings"])
     return 0 if found.converged else 1
 

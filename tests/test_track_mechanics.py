@@ -95,8 +95,8 @@ def test_after_the_calibration_lengths_are_known_as_dense_algebra_says(sweeps):
     middle = (grid * weight).sum(axis=0) / weight.sum(axis=0)
     variance = ((grid - middle) ** 2 * weight).sum(axis=0) / weight.sum(axis=0)
     values, factors = fit.values, np.exp(middle)
-    # Beside approach, drift, encoder, slow noise, return and noise none is below what is stated, and each is as large as
-    # its root mean square over what is unknown of it.
+    # Beside approach, drift, encoder, slow noise, return and noise none is below what is stated, and each is as large
+    # as its root mean square over what is unknown of it.
     assert (factors[:-6] < 1.0).any()
     factors[:-6] = np.maximum(factors[:-6], 1.0) * np.exp(variance[:-6])
     readings, returns = fit.noise.dense()

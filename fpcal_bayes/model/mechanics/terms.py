@@ -1,9 +1,10 @@
 """The weights of a cell's error motions: which there are, how large they may be, which scale they share.
 
 An unknown function of a joint's value is a sum of basis functions whose weights are independent normal: Legendre
-polynomials k = 1 to 8 over the travel of a limited joint, harmonics k = 1 to 4 of an endless one, which fall as 1/k. A
-size on a sheet is what such a function shows at the median (a test draws them anew). A function of one peak to valley
-may be mostly slope, bow or wave, so that its polynomials of order 2 to 4 are larger than 1/k tells.
+polynomials k = 1 to 5 over the travel of a limited joint, for a tilt, which levers enlarge, k = 1 to 8, and harmonics
+k = 1 to 4 of an endless one. They fall as 1/k, but a tilt of one peak to valley may be mostly slope, bow or wave: its
+polynomials of order 2 to 4 are larger. A size on a sheet is what such a function shows at the median (a test draws
+them anew).
 """
 
 from collections.abc import Collection
@@ -19,20 +20,21 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics.response import ACROSS, OWN, PITCH, ROLL, UP, YAW, Directions, directions
 
-Shape = Literal["legendre", "legendre-bent", "fourier", "fourier-beyond-first"]
+Shape = Literal["legendre", "legendre-bent", "tilt", "fourier", "fourier-beyond-first"]
 
-#: Standard deviations by k of the weights of a function whose median peak to valley is 1. Those of polynomials are in
-#: proportion root mean squares over functions of one peak to valley: half of these are sums of polynomials that fall as
-#: 1/k, half are smooth waves with a slope and a kink. "bent": its line is not counted (a straightness is measured from
-#: the best line); "beyond-first": there is no fundamental.
+#: Standard deviations by k of the weights of a function whose median peak to valley is 1. "bent": its line is not
+#: counted (a straightness is measured from the best line); "beyond-first": there is no fundamental. Those of a tilt are
+#: in proportion root mean squares over functions of one peak to valley: half of these are sums of polynomials that fall
+#: as 1/k, half are smooth waves with a slope and a kink.
 WEIGHT_SD: dict[Shape, tuple[float, ...]] = {
-    "legendre": (0.411, 0.291, 0.224, 0.159, 0.115, 0.086, 0.069, 0.059),
-    "legendre-bent": (0.880, 0.416, 0.323, 0.249, 0.173, 0.132, 0.107, 0.091),
+    "legendre": (0.526, 0.263, 0.175, 0.131, 0.105),
+    "legendre-bent": (0.962, 0.481, 0.321, 0.241, 0.192),
+    "tilt": (0.411, 0.291, 0.224, 0.159, 0.115, 0.086, 0.069, 0.059),
     "fourier": (0.272, 0.136, 0.091, 0.068),
     "fourier-beyond-first": (0.0, 0.227, 0.151, 0.113),
 }
-#: Highest polynomial and highest harmonic. What kinks of stage tilts leave beyond order 5 is, at levers of some 80 mm,
-#: more than a session leaves of a circle.
+#: Highest polynomial, of a tilt, and highest harmonic. What kinks of stage tilts leave beyond order 5 is, at levers of
+#: some 80 mm, more than a session leaves of a circle; of displacements it is little.
 LEGENDRE, HARMONICS = 8, 4
 
 
@@ -50,7 +52,7 @@ def harmonics(q: Floats) -> Floats:
 
 
 def weight_sd(size: float, shape: Shape) -> Floats:
-    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (8,) or (4,)."""
+    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,), (8,) or (4,)."""
     return size * np.array(WEIGHT_SD[shape])
 
 
@@ -205,7 +207,8 @@ def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: 
             continue
         bent = direction in (UP, ACROSS) and cell.joints[i].kind == "prismatic"
         radial = direction in (UP, ACROSS) and endless
-        shape: Shape = "legendre-bent" if bent else "legendre"
+        tilts = direction >= ROLL and direction != own_travel
+        shape: Shape = "legendre-bent" if bent else "tilt" if tilts else "legendre"
         if endless:
             shape = "fourier-beyond-first" if radial else "fourier"
         sd = weight_sd(size * (_NM if direction < ROLL else _URAD), shape)

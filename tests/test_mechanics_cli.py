@@ -69,7 +69,7 @@ def test_an_estimate_with_fewer_orders_is_read(folder, tmp_path):
     expected = whole.mechanics.factor.copy()
     expected[left_out] = 0.0
     np.testing.assert_array_equal(older.mechanics.factor, expected)
-    assert len(left_out) == 18
+    assert len(left_out) == 9
     run("task-error", tmp_path / "older.json", "--task", "circle")
 
 

@@ -48,7 +48,7 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
         i, endless = motion.joint, group_of(cell, motion.joint) == "rotary"
         low, high = (-np.pi, np.pi) if endless else (cell.low[i], cell.high[i])
         q = np.linspace(low, high, _POINTS)
-        basis = (harmonics(q) if endless else polynomials(q, low, high)) * motion.sd
+        basis = (harmonics(q) if endless else polynomials(q, low, high))[:, : len(motion.sd)] * motion.sd
         unit, factor = ("nm", 1e3) if motion.direction < ROLL else ("urad", 1e6)
         values = factor * weights[:, own] @ basis[:, there].T
         size = scales[:, knowledge.scales.index(motion.scale)]

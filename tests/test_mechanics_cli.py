@@ -42,6 +42,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def mid(folder: Path) -> Path:
+    """An estimate from sweeps with a midpoint each."""
+    run("simulate", "-o", folder / "mid.csv", "--seed", 4, "--protocol", "paper-mid")
+    run("identify", folder / "mid.csv", "--json", folder / "mid.json")
+    return folder / "mid.json"
+
+
+@pytest.fixture(scope="module")
 def found(folder):
     return identify(CELL, read_csv(folder / "sweeps.csv", CELL))
 
@@ -156,12 +164,10 @@ def test_a_track_knows_the_error_motions(folder):
     assert tasks[1]["median"] == pytest.approx(tasks[0]["median"], rel=0.35)
 
 
-def test_joints_make_up_for_the_known_motions_where_that_gains(folder):
+def test_joints_make_up_for_the_known_motions_where_that_gains(folder, mid):
     found = {}
-    run("simulate", "-o", folder / "mid.csv", "--seed", 4, "--protocol", "paper-mid")
-    run("identify", folder / "mid.csv", "--json", folder / "mid.json")
     for options in ((), ("--no-compensation",)):
-        run("control", "--estimate", folder / "mid.json", "--task", "tilt-x", "-o", folder / "j.csv", *options,
+        run("control", "--estimate", mid, "--task", "tilt-x", "-o", folder / "j.csv", *options,
             "--json", folder / "c.json")  # fmt: skip
         found[options] = json.loads((folder / "c.json").read_text())["tasks"]["tilt-x"]
     better, plain = found[()], found[("--no-compensation",)]
@@ -225,8 +231,8 @@ def test_times_and_approach_are_read_and_written(tmp_path, folder):
             write_csv(tmp_path / "bad.csv", replace(full, **change), CELL)
 
 
-def test_a_controller_makes_up_by_the_way_that_it_comes(folder):
-    estimate = read_estimate(folder / "mid.json", CELL)
+def test_a_controller_makes_up_by_the_way_that_it_comes(mid):
+    estimate = read_estimate(mid, CELL)
     task = task_path(CELL, estimate.vector(), "tilt-x", n_points=9)
     better = compensated(estimate, task)
     assert better.added is not None

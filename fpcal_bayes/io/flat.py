@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
+import scipy
 
 from fpcal_bayes.core.files import replacing, require_suffix, write_json, write_text
 from fpcal_bayes.core.resources import data_file
@@ -34,4 +34,4 @@ def write_flat(path: Path, content: Mapping[str, Any]) -> None:
         else:
             table[name] = array.astype(float)
     with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, table, oned_as="column")
+        scipy.io.savemat(handle, table, oned_as="column")

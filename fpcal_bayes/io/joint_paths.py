@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import savemat
 
 from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.files import replacing, require_suffix
@@ -56,7 +56,7 @@ def write_joints(
     columns = {name: column[:, None] for name, column in joints.items()}
     content = {**columns, "q": shown, "status": texts, "predicted_sd_nm": sd_nm[:, None], "task": task}
     with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, content, oned_as="column")
+        scipy.io.savemat(handle, content, oned_as="column")
 
 
 def read_path(path: str | Path) -> Floats:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
+import scipy
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import replacing, require_suffix
@@ -104,7 +104,7 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
         for name, values in columns.items()
     }
     with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, content, oned_as="column")
+        scipy.io.savemat(handle, content, oned_as="column")
 
 
 def _axes(cell: Cell) -> dict[tuple[str, str], int]:

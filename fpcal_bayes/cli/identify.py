@@ -26,7 +26,6 @@ from fpcal_bayes.report.verification import verification_lines
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     sweeps = rows_of(options, cell)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)

@@ -7,7 +7,6 @@ oscilloscopes, LabVIEW (LVM) and PI's GCS arrays write. What a file is, its cont
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +84,7 @@ def _same(text: str, names: Iterable[str]) -> list[str]:
 def _tdms(path: Path) -> dict[str, Floats]:
     """Channels of a LabVIEW file as group/channel, with the time of a waveform as group/channel time."""
     try:
-        nptdms = import_module("nptdms")
+        import nptdms
     except ImportError:
         raise InputError(f"{path}: a TDMS file, read by npTDMS: pip install 'fpcal-bayes[formats]'") from None
     try:

@@ -9,14 +9,13 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import content_sha256
-from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.measure.campaign import TrackRecord
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Mechanics, Terms
 from fpcal_bayes.model.mechanics.terms import HARMONICS, LEGENDRE
-from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
+from fpcal_bayes.model.trust import trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
@@ -42,10 +41,7 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
 
 
 def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
-    """A track as a campaign file holds it.
-
-    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
-    """
+    """A track as a campaign file holds it; hashes of the `sweeps` tell later which sessions the states hold."""
     # With error motions the memory of the tests is large, and kept for the last session alone.
     first = 0 if track.drift.motions is None else len(track.outcomes) - 1
     remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]
@@ -58,7 +54,13 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
         "trust": track.trust.content(),
-    } | _motions_content(track.outcomes[0])
+    }
+    calibration = track.outcomes[0]
+    if calibration.motions is not None:
+        taken = calibration.measurement
+        rows = taken.target.tolist() if isinstance(taken, SweepMeasurement) else None
+        found = {"log_scales": calibration.motions.log_scales.tolist(), "session_min": calibration.motions.session_min}
+        summary["motions"] = found | {"rows": rows}
     return TrackRecord(
         cell_sha256=track.cell.sha256,
         settings_sha256=settings_sha256(track.drift, limits, track.cell.mechanics),
@@ -78,8 +80,7 @@ def resume(
 ) -> tuple[Track | None, str]:
     """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    It ends before the first of the sessions `parts` that is new, was changed, or came in between late. `InputError` if
-    the track is of another cell, or cannot be understood.
+    It ends before the first session that is new, was changed, or came late. `InputError` if it is of another cell.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(
@@ -110,14 +111,20 @@ def resume(
     machine = track.drift.motions is not None
     if machine and kept < len(hashes):
         return None, f"{reason}: with all before them"
-    if from_prior and machine:
-        outcomes = (_with_rows(track, parts[0], json.loads(record.summary)["motions"]["rows"]), *outcomes[1:])
-    elif from_prior:
+    if not from_prior:
+        return replace(track, outcomes=outcomes, resumed=kept), reason
+    taken: Measurement | None
+    if machine:
+        used, model = parts[0].take(parts[0].kind != "path"), CavityModel.of(cell, track.drift.parameters)
+        rows = np.array(json.loads(record.summary)["motions"]["rows"])
+        taken = replace(SweepMeasurement.of(track.drift, model, used, outcomes[0].state.mean), target=rows)
+    else:
         key = (cell, drift, hashes[0][1])
         if key not in _found_rows:
             _found_rows.clear()
             _found_rows[key] = calibration_measurement(cell, drift, parts[0])
-        outcomes = (replace(outcomes[0], measurement=_found_rows[key]), *outcomes[1:])
+        taken = _found_rows[key]
+    outcomes = (replace(outcomes[0], measurement=taken), *outcomes[1:])
     return replace(track, outcomes=outcomes, resumed=kept), reason
 
 
@@ -136,23 +143,6 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -
     }
 
 
-def _motions_content(first: SessionOutcome) -> dict[str, Any]:
-    """What a calibration found of a machine, beside its state; nothing of a perfect mechanism."""
-    if first.motions is None:
-        return {}
-    rows = first.measurement.target.tolist() if isinstance(first.measurement, SweepMeasurement) else None
-    found = {"log_scales": first.motions.log_scales.tolist(), "session_min": first.motions.session_min}
-    return {"motions": found | {"rows": rows}}
-
-
-def _with_rows(track: Track, sweeps: Sweeps, rows: Sequence[float]) -> SessionOutcome:
-    """The calibration of a machine with its rows as they were taken in."""
-    first, used = track.outcomes[0], sweeps.take(sweeps.kind != "path")
-    model = CavityModel.of(track.cell, track.drift.parameters)
-    measurement = SweepMeasurement.of(track.drift, model, used, first.state.mean)
-    return replace(first, measurement=replace(measurement, target=np.array(rows)))
-
-
 def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> MotionStates | None:
     if stated is None or cell.mechanics is None:
         return None
@@ -163,19 +153,9 @@ def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> Mo
     return MotionStates(terms, log_scales, float(stated["session_min"]))
 
 
-def _saved_trust(stated: dict[str, Any], *, calibration: bool) -> Trust:
-    """What a saved session says; of one that an older program saved, what its sum of squares says."""
-    if "trust" in stated or not calibration:
-        return trust_of(stated.get("trust", Trust().content()))
-    if chi2_tail(stated["nis"], stated["dof"]) < POOR_FIT_BELOW:
-        text = f"poor fit: sum of squares {stated['nis']:.1f} over data and prior, expected {stated['dof']}"
-        return Trust((Reason("poor-fit", text),))
-    return trust_of(None)
-
-
 def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
     summary = json.loads(record.summary)
-    if "sessions" in summary and "solutions" not in summary:
+    if "sessions" in summary and not all("trust" in stated for stated in summary["sessions"]):
         return None, []
     outcomes: list[SessionOutcome] = []
     pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))
@@ -204,7 +184,7 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
                 predicted=predicted,
                 state=state,
                 monitor=monitor,
-                trust=_saved_trust(stated, calibration=not outcomes),
+                trust=trust_of(stated["trust"]),
                 motions=None if outcomes else drift.motions,
             )
         )

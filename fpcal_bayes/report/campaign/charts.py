@@ -22,7 +22,8 @@ def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
     """Each parameter through time: filter with band, truth, alarms."""
     assert facts.track is not None
     hours = _increasing(found.hours)
-    alarms = [_after(found, time_h) for _, time_h, _ in found.alarms]
+    # Positions on the grid just after the sessions.
+    alarms = [max(0, int(np.searchsorted(found.hours, time_h, side="right")) - 1) for _, time_h, _ in found.alarms]
     parameters = []
     for i, parameter in enumerate(facts.track.drift.parameters):
         mean, sd = found.mean[:, i], found.sd[:, i]
@@ -31,12 +32,8 @@ def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
         series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "alarm": marked}
         if found.truth is not None:
             series["truth"] = found.truth[:, i]
-        parameters.append(
-            {
-                "name": f"{parameter.name} [{parameter.unit}]",
-                "series": {name: _numbers(values) for name, values in series.items() if np.isfinite(values).any()},
-            }
-        )
+        shown = {name: _numbers(values) for name, values in series.items() if np.isfinite(values).any()}
+        parameters.append({"name": f"{parameter.name} [{parameter.unit}]", "series": shown})
     return {"hours": _numbers(hours, 9), "now": facts.now_h, "parameters": parameters}
 
 
@@ -70,20 +67,12 @@ def _numbers(values: Iterable[float], digits: int = _DIGITS) -> list[float | Non
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
 
 
-def _after(found: History, time_h: float) -> int:
-    """Position on the grid just after a session."""
-    return max(0, int(np.searchsorted(found.hours, time_h, side="right")) - 1)
-
-
 #: A session this much after the end of the hold still comes in time.
 _SLACK_H = 0.1
 
 
 def log_table(facts: CampaignFacts) -> Table | None:
-    """One line per session: until when its estimate held, and what the tests say.
-
-    None where the sessions cannot be followed, or the tasks cannot be judged.
-    """
+    """One line per session: until when its estimate held, what the tests say; None where that cannot be judged."""
     log = session_log(facts)
     if log is None:
         return None

@@ -21,15 +21,13 @@ def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Ei
         own = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
         scale = np.where(own > 0, own, 1.0)
     values, vectors = eigh(covariance / np.outer(scale, scale))
-    root: Floats = scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
-    return root
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None)))
 
 
 def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.linalg.eigh) -> Floats:
     """The symmetric matrix whose square is `covariance` (n, n), eigenvalues raised to `least`; only it is smooth."""
     values, vectors = eigh(covariance)
-    root: Floats = (vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T
-    return root
+    return np.asarray((vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T)
 
 
 def posterior_triangle(jacobian: Floats) -> Floats:

@@ -91,8 +91,7 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
         found = margin(model, few, _poses(q), rows=_ROWS)
         near = 1.0 - found.least_gap / envelope.least_gap if found.known else np.full(len(q), -np.inf)
         tilted, aside = found.most_tilt / envelope.max_tilt, found.most_aside / envelope.mirror_radius
-        over: Floats = np.maximum(near, np.maximum(tilted, aside) - 1.0)
-        return over
+        return np.asarray(np.maximum(near, np.maximum(tilted, aside) - 1.0))
 
     if excess(at[None])[0] > 0:
         raise InputError(f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0]}")

@@ -125,8 +125,7 @@ class Whitening:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""
         if self.mix is None:
             return rows / self.scale[:, None]
-        result: Floats = spsolve_triangular(self.mix, rows, lower=True)
-        return result
+        return np.asarray(spsolve_triangular(self.mix, rows, lower=True))
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""

@@ -66,8 +66,7 @@ class SlipTarget(PosteriorTarget):
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
         corrected = residuals[:, : len(self.problem.target)]
-        total: Floats = self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1)
-        return total
+        return np.asarray(self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1))
 
     def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
         # Summed over the ways in which a row may have slipped, given those before it in its group.

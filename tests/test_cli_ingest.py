@@ -64,9 +64,10 @@ def test_ingest_writes_sweeps_and_json(
     assert spin["reversals"] == pytest.approx([90.0 * np.argmax(lengths) / 9000], abs=0.3)
     assert spin["fringes"] == pytest.approx(np.abs(np.diff(lengths)).sum() / 0.78, abs=0.02)
     assert content["sweeps"][2]["sign_from"] == "prior"
+    assert not (tmp_path / "sweeps_doubtful").exists()
 
 
-def test_doubtful_sweeps_are_left_out_of_a_csv_and_listed(
+def test_doubtful_sweeps_are_left_out_of_a_csv_listed_and_drawn(
     tmp_path: Path, femto: Cell, spoilt: TraceIndex, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_recordings(tmp_path / "index.h5", spoilt, femto)
@@ -74,8 +75,10 @@ def test_doubtful_sweeps_are_left_out_of_a_csv_and_listed(
     assert main(["ingest", str(tmp_path / "index.h5"), "-o", str(out), "--json", str(report)]) == 0
     assert len(read_csv(out, femto)) == 3
     said = capsys.readouterr()
-    assert "1 doubtful, left out; to look at one: fpcal trace " in said.out
+    assert "1 doubtful, left out, drawn in" in said.out
     assert re.search("warning: node1-ry: refused: saturated", said.err)
+    picture = tmp_path / "sweeps_doubtful" / "0002.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
     content = json.loads(report.read_text())
     assert content["sweeps"][1]["dl_um"] is None
     assert content["sweeps"][1]["doubtful"].startswith("refused: saturated")
@@ -97,7 +100,7 @@ def test_the_gain_is_spoken_of_once(
 ) -> None:
     cut = [replace(trace, irradiance=np.minimum(trace.irradiance, 2.0)) for trace in index.traces]
     write_recordings(tmp_path / "index.h5", replace(index, traces=cut), femto)
-    assert main(["ingest", str(tmp_path / "index.h5"), "-o", str(tmp_path / "sweeps.csv")]) in (0, 2)
+    assert main(["ingest", str(tmp_path / "index.h5"), "-o", str(tmp_path / "sweeps.csv"), "--no-plots"]) in (0, 2)
     err = capsys.readouterr().err
     assert err.count("lower the gain") == 1
     assert f"{len(cut)} sweeps (" in err
@@ -108,7 +111,7 @@ def test_a_campaign_keeps_doubtful_sweeps_and_traces_and_other_commands_take_it(
 ) -> None:
     write_recordings(tmp_path / "index.csv", spoilt, femto)
     out = tmp_path / "campaign.h5"
-    assert main(["ingest", str(tmp_path / "index.csv"), "-o", str(out), "--points", "2"]) == 0
+    assert main(["ingest", str(tmp_path / "index.csv"), "-o", str(out), "--no-plots", "--points", "2"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign.h5", "index.csv", "index_traces"]
     kept = read_campaign(out, femto)
     assert len(kept.sweeps) == 9
@@ -125,7 +128,7 @@ def test_a_campaign_keeps_doubtful_sweeps_and_traces_and_other_commands_take_it(
         femto, truth.parameters, values, 1e-10 * np.eye(len(values)), ("identified",) * len(values)
     ).content()
     write_json(estimate, {"schema": "fpcal/1", **known})
-    assert main(["ingest", str(out), "-o", str(again), "--estimate", str(estimate)]) == 0
+    assert main(["ingest", str(out), "-o", str(again), "--estimate", str(estimate), "--no-plots"]) == 0
     assert read_csv(again, femto).signed.all()
     # What saves its own results in a campaign leaves the traces where they are.
     write_campaign(tmp_path / "copy.h5", kept, femto)

@@ -26,7 +26,7 @@ def test_the_whole_way(tmp_path, monkeypatch, words, radius):
     cell = "--cell lab.toml"
     ran(f"plan --n 14 --draws 8 --candidates 200 --radius-um {radius} -o plan.csv", cell)
     ran("simulate --protocol plan.csv --traces --seed 3 -o rec.csv", cell)
-    ran("ingest rec.csv -o day0.h5 --points 1", cell)
+    ran("ingest rec.csv -o day0.h5 --points 1 --no-plots", cell)
     ran("identify day0.h5 --json day0.json", cell)
     assert json.loads(Path("day0.json").read_text())["trust"]["usable"]
     ran(f"task-error day0.json --task circle --radius-um {radius} --tolerance-nm 50 --json task.json", cell)

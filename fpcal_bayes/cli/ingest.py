@@ -1,15 +1,15 @@
 """``fpcal ingest``: from recorded irradiance to sweeps."""
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.core.files import require_suffix
+from fpcal_bayes.core.files import make_folder, replacing, require_suffix
 from fpcal_bayes.core.linalg import counted
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
 from fpcal_bayes.fringes.kernels import fit_signal
@@ -21,6 +21,7 @@ from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.kernels.compile import needs_compilation
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.report.fringes import draw_sweep
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
@@ -36,9 +37,11 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         index_sd=options.index_sd or 0.0,
     )
     found = ingest(index, cell, estimate=estimate, settings=settings)
+    folder = options.plots or options.output.with_name(f"{options.output.stem}_doubtful")
+    drawn = 0 if options.no_plots else _draw(folder, found, index, cell)
     _write(options, found, index, cell)
     write_result(options.json, "ingest", recordings_content(found, index, cell), Trust())
-    _report(options, found)
+    _report(options, found, folder if drawn else None)
     return 0
 
 
@@ -55,6 +58,29 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
     command = " ".join(["fpcal ingest", Path(options.index).name, *words])
     beside = {"recordings": index, "doubtful": found.doubtful if len(found.doubtful) else None}
     write_sweeps(options.output, found.sweeps, cell, command=command, about=options.about, **beside)
+
+
+def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
+    """Draw the doubtful sweeps; how many were drawn."""
+    drawn = [i for i in found.doubtful.recording.tolist() if found.readings[i] is not None]
+    if not drawn:
+        return 0
+    make_folder(folder)
+    reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
+    for i in drawn:
+        with replacing(folder / f"{i + 1:04d}.png") as temporary:
+            drawn_sweep(found, index, cell, i, reasons[i]).savefig(temporary, format="png", dpi=110)
+    return len(drawn)
+
+
+def drawn_sweep(found: Ingested, index: TraceIndex, cell: Cell, i: int, reason: str) -> Figure:
+    """One sweep of an index, drawn with what is said of it."""
+    joint = moving_joint(index.sweeps, i)
+    start, end = (float(q[i, joint] / cell.joint_scales[joint]) for q in (index.sweeps.q_start, index.sweeps.q_end))
+    reading, samples = found.readings[i], found.samples[i]
+    if reading is None or samples is None:
+        raise ValueError(f"row {i} has no trace")
+    return draw_sweep(reading, samples, start, end, f"q{joint + 1} [{cell.joints[joint].unit}]", reason)
 
 
 def recordings_content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[str, Any]:
@@ -106,7 +132,7 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _report(options: argparse.Namespace, found: Ingested) -> None:
+def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:
     readings = [reading for reading in found.readings if reading is not None and reading.good]
     sentences = [
         f"{counted(len(found.sweeps), 'row')} from {counted(len(found.readings), 'recording')} -> {options.output}"
@@ -120,6 +146,6 @@ def _report(options: argparse.Namespace, found: Ingested) -> None:
             f"sweeps; the sign of dL is unknown in {unsigned}"
         )
     if len(found.doubtful):
-        look = f"fpcal trace {options.index} --label {shlex.quote(str(found.doubtful.label[0]))} --figure OUT.svg"
-        sentences.append(f"{len(found.doubtful)} doubtful, left out; to look at one: {look}")
+        where = f", drawn in {folder}" if folder else ""
+        sentences.append(f"{len(found.doubtful)} doubtful, left out{where}")
     show(options, sentences, found.warnings)

@@ -5,15 +5,13 @@ import argparse
 import numpy as np
 
 from fpcal_bayes.cli.common import show, write_result
-from fpcal_bayes.cli.ingest import recordings_content
+from fpcal_bayes.cli.ingest import drawn_sweep, recordings_content
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.fringes.ingest import read_index
 from fpcal_bayes.io.recordings import read_recordings
-from fpcal_bayes.measure.recordings import moving_joint
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.trust import Trust
-from fpcal_bayes.report.fringes import draw_sweep
 from fpcal_bayes.report.pages import save_figure
 from fpcal_bayes.report.table import plain_table
 
@@ -33,13 +31,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     content = recordings_content(found, index, cell)
     doubtful = [i for i, row in enumerate(content["sweeps"]) if row["doubtful"]]
     if options.figure is not None:
-        i, q = doubtful[0] if doubtful else 0, (index.sweeps.q_start, index.sweeps.q_end)
-        joint, reading, samples = moving_joint(index.sweeps, i), found.readings[i], found.samples[i]
-        if reading is None or samples is None:
-            raise InputError(f"{options.file}: sweep {sweeps.label[i]!r:.40} has no trace to draw")
-        start, end = (float(pose[i, joint] / cell.joint_scales[joint]) for pose in q)
-        name, reason = f"q{joint + 1} [{cell.joints[joint].unit}]", content["sweeps"][i]["doubtful"] or "read"
-        save_figure(draw_sweep(reading, samples, start, end, name, reason), options.figure)
+        reason = content["sweeps"][doubtful[0]]["doubtful"] if doubtful else "read"
+        save_figure(drawn_sweep(found, index, cell, doubtful[0] if doubtful else 0, reason), options.figure)
     write_result(options.json, "trace", content, Trust())
     table = plain_table(str(options.file), list(_COLUMNS))
     for row in content["sweeps"]:

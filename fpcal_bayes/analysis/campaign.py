@@ -46,8 +46,6 @@ _DIAGNOSIS_H = 24.0
 
 @dataclass(frozen=True)
 class _Measured:
-    """A campaign as it was read."""
-
     file: str | Path
     cell: Cell
     sweeps: Sweeps  # of all sessions
@@ -279,7 +277,6 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStan
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
-    """The budget of the first task after the calibration, or why there is none."""
     estimate = found.estimate
     if not estimate.trust.usable:
         return None, estimate.trust.against

@@ -138,7 +138,6 @@ class Keeper:
         self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
-        """The campaign as it is followed up to its last session."""
         path, (before, known) = Path(self._campaign), self._followed
         same = known is not None and before <= moment and path.is_file()
         if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
@@ -161,7 +160,6 @@ class Keeper:
         return ticket
 
     def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
-        """Write a ticket, unless it is empty as the one that is there."""
         if pending is None or pending.plan is not None or ticket.plan is not None:
             write_ticket(self._outputs.ticket, ticket, self._cell)
 
@@ -193,7 +191,6 @@ class Keeper:
             write_flat(self._outputs.flat, flat_content(estimate))
 
     def _stamps(self) -> list[object]:
-        """Tell whether the published files are as they were written."""
         return [stamp(path) for path in (self._outputs.estimate, self._outputs.flat) if path is not None]
 
     def _valid_until(self, found: Track) -> tuple[float | None, list[str]]:

@@ -51,7 +51,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _index(options: argparse.Namespace, cell: Cell) -> float:
-    """Refractive index of the air."""
     air = (options.temperature_c, options.pressure_hpa, options.humidity_pct)
     if all(value is None for value in air):
         return 1.0

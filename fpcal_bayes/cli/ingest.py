@@ -61,7 +61,6 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
 
 
 def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
-    """Draw the doubtful sweeps; how many were drawn."""
     drawn = [i for i in found.doubtful.recording.tolist() if found.readings[i] is not None]
     if not drawn:
         return 0

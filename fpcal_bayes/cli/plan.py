@@ -83,7 +83,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    """Search for a plan, write it, and say what it is expected to leave."""
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
@@ -220,7 +219,6 @@ class _Bar:
 
 
 def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
-    """Write the sweeps that a new cell is commissioned with."""
     warm_up(cell)
     sweeps, (model, draws) = commission_plan(cell), prior_draws(cell)
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
@@ -270,7 +268,6 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
 
 
 def _absolute(cell: Cell) -> Sweeps:
-    """One absolute length at joint vector zero."""
     home = np.zeros((1, len(cell.joints)))
     return Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
@@ -285,7 +282,6 @@ def _labelled(sweeps: Sweeps) -> Sweeps:
 
 
 def _paper(cell: Cell) -> Sweeps | None:
-    """The paper's sweeps, if the cell can make them."""
     try:
         return paper_protocol(cell)
     except InputError:
@@ -330,7 +326,6 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
 
 
 def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, object]:
-    """How the plan was searched, for JSON."""
     return {
         "for": options.purpose,
         "reach": options.reach,

@@ -47,7 +47,6 @@ def _warm_up(cell: Cell) -> None:
 
 
 def _command(options: argparse.Namespace) -> str:
-    """The command, with the names of the files but not their folders."""
     words = ["fpcal", "report", Path(options.campaign).name, "-o", options.output.name]
     for name in ("posterior", "verification"):
         if getattr(options, name) is not None:

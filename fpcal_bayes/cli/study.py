@@ -79,7 +79,6 @@ def _cores() -> int:
 
 
 def _study_of(options: argparse.Namespace, cell: Cell) -> Study:
-    """The study that the options name."""
     sigma = 1e-3 * options.sigma_nm
     if options.study == "coverage":
         return Coverage(cell=cell, seed=options.seed, plan=_sweeps_of(options, cell), sigma=sigma)
@@ -90,7 +89,6 @@ def _study_of(options: argparse.Namespace, cell: Cell) -> Study:
 
 
 def _sweeps_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
-    """The sweeps that ``--protocol`` names, as a plan of one session."""
     if options.protocol in PROTOCOLS:
         return protocol_by_name(options.protocol, cell)
     first = read_sweeps(options.protocol, cell, plan=True).of_session(None)

@@ -105,7 +105,6 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _write_data(options: argparse.Namespace, week: Week, followed: Followed, command: str) -> None:
-    """Both campaigns, and an estimate JSON a session."""
     folder, cell = options.output, week.cell
 
     def save(file: str, sweeps: Sweeps, lived: Track) -> None:
@@ -135,7 +134,6 @@ def _write_paths_and_figures(
 
 
 def _print_week(week: Week, out: Output, *, timed: bool) -> None:
-    """Print each session's parameters beside the truth, as the paper's tables have them."""
     for session in SESSIONS:
         result = week.identifications[session.name]
         truth = week.truth.at(24.0 * session.day)
@@ -150,7 +148,6 @@ def _print_week(week: Week, out: Output, *, timed: bool) -> None:
 
 
 def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circle], out: Output) -> None:
-    """Print the circles, and what each way through the week held and cost."""
     tolerance = followed.goal.tolerance_um
     out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
     out.print(circle_table("Circle at each identification (Fig 14)", renewed, tolerance))
@@ -162,7 +159,6 @@ def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circl
 
 
 def _print_posterior(posterior: Posterior | None, out: Output) -> None:
-    """Print the posterior of day 0, or what it fails by."""
     if posterior is None:
         out.print("Posterior of day 0: not sampled, since its maximum was not found")
         return

@@ -171,7 +171,6 @@ def _whole(packed: Floats, size: int) -> Floats:
 
 
 def _track_sha256(record: TrackRecord) -> str:
-    """Hash of all that a record holds."""
     arrays = {name: hashlib.sha256(np.ascontiguousarray(getattr(record, name))).hexdigest() for name in _TRACK_ARRAYS}
     return content_sha256([record.cell_sha256, record.settings_sha256, list(record.names), record.summary, arrays])
 

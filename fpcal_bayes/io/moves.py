@@ -102,7 +102,6 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
 
 
 def _axes(cell: Cell) -> dict[tuple[str, str], int]:
-    """Joint by controller and channel."""
     axes: dict[tuple[str, str], int] = {}
     for j, joint in enumerate(cell.joints):
         if joint.controller is None:
@@ -162,7 +161,6 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
 
 
 def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
-    """Columns, and the row of each line."""
     require_suffix(path, ".csv", ".mat")
     table: dict[str, Any] = {}
     if path.suffix.lower() == ".mat":

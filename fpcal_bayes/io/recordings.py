@@ -66,7 +66,6 @@ def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
 
 
 def _read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> TraceIndex:
-    """Read an index and the files that it names, which lie in the index's folder; `columns` as in `read_trace`."""
     records = read_records(path, "a header and sweeps")
     for name in MEASUREMENT:
         if name in records.header:
@@ -102,7 +101,6 @@ def _read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> Trace
 
 
 def _write_csv_index(path: Path, index: TraceIndex, cell: Cell) -> None:
-    """Write an index, and its traces and scans to the folder ``<name>_traces`` beside it."""
     folder = path.parent / f"{path.stem}_traces"
     make_folder(folder)
     names: dict[str, list[str]] = {"trace": [], "scan_before": [], "scan_after": []}

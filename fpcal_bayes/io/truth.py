@@ -27,7 +27,6 @@ def _truth(tables: Tables, table: dict[str, Any], cell: Cell) -> Truth:
 
 
 def _epochs(tables: Tables, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
-    """Time in hours and values of each epoch."""
     epochs: list[tuple[float, dict[str, float]]] = []
     if not isinstance(table["epoch"], list) or not table["epoch"]:
         raise tables.error("epoch", "expected one or more tables [[epoch]]")

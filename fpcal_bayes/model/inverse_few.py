@@ -86,7 +86,6 @@ class FewJoints:
         return self._twists(self._poses(q), targets)
 
     def _poses(self, q: Floats) -> Floats:
-        """Tool frames of joints `q`, shape (n_poses, 4, 4)."""
         vectors, joints = (np.ascontiguousarray(a, dtype=float)[None] for a in (self.vector, q))
         return np.asarray(batch_tool_poses(vectors, self.cell.revolute, joints)[0])
 

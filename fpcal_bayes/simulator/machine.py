@@ -196,7 +196,6 @@ class Machine:
 
 
 def _beam(cell: Cell, beta_wf: float, theta_wf: float) -> Floats:
-    """Direction of the light."""
     if cell.optical_axis == "z":
         return np.array([0.0, -np.sin(beta_wf), np.cos(beta_wf)])
     return np.array([np.sin(theta_wf), -np.cos(theta_wf) * np.cos(beta_wf), -np.cos(theta_wf) * np.sin(beta_wf)])
@@ -336,7 +335,6 @@ def _axes(base: Floats) -> Floats:
 
 
 def _nominal_bases(cell: Cell) -> list[Floats]:
-    """Base frames of the joints in the world, at joint zero of the nominal cell."""
     vector, made, turn, (ex, ey, ez) = cell.parameters.nominal, [], np.eye(3), np.eye(3)
     for i in range(len(cell.joints)):
         beta, alpha, _, theta, *_ = vector[_STRIDE * i : _STRIDE * (i + 1)]

@@ -286,7 +286,6 @@ def compare(
 
 
 def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
-    """The model with its predictions, or with what failed."""
     if not model.identification.converged:
         return model
     likelihood, problem = model.spec.likelihood, model.identification.problem

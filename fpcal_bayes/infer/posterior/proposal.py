@@ -159,7 +159,6 @@ def _inverse_each(slopes: Floats) -> Floats:
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
-    """Product of each matrix with its vector."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 

@@ -117,7 +117,6 @@ class SlipTarget(PosteriorTarget):
         return total, stayed
 
     def _batch_sums(self, batch: Batch, corrected: Floats, points: Floats, prefix: int) -> tuple[Floats, Floats]:
-        """The sums of `slip_sums` for the first rows of each group of a batch."""
         logit, most = LOGIT_MEAN + LOGIT_SD * points[:, -1], MOST_HALF_WAVES
         log_odds = np.array([special.log_expit(logit) - np.log(2.0 * most), special.log_expit(-logit)])
         rows, group = np.ascontiguousarray(corrected), tuple(vars(batch).values())

@@ -38,7 +38,6 @@ def impossible(cell: Cell) -> Iterator[tuple[str, str]]:
 
 
 def _misplaced(cell: Cell) -> Iterator[tuple[str, str]]:
-    """The same of the fibre and the mirror of one beam."""
     vector = cell.parameters.nominal
     seen = sight(cell, vector, home(cell))
     light, normal = direction_words(seen.light), direction_words(seen.normal)

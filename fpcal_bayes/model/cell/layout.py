@@ -194,7 +194,6 @@ def _worth_a_prior(
 
 
 def _frames(links: Floats) -> list[Floats]:
-    """The world frame and the frame of each link at joint zero."""
     frames = [np.eye(4)]
     for beta, alpha, d, theta, r in links:
         link = np.array([np.radians(beta), np.radians(alpha), d, np.radians(theta), r, 0.0, 0.0, 0.0])

@@ -98,15 +98,10 @@ class Followed:
 
 
 def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign, from where a saved track ends.
+    """Follow a campaign from where a saved track ends, or `anew`; sessions after `now` are refused.
 
-    Parameters
-    ----------
-    now
-        Hours since the campaign began, or a clock time, as text: sessions after it are refused. A number is a Unix
-        time, which is held against rows with clock times only.
-    anew
-        Take in all sessions again, whatever was saved.
+    As text that is hours since the campaign began, or a clock time; a number is a Unix time, held against rows with
+    clock times only.
     """
     measured = _Measured.read(file, cell, now)
     warm_up(cell)

@@ -261,15 +261,13 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
-        extra.append(_absolute(cell))
+        home = np.zeros((1, len(cell.joints)))
+        extra.append(
+            Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
+        )
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
-
-
-def _absolute(cell: Cell) -> Sweeps:
-    home = np.zeros((1, len(cell.joints)))
-    return Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
 
 def _labelled(sweeps: Sweeps) -> Sweeps:

@@ -37,6 +37,7 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
     warm_up_inverse(cell)
     os.environ.update(_ONE_THREAD)
     began = time.monotonic()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hidden = options.quiet or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), disable=hidden, transient=True) as bar:
         task = bar.add_task(f"study {study.name}", total=options.replicates)
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
             study,
             options.output,
             options.replicates,
-            workers=options.workers or _cores(),
+            workers=options.workers or cores or 1,
             anew=options.anew,
             progress=lambda done: bar.update(task, completed=done),
         )
@@ -71,11 +72,6 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
     said = f"{counted(came, 'replicate')} in {seconds:.1f} s, {known} were there before -> {options.output}"
     show(options, [*tables, *summary.sentences, said], summary.warnings)
     return 0
-
-
-def _cores() -> int:
-    """How many cores this process may use; where the system does not tell, all."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _study_of(options: argparse.Namespace, cell: Cell) -> Study:

@@ -4,7 +4,6 @@ import argparse
 import io
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from fpcal_bayes.cli.common import Output, console, warn
 from fpcal_bayes.core.files import exclusive, make_folder, write_json, write_text
@@ -79,8 +78,11 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     week = Week(cell, truth, sweeps, results)
     command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
     _write_data(options, week, followed, command)
-    _write_paths_and_figures(options.output, week, followed, checks, renewed)
     folder = options.output
+    make_folder(folder / "circles")
+    for circle in [*checks, *renewed]:
+        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, cell)
+    save_figure(draw_courses(followed.courses), folder / "courses.svg")
     if posterior is not None:
         write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
     if options.page:
@@ -122,15 +124,6 @@ def _write_data(options: argparse.Namespace, week: Week, followed: Followed, com
     write_json(folder / "estimate.json", last)
     for name, found in week.identifications.items():
         write_json(folder / f"{name}.json", {"schema": SCHEMA, "command": "identify", **found.content()})
-
-
-def _write_paths_and_figures(
-    folder: Path, week: Week, followed: Followed, checks: list[Circle], renewed: list[Circle]
-) -> None:
-    make_folder(folder / "circles")
-    for circle in [*checks, *renewed]:
-        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, week.cell)
-    save_figure(draw_courses(followed.courses), folder / "courses.svg")
 
 
 def _print_week(week: Week, out: Output, *, timed: bool) -> None:

@@ -136,13 +136,6 @@ def _truth(reader: Reader) -> TruthRecord:
     return TruthRecord(tuple(names), tuple(units), reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
 
 
-def _one_text(reader: Reader, group: Any, name: str) -> str:
-    texts = reader.texts(group, name)
-    if len(texts) != 1:
-        raise InputError(f"{reader.path}: {group.name}/{name}: expected one text, found {len(texts)}")
-    return str(texts[0])
-
-
 def put_track(group: Any, record: TrackRecord) -> None:
     """Store a record in an HDF5 group."""
     put_text(group, "cell_sha256", record.cell_sha256)
@@ -177,7 +170,9 @@ def _track_sha256(record: TrackRecord) -> str:
 
 def get_track(reader: Reader, group: Any) -> TrackRecord:
     """Read a record from an HDF5 group; `InputError` if anything in it is not as `put_track` writes it."""
-    summary = _one_text(reader, group, "json")
+    texts = reader.texts(group, "json")
+    if len(texts) != 1:
+        raise InputError(f"{reader.path}: {group.name}/json: expected one text, found {len(texts)}")
     arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _TRACK_ARRAYS.items()}
     sessions, states = arrays["mean"].shape
     if arrays["covariance"].shape == (sessions, states * (states + 1) // 2):
@@ -190,7 +185,7 @@ def get_track(reader: Reader, group: Any) -> TrackRecord:
         cell_sha256=reader.text_attribute(group, "cell_sha256"),
         settings_sha256=reader.text_attribute(group, "settings_sha256"),
         names=tuple(reader.texts(group, "names").tolist()),
-        summary=summary,
+        summary=str(texts[0]),
         **arrays,
     )
     # Older programs wrote none.

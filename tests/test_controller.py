@@ -13,7 +13,7 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
-from fpcal_bayes.motion.controller import Controller
+from fpcal_bayes.motion.controller import Controller, interpolate
 from fpcal_bayes.motion.validity import StaleEstimateWarning, hours_of_estimate, read_now, stale_text
 
 
@@ -62,6 +62,43 @@ def test_moves_that_cannot_be_made_leave_the_joints_alone(estimate: Estimate) ->
     with pytest.raises(InputError, match="orthonormal"):
         controller.move_to(1.1 * np.eye(4))
     assert_allclose(controller.q, before, rtol=0, atol=0)
+
+
+def test_paths_keep_to_the_steps(estimate: Estimate) -> None:
+    controller = Controller(estimate)
+    controller.move_to(controller.aligned)
+    target = controller.aligned
+    target[:3, 3] += [40.0, 2.0, 30.0]
+    target[:3, :3] = chain.rot_x(np.radians(1.0))[:3, :3] @ target[:3, :3]
+    path = controller.path(target, step_um=2.0, step_deg=0.05)
+    steps = np.abs(np.diff(path.q, axis=0))
+    assert path.ok.all()
+    assert steps[:, :3].max() <= 2.0
+    assert steps[:, 3:].max() <= np.radians(0.05)
+    assert steps[:, :3].max() > 1.5 or steps[:, 3:].max() > np.radians(0.04)
+    assert_allclose(path.q[0], controller.q, rtol=0, atol=1e-7)
+    assert_allclose(pose_by_products(estimate, path.q[-1]), target, rtol=0, atol=1e-7)
+    points = np.array([pose_by_products(estimate, q)[:3, 3] for q in path.q])
+    along = (points - points[0]) @ (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0]) ** 2
+    assert_allclose(points, points[0] + along[:, None] * (points[-1] - points[0]), rtol=0, atol=1e-6)
+
+
+def test_useless_steps_are_refused(estimate: Estimate) -> None:
+    controller = Controller(estimate)
+    with pytest.raises(InputError, match="expected numbers above zero"):
+        controller.path(controller.aligned, step_um=0.0)
+    with pytest.raises(InputError, match="a million points or less"):
+        controller.path(controller.aligned, step_um=1e-9)
+
+
+def test_interpolation_ends_where_it_should() -> None:
+    start, end = np.eye(4), chain.translation(1.0, 2.0, 3.0) @ chain.rot_z(0.4) @ chain.rot_x(0.3)
+    poses = interpolate(start, end, 5)
+    assert_allclose(poses[0], start, atol=1e-15)
+    assert_allclose(poses[-1], end, atol=1e-15)
+    assert_allclose(poses[2, :3, 3], [0.5, 1.0, 1.5])
+    half = poses[2, :3, :3]
+    assert_allclose(half @ half, end[:3, :3], atol=1e-12)
 
 
 def test_update_while_running(femto: Cell, estimate: Estimate) -> None:

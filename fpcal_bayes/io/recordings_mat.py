@@ -7,15 +7,14 @@ char. ``t_s``, ``joint`` and ``irradiance_v`` are cell arrays (n by 1) of vector
 
 import multiprocessing
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent import futures
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import loadmat, savemat
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import replacing
@@ -70,15 +69,15 @@ def write_mat(path: Path, content: Mapping[str, Any]) -> None:
         return array.astype(float)
 
     with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, {name: variable(value) for name, value in content.items()}, oned_as="column")
+        scipy.io.savemat(handle, {name: variable(value) for name, value in content.items()}, oned_as="column")
 
 
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file, read by a process of its own: some damaged files end the one that reads them."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
             return pool.submit(_load, str(path)).result()
-        except BrokenProcessPool as error:
+        except futures.BrokenExecutor as error:
             raise InputError(f"{path}: a damaged MATLAB file, expected one that can be read") from error
 
 
@@ -86,7 +85,7 @@ def _load(path: str) -> dict[str, Any]:
     try:
         if h5py.is_hdf5(path):
             return _load_hdf5(path)
-        return dict(loadmat(path, squeeze_me=False, chars_as_strings=True))
+        return dict(scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True))
     except Exception as error:  # scipy and h5py raise whatever a damaged file leads to
         raise InputError(f"{path}: not a MATLAB file, or a damaged one ({str(error)[:100]})") from None
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
@@ -19,6 +20,9 @@ from fpcal_bayes.motion.compensation import compensated, compensated_joints
 from fpcal_bayes.motion.placement import Placement, turns
 from fpcal_bayes.motion.tasks import Task, follow_offsets
 from fpcal_bayes.motion.validity import StaleEstimateWarning, read_now, stale_text
+
+#: Most points of an interpolated path: a longer one is a mistake in the step.
+_MOST_POINTS = 1_000_000
 
 
 class Controller:
@@ -181,6 +185,47 @@ class Controller:
         pose[:3, 3] += _triple(translation_um, "translation_um")
         return self.move_to(pose)
 
+    def path(self, pose: Floats, *, step_um: float = 1.0, step_deg: float = 0.1) -> JointSolutions:
+        """A straight path from where the joints stand to `pose`, in steps that no joint exceeds, without going there.
+
+        The mirror point moves on a straight line while the mirror turns about one axis; where the joints run fastest
+        decides the number of points.
+
+        Parameters
+        ----------
+        pose
+            fX at the end, shape (4, 4).
+        step_um, step_deg
+            Longest step of a prismatic and of a revolute joint from point to point.
+
+        Returns
+        -------
+        JointSolutions
+            One a point, the first where the joints stand.
+
+        Raises
+        ------
+        InputError
+            If `pose` is no pose, a step is not above zero or asks for more than a million points, or the path may leave
+            the cell's envelope.
+        """
+        if not (step_um > 0 and step_deg > 0):
+            raise InputError(f"steps {step_um:g} um, {step_deg:g} deg: expected numbers above zero")
+        steps = np.where(self._inverse.cell.revolute, np.radians(step_deg), step_um)
+        self.joints(pose)
+        points = 2
+        while points <= _MOST_POINTS:
+            found = self.joints(interpolate(self.pose, pose, points))
+            known = found.q[np.isfinite(found.q).all(axis=1)]
+            ratio = float((np.abs(np.diff(known, axis=0)) / steps).max(initial=0.0))
+            if ratio <= 1.0:
+                self.require_within(found.q[found.ok])
+                return found
+            points = max(points + 1, int(np.ceil((points - 1) * ratio)) + 1)
+        raise InputError(
+            f"steps {step_um:g} um, {step_deg:g} deg: expected such that a path has a million points or less"
+        )
+
     def follow(self, name: str, offsets: Floats) -> Task:
         """Moves away from the aligned pose as a task, without going there (see `follow_offsets`)."""
         self._warn_if_stale()
@@ -252,3 +297,14 @@ def _triple(values: Sequence[float], name: str) -> Floats:
     if found.shape != (3,) or not np.isfinite(found).all():
         raise InputError(f"{name}: expected three finite numbers")
     return found
+
+
+def interpolate(start: Floats, end: Floats, n_points: int) -> Floats:
+    """Poses from `start` to `end` (4, 4): positions on a line, turns about one axis; shape (n_points, 4, 4)."""
+    share = np.linspace(0.0, 1.0, n_points)
+    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
+    poses = np.zeros((n_points, 4, 4))
+    poses[:, :3, :3] = Rotation.from_rotvec(share[:, None] * turn).as_matrix() @ start[:3, :3]
+    poses[:, :3, 3] = start[:3, 3] + share[:, None] * (end[:3, 3] - start[:3, 3])
+    poses[:, 3, 3] = 1.0
+    return poses

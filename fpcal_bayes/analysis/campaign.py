@@ -100,8 +100,7 @@ class Followed:
 def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
     """Follow a campaign from where a saved track ends, or `anew`; sessions after `now` are refused.
 
-    As text that is hours since the campaign began, or a clock time; a number is a Unix time, held against rows with
-    clock times only.
+    As text `now` is hours since the campaign began or a clock time; a number is a Unix time, held against clock times.
     """
     measured = _Measured.read(file, cell, now)
     warm_up(cell)

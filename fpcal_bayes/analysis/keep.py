@@ -32,10 +32,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
-
-    Arguments are those of `follow`.
-    """
+    """As `follow`; the states are saved in the campaign, if it is an HDF5 file, under the lock of its writers."""
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):

@@ -38,10 +38,7 @@ _DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed":
 def write_campaign(
     path: str | Path, campaign: Campaign, cell: Cell, *, asked: Mapping[str, Column] | None = None
 ) -> None:
-    """Write a campaign to an HDF5 file, whole or not at all; equal content gives equal bytes.
-
-    `asked` are columns that say how a plan is to be measured. `InputError` if a reader would refuse the sweeps.
-    """
+    """Write a campaign to HDF5, whole or not at all, equal content as equal bytes; `asked` as in `to_columns`."""
     path = Path(path)
     _require_cell(path, campaign.cell_name, campaign.cell_sha256, campaign.opd, cell)
     table = to_columns(campaign.sweeps, cell, path, asked)
@@ -72,10 +69,7 @@ def write_campaign(
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Campaign:
-    """Read a campaign of a cell, whose path model may differ, from an HDF5 file; nothing outside it is opened.
-
-    `plan` accepts sweeps without measurement too; `whole` keeps a sweep with `readings` whole, which else becomes rows.
-    """
+    """Read a campaign of a cell, whose path model may differ, from HDF5; `plan`, `whole` as in `read_sweeps`."""
     path = Path(path)
     with reading(path) as reader:
         root = reader.root

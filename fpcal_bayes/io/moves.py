@@ -118,10 +118,7 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 
 
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
-    """Sweeps of what controllers logged, CSV or MATLAB; measured where the log holds lengths, else a plan.
-
-    `session` and `time_h`, with clock times that of the first row, hold where the log does not say.
-    """
+    """Sweeps of a log, a plan where it holds no lengths; `session`, and `time_h` of its first row, if it is silent."""
     path = Path(path)
     table, rows = _read(path)
     joints, n = _joints_of(path, table, rows, cell), len(rows)

@@ -133,10 +133,7 @@ def require_within_envelope(
     rows: Sequence[int] | None = None,
     exact: bool = False,
 ) -> None:
-    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on the way.
-
-    `draws` and `exact` are as in `margin`; `rows` are lines of the file.
-    """
+    """Refuse sweeps (n_rows, n_joints), at lines `rows`, that may leave the envelope; others as in `margin`."""
     cell = model.cell
     if cell.envelope is None or not len(q_start):
         return

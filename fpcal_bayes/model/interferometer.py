@@ -98,10 +98,7 @@ def reflected(
     wavelength: ArrayLike | None = None,
     index: ArrayLike = 1.0,
 ) -> Floats:
-    """Share of the light that comes back at a cavity `length` (um); all arguments broadcast.
-
-    Only the coupling depends on `distance` and `tilt`; `wavelength` is in vacuum, by default the cell's.
-    """
+    """Share of the light that comes back at a cavity `length` (um); `wavelength` in vacuum; all arguments broadcast."""
     light = optics.wavelength if wavelength is None else np.asarray(wavelength, dtype=float)
     phase = 4.0 * np.pi * np.asarray(index) * np.asarray(length, dtype=float) / light
     if optics.beams == "two-beam":

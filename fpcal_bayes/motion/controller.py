@@ -260,10 +260,7 @@ class Controller:
         self._known: tuple[CavityModel, Floats, Floats, Floats] | None = None
 
     def require_within(self, q: Floats, start: Floats | None = None) -> None:
-        """Refuse a path (n_points, n_joints) that may leave the cell's envelope.
-
-        `start` is where it begins, shape (n_joints,), by default where the joints stand.
-        """
+        """Refuse a path (n_points, n_joints) that may leave the envelope, from `start` or where the joints stand."""
         cell = self._estimate.cell
         if cell.envelope is None:
             return

@@ -167,10 +167,7 @@ class Machine:
         return _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
-        """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
-
-        approach: signs of the motion by which each joint came there, 0 where it has not moved yet.
-        """
+        """What error motions, reversal and encoders add to L at a pose (n_joints,), in um; `approach`: a sign each."""
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))
         errors = self.half_reversal * side + self.periodic(q)

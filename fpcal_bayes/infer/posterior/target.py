@@ -121,10 +121,7 @@ class PosteriorTarget:
         return self._row_log_likelihoods(self.standardised(points), points)
 
     def row_given_others(self, points: Floats) -> Floats:
-        """Log density of each row given all others, per um, at points (n_points, n_unknowns), shape (n_points, n_rows).
-
-        Gaussian rows that share a reading: by the inverse covariance (Buerkner, Gabry, Vehtari 2021).
-        """
+        """Log density of each row given all others, per um, (n_points, n_rows) (Buerkner, Gabry, Vehtari 2021)."""
         mix = self.problem.whitening.mix
         if mix is None:
             return self.log_likelihoods(points)

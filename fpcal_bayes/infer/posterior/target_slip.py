@@ -22,10 +22,7 @@ _NARROWING = 0.6
 
 
 class SlipTarget(PosteriorTarget):
-    """The posterior of a problem whose rows may have slipped; `slips` that were found only say where to look first.
-
-    Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
-    """
+    """The posterior of rows that may have slipped; charts are those of rows corrected by `slips` that were found."""
 
     def __init__(self, slips: Slips) -> None:
         super().__init__(slips.problem)

@@ -154,10 +154,7 @@ class Cell:
         return replace(self, opd=opd if opd in PATHS[self.target] else self.opd, further=further)
 
     def select(self, names: str | Sequence[str]) -> ParameterSet:
-        """Choose parameters to identify, in the cell's order.
-
-        names: ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
-        """
+        """Parameters by name, ``all``, ``intrinsic`` or ``extrinsic``, with commas or listed, in the cell's order."""
         wanted: set[str] = set()
         for name in names.split(",") if isinstance(names, str) else names:
             if name in ("all", "intrinsic", "extrinsic"):

@@ -98,10 +98,7 @@ class PathCheck:
 def measure_path(
     cell: Cell, estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
 ) -> PathError:
-    """The error along a path against an estimate, from its irradiance; `index`: of the air.
-
-    stability: how gain and offset may bow between the reference scans, relative, one standard deviation.
-    """
+    """The error along a path against an estimate, from its irradiance; arguments as in `check`."""
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)
     values, wavelength = estimate.values, cell.wavelength / index
@@ -151,6 +148,7 @@ def check(
     draws: Floats | None = None,
     drift: Floats | None = None,
     index: float = 1.0,
+    stability: float = STABILITY,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -169,6 +167,8 @@ def check(
         Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
     index
         Refractive index of the air.
+    stability
+        How gain and offset of the signal may bow between the reference scans, relative, one standard deviation.
     level
         Probability below which the calibration is refuted.
     seed
@@ -179,35 +179,26 @@ def check(
     InputError
         If the recording lacks a part.
     """
-    measured = measure_path(estimate.cell, estimate, trace, index=index, seed=seed)
-    return check_path(measured, estimate, trace, draws=draws, drift=drift, level=level, seed=seed)
-
-
-def check_path(
-    measured: PathError,
-    estimate: Estimate,
-    trace: PathTrace,
-    *,
-    draws: Floats | None = None,
-    drift: Floats | None = None,
-    level: float = 0.01,
-    seed: int = 0,
-) -> PathCheck:
-    """Hold a measured error against what an estimate leaves unknown; arguments as in `check`."""
+    measured = measure_path(estimate.cell, estimate, trace, index=index, stability=stability, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
     random = np.random.default_rng([seed, 1])
     _, jacobian = model.predict_with_jacobian(estimate.values, rows)
+
+    def linear_errors(covariance: Floats) -> Floats:
+        root = covariance_root(covariance, model.free.prior_sd)
+        return np.asarray(random.standard_normal((_DRAWS, len(root))) @ (jacobian @ root).T)
+
     if estimate.mechanics is not None:
         errors = known_task_errors(estimate, q[0], q, draws=_DRAWS, seed=seed)[0].total
     elif draws is not None:
         errors = model.predict(draws, rows) - model.predict(estimate.values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
     else:
-        errors = _linear_errors(jacobian, estimate.covariance, model.free.prior_sd, random)
+        errors = linear_errors(estimate.covariance)
     if drift is not None:
-        errors = errors + _linear_errors(jacobian, drift, model.free.prior_sd, random)
+        errors = errors + linear_errors(drift)
     predicted = np.ptp(errors, axis=1)
     expected = np.ptp(errors + measured.draws[random.permutation(len(measured.draws))], axis=1)
     # Never zero: so many draws tell no smaller probability.
@@ -223,12 +214,6 @@ def check_path(
 def starts_flat(measured: PathError) -> bool:
     """Whether a path starts so near an extreme of the fringe that small changes hardly show."""
     return abs(measured.start_sine) < _FLAT
-
-
-def _linear_errors(jacobian: Floats, covariance: Floats, scale: Floats, random: np.random.Generator) -> Floats:
-    """Errors along the path to first order, as draws."""
-    root = covariance_root(covariance, scale)
-    return np.asarray(random.standard_normal((_DRAWS, len(scale))) @ (jacobian @ root).T)
 
 
 def check_rows(

@@ -188,7 +188,7 @@ class FittedSweep:
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
         time = np.interp(s, samples.s[order], samples.time[order])
-        there, places = np.maximum(s, reading.set_out), np.maximum(samples.s, reading.set_out)
+        there, places = (np.clip(at, reading.set_out, reading.stop) for at in (s, samples.s))
         lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, there)
         turned = fit.phase(there, phase_per_um) / (2.0 * np.pi)
         return cls(

@@ -48,8 +48,8 @@ def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: 
         slopes = max(-near, float(mean[0]) - room), min(near, float(mean[0]) + room)
         slow, left = _by_fits(used.binned(120), split, bends[::2], phase_per_um, slopes)
         found, scores = np.concatenate([found, slow]), np.concatenate([scores, left])
-    order = np.argsort(-scores)
-    return _distinct(found[order], phase_per_um, most)
+    found = found[np.argsort(-scores)]
+    return found[distinct(found, np.full(len(found), 1.5 / phase_per_um))[:most]]
 
 
 def _by_transform(
@@ -129,13 +129,10 @@ def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[
     return rows[order], columns[order]
 
 
-def _distinct(found: Floats, phase_per_um: float, most: int) -> Floats:
-    """The first of courses that are alike or mirror images; `found` is best first."""
-    near = 1.5 / phase_per_um
-    kept: list[Floats] = []
-    for candidate in found:
-        if all(min(np.abs(candidate - k).max(), np.abs(candidate + k).max()) > near for k in kept):
-            kept.append(candidate)
-            if len(kept) == most:
-                break
-    return np.array(kept).reshape(-1, DEGREE)
+def distinct(profiles: Floats, near: Floats) -> list[int]:
+    """Which of profiles (m, degree) are the first within `near` (m,), in um, of themselves or their mirror images."""
+    kept: list[int] = []
+    for i, each in enumerate(profiles):
+        if all(min(np.abs(each - k).max(), np.abs(each + k).max()) > near[i] for k in profiles[kept]):
+            kept.append(i)
+    return kept

@@ -7,7 +7,7 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.fringes.kernels import follow_phase
-from fpcal_bayes.fringes.path_check import check, check_rows, measure_path, starts_flat
+from fpcal_bayes.fringes.path_check import check, check_rows, measure_path
 from fpcal_bayes.fringes.path_curve import splines
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import paper_protocol
@@ -87,13 +87,13 @@ def test_hard_disturbances_widen_the_interval_instead_of_misleading(femto: Cell,
 
 def test_a_start_at_the_maximum_is_told(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 8.0, replace(SHORT, quadrature=True))
-    assert not starts_flat(measure_path(femto, estimate, trace))
+    assert not measure_path(femto, estimate, trace).starts_flat
     path = task_path(femto, estimate.vector(), "circle", n_points=41).q.copy()
     # From half height to the extreme is an eighth of a wavelength.
     path[:, 1] = trace.q[trace.path][0, 1] + femto.wavelength / 8 + (path[:, 1] - path[0, 1])
     flat = record_path(femto, paper_truth(femto), path, 8.0, replace(SHORT, quadrature=False))
     found = check(estimate, flat)
-    assert starts_flat(found.measured)
+    assert found.measured.starts_flat
     assert any("start at half height" in line for line in check_warnings(found))
 
 

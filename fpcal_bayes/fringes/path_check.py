@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.linalg import covariance_root, quantile_band
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import PathTrace, check_parts
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -59,9 +59,9 @@ class PathError:
         return float(np.ptp(self.error[self.places]))
 
     @property
-    def least_peak_to_peak(self) -> float:
-        """The smaller one of error and rival, in um."""
-        return self.peak_to_peak if self.rival is None else min(self.peak_to_peak, float(np.ptp(self.rival)))
+    def starts_flat(self) -> bool:
+        """Whether it starts so near an extreme of the fringe that small changes hardly show."""
+        return abs(self.start_sine) < _FLAT
 
     @property
     def peak_to_peak_sd(self) -> float:
@@ -88,11 +88,6 @@ class PathCheck:
         """Whether measurement noise alone makes twice the error that is predicted, and 50 nm."""
         noisy, predicted = np.quantile(self.expected, 0.975), np.quantile(self.predicted, 0.975)
         return bool(noisy > max(2.0 * predicted, _COARSE))
-
-    def predicted_band(self) -> tuple[float, float]:
-        """Band that holds 95 % of the predicted peak-to-peak values, in um."""
-        low, high = quantile_band(self.predicted, 0.95).tolist()
-        return low, high
 
 
 def measure_path(
@@ -202,18 +197,14 @@ def check(
     predicted = np.ptp(errors, axis=1)
     expected = np.ptp(errors + measured.draws[random.permutation(len(measured.draws))], axis=1)
     # Never zero: so many draws tell no smaller probability.
-    probability = (1.0 + float((expected >= measured.least_peak_to_peak).sum())) / (1.0 + len(expected))
+    least = min(measured.peak_to_peak, np.inf if measured.rival is None else float(np.ptp(measured.rival)))
+    probability = (1.0 + float((expected >= least).sum())) / (1.0 + len(expected))
     check = PathCheck(measured, predicted, expected, probability, "refuted", level, estimate.trust)
     if not measured.followed or not estimate.trust.usable:
         return replace(check, verdict="not evaluated")
     if probability < level:
         return check
     return replace(check, verdict="not evaluated" if check.blunt or measured.rival is not None else "confirmed")
-
-
-def starts_flat(measured: PathError) -> bool:
-    """Whether a path starts so near an extreme of the fringe that small changes hardly show."""
-    return abs(measured.start_sine) < _FLAT
 
 
 def check_rows(
@@ -231,37 +222,25 @@ def check_rows(
     These are one group: the reading at the start, and the signal's drift, which counts as part of it, are common to
     them.
     """
-    q = trace.q[trace.path]
+    q, model = trace.q[trace.path], CavityModel.of(cell, estimate.parameters, estimate.vector())
     name = Path(trace.file).name or "path"
-    row = Sweeps.of_um_rad(
-        q[:1],
-        q[-1:],
-        session=session,
-        label="check",
-        time_h=time_h,
-        dl=measured.peak_to_peak,
-        sigma=max(measured.peak_to_peak_sd, _LEAST_SIGMA),
-        signed=False,
-        kind="path",
-        trace=name,
-        file=name,
-    )
-    if points == 0:
-        return row
-    model = CavityModel.of(cell, estimate.parameters, estimate.vector())
     # Without the start; the path's end too unless it is the start again.
     chosen = np.unique(np.linspace(0, len(measured.places) - 1, points + 2).round().astype(np.int64)[1:-1])
-    ends = q[measured.places[chosen]]
-    starts = np.repeat(q[:1], len(ends), axis=0)
-    expected = model.predict(estimate.values, model.rows(starts, ends))
-    sweeps = Sweeps.of_um_rad(
+    starts, ends = np.repeat(q[:1], len(chosen) + 1, axis=0), np.vstack([q[-1:], q[measured.places[chosen]]])
+    others = model.predict(estimate.values, model.rows(starts, ends))[1:] + measured.error[measured.places[chosen]]
+    sd = float(measured.draws[:, chosen].std(axis=0).max(initial=0.0))
+    first = np.arange(len(ends)) == 0
+    return Sweeps.of_um_rad(
         starts,
         ends,
         session=session,
-        label=[f"check-{i}" for i in range(1, len(ends) + 1)],
+        label=["check", *(f"check-{i}" for i in range(1, len(ends)))],
         time_h=time_h,
-        dl=expected + measured.error[measured.places[chosen]],
-        sigma=max(float(measured.draws[:, chosen].std(axis=0).max()), _LEAST_SIGMA),
-        group="check",
+        dl=[measured.peak_to_peak, *others],
+        sigma=np.maximum(np.where(first, measured.peak_to_peak_sd, sd), _LEAST_SIGMA),
+        signed=~first,
+        kind=np.where(first, "path", "sweep"),
+        trace=np.where(first, name, ""),
+        group=np.where(first, "", "check"),
+        file=name,
     )
-    return join([row, sweeps], name)

@@ -70,7 +70,12 @@ def read_index(
 ) -> Ingested:
     """As `ingest`, doubtful traces alone included."""
     settings = IngestSettings() if settings is None else settings
-    _require_sweeps(index)
+    sweeps, paths = index.sweeps, index.sweeps.kind == "path"
+    if paths.any():
+        row, wanted = int(sweeps.rows[np.argmax(paths)]), "expected sweep or absolute"
+        raise located(
+            sweeps.file, f"{wanted}: a path is held against an estimate, by fpcal check", row=row, column="kind"
+        )
     light, optics = _light(index, cell, settings), cell.interferometer
     before = _read_scans(index, cell, index.sweeps.q_start, index.scans_before)
     after = _read_scans(index, cell, index.sweeps.q_end, index.scans_after)
@@ -85,7 +90,6 @@ def read_index(
     remaining = iter(found)
     readings = tuple(None if each is None else next(remaining) for each in recorded)
 
-    sweeps = index.sweeps
     parts = []
     for i, reading in enumerate(readings):
         if reading is not None and reading.good:
@@ -134,9 +138,7 @@ def _read_scans(
             scan,
             float(lengths[i]),
             float(sds[i]),
-            temperature_c=float(index.temperature_c[i]),
-            pressure_hpa=float(index.pressure_hpa[i]),
-            humidity_pct=float(index.humidity_pct[i]),
+            air=(float(index.temperature_c[i]), float(index.pressure_hpa[i]), float(index.humidity_pct[i])),
             noise=optics.noise,
             full_scale=optics.full_scale,
         )
@@ -196,17 +198,6 @@ def _record(
             )
         )
     return made
-
-
-def _require_sweeps(index: TraceIndex) -> None:
-    paths = index.sweeps.kind == "path"
-    if paths.any():
-        raise located(
-            index.sweeps.file,
-            "expected sweep or absolute: a path is held against an estimate, by fpcal check",
-            row=int(index.sweeps.rows[np.argmax(paths)]),
-            column="kind",
-        )
 
 
 def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:

@@ -7,7 +7,7 @@ rotation two. That smoothness is what tells a reversal from a fringe, and one co
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.legendre import legder
@@ -78,13 +78,7 @@ def lengths_at(profile: Floats, s: Floats) -> Floats:
 
 def slopes_at(profile: Floats, s: Floats) -> Floats:
     """Slopes of the same, in um per unit of s."""
-    return legendre(s, len(profile) - 1) @ (_derivative(len(profile)) @ profile)
-
-
-@cache
-def _derivative(degree: int) -> Floats:
-    """What makes the coefficients from P_0 on of a slope of those from P_1 on of a profile, shape (degree, degree)."""
-    return np.asarray(legder(np.eye(degree + 1)[:, 1:]), dtype=float)
+    return legendre(s, len(profile) - 1) @ legder(np.append(0.0, profile))
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

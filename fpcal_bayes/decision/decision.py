@@ -21,6 +21,8 @@ Purpose = Literal["extrinsics", "robot", "both"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
 Chooser = Callable[[Forecaster, State, int], Sweeps]
 
+#: So many sessions in a row are looked ahead where one is not enough.
+_IN_A_ROW = 5
 #: By which the least tolerance that can be met is rounded up.
 _ROUNDING = 1.002
 
@@ -130,7 +132,7 @@ def decide(
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below, the one that costs the fewest minutes an hour held; if none does, a full one; if
-    that does not either, the first of two sessions with few sweeps that do.
+    that does not either, the first of several sessions in a row with few sweeps that do.
 
     The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
     of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
@@ -139,7 +141,7 @@ def decide(
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))
-    sessions, goal = list[_Session](), forecast.goal
+    sessions, row, goal = list[_Session](), list[_Session](), forecast.goal
 
     def made(action: Action, hold: float, taken: _Session | None, after: TaskForecast, reason: str) -> Decision:
         sweeps, minutes, then = (None, 0.0, 0.0) if taken is None else (taken.sweeps, taken.minutes, taken.hours)
@@ -168,21 +170,23 @@ def decide(
     full = session_of(forecast, model, state, costs, calibration)
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         if sessions and not measure:
-            # What remains of a machine's error motions after one session may need another.
-            first, count = sessions[-1], counted(costs.most_sweeps, "sweep")
-            again = choose(forecast.following(first.state.mean), first.state, costs.most_sweeps)
-            second = session_of(forecast, model, first.state, costs, again)
-            if second.outlook.exceeds(goal.tolerance_um) <= goal.level:
-                reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, two in a row do"
-                return made("extrinsic", 0.0, first, first.outlook, reason)
-        every = [full, *sessions]
+            # What remains of a machine's error motions after one session may need others.
+            row = _in_a_row(forecast, model, costs, choose, sessions[-1])
+            if row[-1].outlook.exceeds(goal.tolerance_um) <= goal.level:
+                count = counted(costs.most_sweeps, "sweep")
+                reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
+                return made("extrinsic", 0.0, row[0], row[0].outlook, reason)
+        every = [full, *sessions, *row[1:]]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
         least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
+        after = "a full calibration" if best is full else counted(len(best.sweeps), "sweep")
+        number = next((i for i, session in enumerate(row) if session is best), 0)
+        if number:
+            after = f"{number + 1} sessions in a row of up to {counted(costs.most_sweeps, 'sweep')}"
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
-            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
-            f"after {'a full calibration' if best is full else counted(len(best.sweeps), 'sweep')}"
+            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right after {after}"
         )
         if not measure:
             due = calibration_due is not None
@@ -205,6 +209,17 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
+
+
+def _in_a_row(
+    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, first: _Session
+) -> list[_Session]:
+    """Sessions that follow one another without a pause, from the first one until the tolerance is expected to hold."""
+    found, goal = [first], forecast.goal
+    while len(found) < _IN_A_ROW and found[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
+        state = forecast.ahead(found[-1].state, found[-1].minutes / 60.0)
+        found.append(session_of(forecast, model, state, costs, choose(forecast, state, costs.most_sweeps)))
+    return found
 
 
 def _if_it_lasts(

@@ -37,11 +37,13 @@ def task_figure(facts: CampaignFacts) -> str:
             assert prediction is not None
             along, low, high = found.task.along, found.low, found.high
             axis.fill_between(along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
-            axis.plot(along, 1e3 * prediction.errors[0], color=BLUE, linewidth=0.9, label="one possible error")
+            errors = 1e3 * prediction.errors
+            typical = errors[np.argsort(np.ptp(errors, axis=1))[len(errors) // 2]]
+            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="one possible error, of median size")
             label = f"tolerance, {2 * half:g} nm peak to peak"
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
-            most = 1.15 * max(half, float(np.abs([low, high]).max()))
+            most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
             axis.set_ylim(-most, most)
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
             axis.set_title(title, fontsize=9, parse_math=False)

@@ -21,11 +21,12 @@ from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.report.campaign.figures import prior_posterior_figure
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.observe import headline
 from fpcal_bayes.report.observe import parameter_table as observed_table
 from fpcal_bayes.report.pages import BLUE, GREY, VERMILION
-from fpcal_bayes.report.posterior import posterior_table, prior_posterior_figure
+from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.table import Table
 from fpcal_bayes.report.tasks import prediction_content, prediction_table
 from fpcal_bayes.report.track import session_table, verdict_lines

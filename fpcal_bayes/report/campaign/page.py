@@ -94,7 +94,6 @@ def campaign_html(facts: CampaignFacts) -> str:
         "posterior": "" if facts.posterior is None else figures.posterior_figure(facts.posterior),
     }
     charts = {
-        "track": None if track is None else data.track_chart(facts, track),
         "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
         "residuals": data.residual_chart(rows),
     }

@@ -178,7 +178,8 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     ahead = float(np.sign(inside - first))
     first *= ahead
     few = samples
-    for step in (1 + len(few) // _THINNED, 1):
+    for _ in range(2):
+        step = 1 + len(few) // _THINNED
         beyond = ahead * fit.phase(few.s[::step], phase_per_um) > first + _HIDDEN
         if beyond.any():
             few = few.part(slice(step * int(np.argmax(beyond)) + (step > 1)))

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import legder
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import legendre_table
@@ -78,7 +77,9 @@ def lengths_at(profile: Floats, s: Floats) -> Floats:
 
 def slopes_at(profile: Floats, s: Floats) -> Floats:
     """Slopes of the same, in um per unit of s."""
-    return legendre(s, len(profile) - 1) @ legder(np.append(0.0, profile))
+    n = np.arange(len(profile))
+    # The slope of P_k is the sum of (2 n + 1) P_n over every other n below k.
+    return legendre(s, len(n) - 1) @ ((2 * n + 1) * (np.triu((n - n[:, None]) % 2 == 0) @ profile))
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

@@ -8,6 +8,7 @@ out however often L turns back, since all parts of the sweep add up in phase.
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre
@@ -118,12 +119,7 @@ def _combined(split: Floats, slopes: Floats, bends: Floats) -> Floats:
 
 def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Places of the highest local maxima of a table, those above a share of the highest."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    is_peak = values > least * values.max()
-    for i in (0, 1, 2):
-        for j in (0, 1, 2):
-            if (i, j) != (1, 1):
-                is_peak &= values >= padded[i : i + values.shape[0], j : j + values.shape[1]]
+    is_peak = (values > least * values.max()) & (values >= maximum_filter(values, 3, mode="nearest"))
     rows, columns = np.nonzero(is_peak)
     order = np.argsort(-values[rows, columns])[:most]
     return rows[order], columns[order]

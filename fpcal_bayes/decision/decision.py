@@ -180,13 +180,13 @@ def decide(
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
         least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
-        after = "a full calibration" if best is full else counted(len(best.sweeps), "sweep")
+        when = "a full calibration" if best is full else counted(len(best.sweeps), "sweep")
         number = next((i for i, session in enumerate(row) if session is best), 0)
         if number:
-            after = f"{number + 1} sessions in a row of up to {counted(costs.most_sweeps, 'sweep')}"
+            when = f"{number + 1} sessions in a row of up to {counted(costs.most_sweeps, 'sweep')}"
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
-            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right after {after}"
+            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right after {when}"
         )
         if not measure:
             due = calibration_due is not None

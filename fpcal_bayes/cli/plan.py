@@ -87,7 +87,10 @@ def _plan(
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
-    papers = _paper(cell)
+    try:
+        papers = paper_protocol(cell)
+    except InputError:
+        papers = None
     warnings = no_envelope_text(ground.model, ground.draws)
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference, bar.part("plan"))
@@ -277,13 +280,6 @@ def _labelled(sweeps: Sweeps) -> Sweeps:
         f"p{number:02d}-" + "".join(f"q{i}" for i, m in enumerate(row, 1) if m) for number, row in enumerate(moved, 1)
     ]
     return replace(sweeps, label=np.array(names, dtype=np.str_))
-
-
-def _paper(cell: Cell) -> Sweeps | None:
-    try:
-        return paper_protocol(cell)
-    except InputError:
-        return None
 
 
 def _targets(text: str | None) -> dict[str, float]:

@@ -60,6 +60,11 @@ def chi2_tail(value: float, dof: float) -> float:
     return float(special.gammaincc(dof / 2.0, value / 2.0))
 
 
+def finite(value: float) -> float | None:
+    """A number as JSON has it: None in place of one that is not finite."""
+    return float(value) if np.isfinite(value) else None
+
+
 def plain(square: float, places: int = 1) -> str:
     """A sum of squares for a sentence, with so many decimals, or few digits and an exponent where it is large."""
     return f"{square:.{places}f}" if abs(square) < 1e5 else f"{square:.3g}"

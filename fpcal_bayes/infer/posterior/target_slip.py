@@ -44,11 +44,10 @@ class SlipTarget(PosteriorTarget):
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns: those of the problem, and that of eps."""
         return super().n_unknowns + 1
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the corrected rows, and a row that stands for what the data tell about eps."""
+        # The corrected rows, and one that stands for what the data tell about eps.
         residuals, jacobian = super().data_batch(points[:, :-1])
         n_points, n_rows, n = jacobian.shape
         wider = np.zeros((n_points, n_rows + 1, n + 1))
@@ -57,11 +56,9 @@ class SlipTarget(PosteriorTarget):
         return np.hstack([residuals, self._row_of_eps(points)]), wider
 
     def data_residuals(self, points: Floats) -> Floats:
-        """The residuals alone."""
         return np.hstack([super().data_residuals(points[:, :-1]), self._row_of_eps(points)])
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
-        """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
         corrected = residuals[:, : len(self.problem.target)]
         return np.asarray(self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1))
 
@@ -86,7 +83,6 @@ class SlipTarget(PosteriorTarget):
         return special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
 
     def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
-        """Errors of the whitened rows, slips among them."""
         errors = super().draw_noise(points, rng)
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)

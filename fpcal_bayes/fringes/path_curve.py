@@ -227,4 +227,5 @@ class _Fit:
             return np.vstack([data, rows])
 
         found = least_squares(residuals, unknowns, jacobian, method="lm", max_nfev=_STEPS)
-        return found.x, found.fun[: len(self.irradiance)], found.jac.T @ found.jac
+        slopes = jacobian(found.x)
+        return found.x, found.fun[: len(self.irradiance)], slopes.T @ slopes

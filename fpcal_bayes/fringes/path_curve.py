@@ -227,5 +227,5 @@ class _Fit:
             return np.vstack([data, rows])
 
         found = least_squares(residuals, unknowns, jacobian, method="lm", max_nfev=_STEPS)
-        slopes = np.asarray(found.jac)
+        slopes = jacobian(found.x)
         return found.x, found.fun[: len(self.irradiance)], slopes.T @ slopes

@@ -79,8 +79,8 @@ def slopes_at(profile: Floats, s: Floats) -> Floats:
     """Slopes of the same, in um per unit of s."""
     n = np.arange(len(profile))
     # The slope of P_k is the sum of (2 n + 1) P_n over every other n below k.
-    below = (2 * n + 1) * (np.triu((n - n[:, None]) % 2 == 0) @ profile)
-    return np.asarray(legendre(s, len(n) - 1) @ below)
+    own: Floats = (2 * n + 1) * (np.triu((n - n[:, None]) % 2 == 0) @ profile)
+    return legendre(s, len(n) - 1) @ own
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

@@ -300,7 +300,7 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
     if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
-    if found.uneven and _turned_back(verdict.fit.profile, found) - _turned_back(each.profile.mean, found) > _TURNED:
+    if found.uneven and _turned_back(found, verdict.fit.profile) > _TURNED + _turned_back(found, each.profile.mean):
         turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
         if (np.abs(turns - np.rint(turns)) < _AT_EXTREME).any():
             return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
@@ -314,7 +314,7 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     return ""
 
 
-def _turned_back(profile: Floats, found: Followed) -> float:
+def _turned_back(found: Followed, profile: Floats) -> float:
     """How far L runs against its own change along a sweep, in um."""
     lengths = lengths_at(profile, np.linspace(*found.solution.best.ends, 1025))
     return float(np.abs(np.diff(lengths)).sum() - abs(lengths[-1] - lengths[0])) / 2.0

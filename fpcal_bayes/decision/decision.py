@@ -141,7 +141,7 @@ def decide(
     """
     now = forecast.outlook(state)
     at_horizon = forecast.outlook(forecast.ahead(state, costs.horizon_h))
-    sessions, row, goal = list[_Session](), list[_Session](), forecast.goal
+    sessions, goal = list[_Session](), forecast.goal
 
     def made(action: Action, hold: float, taken: _Session | None, after: TaskForecast, reason: str) -> Decision:
         sweeps, minutes, then = (None, 0.0, 0.0) if taken is None else (taken.sweeps, taken.minutes, taken.hours)
@@ -176,17 +176,14 @@ def decide(
                 count = counted(costs.most_sweeps, "sweep")
                 reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
                 return made("extrinsic", 0.0, row[0], row[0].outlook, reason)
-        every = [full, *sessions, *row[1:]]
+        every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
         least_nm = 0.1 * float(np.ceil(1e4 * _ROUNDING * best.outlook.attainable(goal.level)))
-        when = "a full calibration" if best is full else counted(len(best.sweeps), "sweep")
-        number = next((i for i, session in enumerate(row) if session is best), 0)
-        if number:
-            when = f"{number + 1} sessions in a row of up to {counted(costs.most_sweeps, 'sweep')}"
         text = (
             f"tolerance {1e3 * goal.tolerance_um:g} nm cannot be met for {', '.join(goal.tasks)}: the best that can be "
-            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right after {when}"
+            f"met with probability {1.0 - goal.level:g} is {least_nm:.1f} nm, right "
+            f"after {'a full calibration' if best is full else counted(len(best.sweeps), 'sweep')}"
         )
         if not measure:
             due = calibration_due is not None

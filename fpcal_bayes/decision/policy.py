@@ -311,7 +311,7 @@ def _standing(
     state = forecast.ahead(last.state, now_h - last.time_h)
     # A robot that moved by itself is known as before its first calibration only.
     values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
-    known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
+    known = normal_draws(values, covariance) if track.lasting_trust.usable else prior_draws(track.cell)[1]
     calibration, visible = motions_alone(sweeps.of_session(track.outcomes[0].session)), SweepLimits()
     if tilts(model, values, np.zeros((1, len(track.cell.joints))))[0] > visible.tilt:
         # Fringes were seen wherever the calibration stood.
@@ -327,8 +327,8 @@ def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h
 
     As `decide_track`; `InputError` too where the track is not to be used.
     """
-    if not track.trust.usable:
-        raise InputError(f"the estimate is not to be used: {track.trust.against}")
+    if not track.lasting_trust.usable:
+        raise InputError(f"the estimate is not to be used: {track.lasting_trust.against}")
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     chosen = policy.choose(forecast, state, n)
     require_within_envelope(policy.model, known, chosen.q_start, chosen.q_end, file="suggested sweeps")
@@ -344,7 +344,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     """
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     due = track.calibration_due
-    reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
+    reason = f"the robot itself moved before session {due}" if due is not None else track.lasting_trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     decision = policy.decide(forecast, state, reason, diagnosed)
     if decision.sweeps is not None:

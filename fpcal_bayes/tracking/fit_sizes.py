@@ -67,7 +67,7 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
             spread = still.matrix @ spread @ still.matrix.T + still.noise
         spread[:, :n, :n] += noise
         used, _ = with_signs(drift, model, now.predicted, part.take(part.kind != "path"))
-        if not len(used):
+        if not len(used) or not now.converged:
             continue
         at = now.state.mean
         misfit, jacobian = SweepMeasurement.of(drift, model, used, at).linearise(at)

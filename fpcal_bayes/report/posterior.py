@@ -1,17 +1,15 @@
 """A posterior as a table, and a model comparison."""
 
 from fpcal_bayes.infer.posterior.compare import Comparison, ModelResult
-from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary, summarise
+from fpcal_bayes.model.parameters import ParameterSet
 from fpcal_bayes.report.table import Table, number, plain_table
 
 
-def posterior_table(posterior: Posterior | PosteriorSummary, title: str) -> Table:
-    """Mean, standard deviation and interval of each parameter, with what the draws are worth."""
-    parameters = posterior.identification.free if isinstance(posterior, Posterior) else posterior.parameters
+def posterior_table(summary: dict[str, dict[str, float]], parameters: ParameterSet, title: str) -> Table:
+    """Mean, standard deviation and interval of each parameter as `summarise` gives them, and what draws are worth."""
     columns = ["parameter", "unit", "mean", "sd", "5 %", "50 %", "95 %", "ess bulk", "ess tail", "R-hat"]
     table = plain_table(title, columns)
-    for name, found in summarise(posterior).items():
+    for name, found in summary.items():
         shown = [number(found[key], found["sd"]) for key in ("mean", "sd", "q05", "q50", "q95")]
         worth = [f"{found['ess_bulk']:.0f}", f"{found['ess_tail']:.0f}", f"{found['rhat']:.4f}"]
         table.add_row(name, parameters[name].unit, *shown, *worth)

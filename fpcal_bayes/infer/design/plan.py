@@ -9,7 +9,14 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
 from fpcal_bayes.infer.design.descend import descend
-from fpcal_bayes.infer.design.exchange import ChosenSweeps, chosen_sweeps, greedy, most_useful_first, reference_of
+from fpcal_bayes.infer.design.exchange import (
+    ChosenSweeps,
+    chosen_sweeps,
+    exchange,
+    greedy,
+    most_useful_first,
+    reference_of,
+)
 from fpcal_bayes.infer.design.information import Criterion, Design
 from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
@@ -18,8 +25,9 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
 
-#: Least candidates of a start; steps of its descent and of that after an exchange; by how much more draws these count.
-_FEW, _STARTED, _TRIED, _WIDER = 300, 20, 12, 4
+#: Least candidates of a start; how often each place of it is looked at; steps of its descent and of that after an
+#: exchange; by how much more draws these count.
+_FEW, _PASSES, _STARTED, _TRIED, _WIDER = 300, 2, 20, 12, 3
 #: An exchange must make the criterion smaller by this share; exchanges of a short search.
 _LEAST_GAIN, _SHORT_TRIALS = 1e-3, 4
 #: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
@@ -38,10 +46,10 @@ class PlanSettings:
     readings: int = 2
     sigma: float = 0.005  # standard deviation of a row in um
     n_candidates: int = 2000  # random sweeps to choose from
-    # starts of the search on `share` draws each, exchanges that are tried on four times as many, and steps of the
+    # starts of the search on `share` draws each, exchanges that are tried on three times as many, and steps of the
     # descent over all draws at the end; without these the search keeps to the candidates
     starts: int = 4
-    share: int = 16
+    share: int = 32
     trials: int = 12
     iterations: int = 60
     several: bool = False  # also move several joints of one controller at once
@@ -143,9 +151,10 @@ class Planner:
         return self._finished(self._descended(best, self.ground, settings.iterations, lambda share: begun(2, share)))
 
     def _start(self, n: int, number: int) -> Sweeps:
-        """The best of a part of the candidates, one by one, over a few draws."""
+        """The best of a part of the candidates over a few draws: one by one, then each again beside the others."""
         some = self._some([self.settings.seed, number], max(n, len(self.candidates) // self.settings.starts, _FEW))
-        return some.take(np.array(greedy(self.judge(some, self._part(number, self.settings.share)), n)))
+        judge = self.judge(some, self._part(number, self.settings.share))
+        return some.take(np.array(exchange(judge, greedy(judge, n), passes=_PASSES)))
 
     def _some(self, seed: list[int], count: int) -> Sweeps:
         """Some of the candidates at random."""

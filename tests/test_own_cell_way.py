@@ -16,7 +16,7 @@ def ran(line: str, cell: str, *, status: int = 0) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("words", "radius"), [("x y z rx rz ry", 30), ("x y z rx rz", 30)])
+@pytest.mark.parametrize(("words", "radius"), [("-z rx x -ry y rz", 30), ("x y z rx rz", 30)])
 def test_the_whole_way(tmp_path, monkeypatch, words, radius):
     monkeypatch.chdir(tmp_path)
     assert main(["cell", "--new", words, "--name", "lab", "-o", "lab.toml", "--gap-um", "600", "--gap-sd-um", "1"]) == 0

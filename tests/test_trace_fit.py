@@ -35,22 +35,22 @@ def test_whole_traces_tell_more_than_end_points(femto: Cell) -> None:
     held = late.irradiance.copy()
     held[:20] = held[20]
     traces = [*index.traces[:46], replace(late, irradiance=held), *index.traces[47:]]
-    whole = trace_rows(femto, replace(index, traces=traces))
-    found = identify(femto, whole.rows)
+    rows, warnings = trace_rows(femto, replace(index, traces=traces))
+    found = identify(femto, rows)
     assert found.converged
     assert found.spectrum.rank == 17
     assert found.fit.p_value > 1e-3
     assert np.mean(((found.estimate.values - truth.values[0]) / found.estimate.sd) ** 2) < 2.3
     # A trace that is left out is named.
-    assert plan.label[46] not in whole.rows.group
-    assert any(str(plan.label[46]) in warning for warning in whole.warnings)
+    assert plan.label[46] not in rows.group
+    assert any(str(plan.label[46]) in warning for warning in warnings)
     at = found.estimate.parameters.position("z_et")
     ends = identify(femto, simulate_um(femto, truth, plan, sigma=0.005, seed=0)).estimate
     assert 20.0 * found.estimate.sd[at] < ends.sd[at]
     # Rows that share errors stand beside others, and are not packed as if they did not.
-    both = join([whole.rows, simulate_um(femto, truth, plan, sigma=0.005, seed=1)])
+    both = join([rows, simulate_um(femto, truth, plan, sigma=0.005, seed=1)])
     assert both.common.shape == (len(both), DEGREE)
-    assert not both.common[len(whole.rows) :].any()
+    assert not both.common[len(rows) :].any()
     assert found.content()["rows"] is None
 
 
@@ -86,12 +86,12 @@ def test_what_only_an_expectation_says_of_a_trace_is_not_taken(femto: Cell, degr
     plan, tilt = paper_protocol(femto).take(np.array([46, 49])), np.zeros(6)
     tilt[3] = np.deg2rad(degrees)
     plan = replace(plan, q_start=np.vstack([plan.q_start[:1], 0.0 * tilt]), q_end=np.vstack([plan.q_end[:1], tilt]))
-    whole = trace_rows(femto, record_sweeps(femto, paper_truth(femto), plan, SHORT, seed=1, scans=False))
+    rows, warnings = trace_rows(femto, record_sweeps(femto, paper_truth(femto), plan, SHORT, seed=1, scans=False))
     if degrees < 1.0:
-        assert set(whole.rows.group) == {plan.label[0]}
-        assert any(str(plan.label[1]) in warning for warning in whole.warnings)
+        assert set(rows.group) == {plan.label[0]}
+        assert any(str(plan.label[1]) in warning for warning in warnings)
     else:
-        tilted = whole.rows.group == plan.label[1]
+        tilted = rows.group == plan.label[1]
         assert tilted.any()
-        assert not whole.rows.signed[tilted].any()
-        assert (whole.rows.dl[tilted] > 0.0).all()
+        assert not rows.signed[tilted].any()
+        assert (rows.dl[tilted] > 0.0).all()

@@ -234,5 +234,5 @@ def test_damaged_hdf5_is_refused(tmp_path: Path, femto: Cell, index: TraceIndex)
     with h5py.File(tmp_path / "index.h5", "r+") as file:
         file["traces/trace_end"][1] = 5
         file["traces/trace_end"][0] = 6
-    with pytest.raises(InputError, match="trace_end: expected ends that rise"):
+    with pytest.raises(InputError, match="trace_end: expected whole numbers that rise"):
         read_recordings(tmp_path / "index.h5", femto)

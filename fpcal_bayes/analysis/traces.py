@@ -25,7 +25,6 @@ from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.recordings import TraceIndex
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.model.cell.cell import Cell
-from fpcal_bayes.model.estimate import Estimate
 
 #: Polynomials of an expected course.
 _MOST = 12
@@ -44,19 +43,8 @@ def _places(n: int) -> Floats:
     return np.asarray(-np.cos(np.pi * np.arange(1, n + 1) / n))
 
 
-@dataclass(frozen=True)
-class WholeTraces:
-    """What all samples of a session's traces say, as rows that share errors."""
-
-    rows: Sweeps  # some for each sweep, with what they share in `common`
-    n_samples: int  # that they stand for
-    warnings: tuple[str, ...]  # sentences for the user
-
-
-def trace_rows(
-    cell: Cell, index: TraceIndex, *, session: str | None = None, prior: Estimate | None = None
-) -> WholeTraces:
-    """All samples of a session's traces as rows for `identify` and `sample`, near what ends and middles identify.
+def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> tuple[Sweeps, list[str]]:
+    """All samples of a session's traces as rows that share errors (`common`), and sentences for the user.
 
     On a perfect mechanism each trace is fitted along the course that the ends and middles of all expect, and the prior
     of that course is taken off again: the rows hold what the signal says. With error motions the traces are read by
@@ -77,7 +65,7 @@ def trace_rows(
     if not any(told):
         raise InputError(f"{sweeps.file}: in no sweep the mirror follows its joint: expected traces that do")
     # What many polynomials leave of half a turn is below a picometre; how they may be off, few of them say.
-    estimate = identify(cell, found.sweeps, prior=prior).estimate
+    estimate = identify(cell, found.sweeps).estimate
     expected, ends = estimated_profiles(estimate, sweeps, _MOST), end_weights(_MOST)
     priors = [np.pad(each.covariance, (0, _MOST - DEGREE)) for each in prior_profiles(cell, sweeps)]
     light = 1.0 / (4.0 * cell.interferometer.fibre_reflectivity * cell.interferometer.gain)
@@ -89,10 +77,14 @@ def trace_rows(
         known = reading.phase_per_um * np.sqrt(ends @ expected[i].covariance @ ends) < _KNOWN
         if not reading.good and not (known and estimate.trust.usable):
             continue
-        seen = _ends_and_middle(reading) if errs else _whole(reading, samples, near, priors[i], light)
-        if seen is None:
+        if errs:
+            places = np.array([0.0, 1.0])
+            changes, covariance = reading.changes(places)
+            common = covariance_root(covariance)
+        elif (seen := _whole(reading, samples, near, priors[i], light)) is not None:
+            places, changes, common = seen
+        else:
             continue
-        places, changes, common = seen
         # Which of both courses it was only the reading may say; where it does not, all rows have one unknown sign.
         changes = np.copysign(1.0, changes[-1] * (reading.dl if reading.signed else 1.0)) * changes
         rows = rows_along(sweeps.take(np.array([i])), places).with_measurement(changes, _LEFT)
@@ -106,20 +98,16 @@ def trace_rows(
         names = ", ".join(np.delete(sweeps.label, used)[:5])
         left = counted(len(told) - len(used), "trace")
         said = [f"left out: {left}, doubtful or of a mirror that is off its joint's course ({names})"]
-    return WholeTraces(join(along, sweeps.file), sum(len(index.traces[i]) for i in used), tuple(said))
-
-
-def _ends_and_middle(reading: Reading) -> tuple[Floats, Floats, Floats]:
-    """Middle and end of a trace by its fringes: places, changes in um, and a square root of their covariance."""
-    places = np.array([0.0, 1.0])
-    changes, covariance = reading.changes(places)
-    return places, changes, covariance_root(covariance)
+    return join(along, sweeps.file), said
 
 
 def _whole(
     reading: Reading, samples: Samples, near: Floats, prior: Floats, mirror_light: float
 ) -> tuple[Floats, Floats, Floats] | None:
-    """The same of a trace fitted along the course `near` (_MOST,), in um, with covariance `prior`; None: it is none."""
+    """Places on a trace, changes in um there, and a square root of their covariance; None where it is no such course.
+
+    The trace is fitted along the course `near` (_MOST,), in um, with covariance `prior`.
+    """
     if reading.fit is None:
         return None
     # The reading may be the mirror image of the course.

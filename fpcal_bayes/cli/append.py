@@ -9,7 +9,6 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     done = append(options.campaign, options.measured, cell, ticket=options.ticket)
     warnings = []
     if done.n_missing:

@@ -21,7 +21,6 @@ from fpcal_bayes.report.cell import cell_words
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command."""
     if options.new is not None or options.from_dh is not None:
         return _make(options)
     if options.output is not None:

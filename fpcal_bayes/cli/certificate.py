@@ -35,7 +35,6 @@ _GEOMETRY = 5
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     knowledge = read_knowledge(options.file, cell)
     if knowledge.estimate is None:
         raise InputError(f"{options.file}: expected an estimate JSON, as fpcal identify --json writes")

@@ -22,7 +22,6 @@ from fpcal_bayes.tracking.drift import DriftModel
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     if options.output is None and options.points is not None:
         raise InputError("--points: is taken with -o only")
     index = _index(options, cell)

@@ -14,7 +14,6 @@ from fpcal_bayes.report.posterior import compare_table
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     specs = parse_models(options.models, cell)
     sweeps = read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)

@@ -16,7 +16,6 @@ from fpcal_bayes.report.tasks import mechanism_lines, prediction_content, predic
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.output, ".csv", ".mat")
     knowledge = read_knowledge(options.estimate, cell)
     warm_up_inverse(cell)

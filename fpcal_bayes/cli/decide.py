@@ -19,7 +19,6 @@ from fpcal_bayes.tracking.sessions import hours_now
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     goal = goal_of(options, cell)
     warm_up_inverse(cell)
     followed = follow(options.campaign, cell, now=options.now)

@@ -14,7 +14,6 @@ from fpcal_bayes.model.trust import Reason, Trust
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     sweeps = read_sweeps(options.file, cell, plan=True)
     warm_up(cell)
     findings = doctor(sweeps, cell)

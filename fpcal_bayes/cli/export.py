@@ -16,7 +16,6 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.output, ".csv", ".mat")
     header = read_records(Path(options.file), "a header and a plan or joint path").header
     if cell.joint_columns[0] in header:

@@ -26,7 +26,6 @@ from fpcal_bayes.report.verification import verification_lines
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     sweeps = rows_of(options, cell)
     start = None if options.start is None else read_estimate(options.start, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)
@@ -60,10 +59,9 @@ def rows_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
         return read_sweeps(options.file, cell).of_session(options.session)
     warm_up(cell)
     # What reads traces loads much that rows do without, when it is first called.
-    found = analysis.trace_rows(cell, io.read_recordings(options.file, cell), session=options.session)
-    warn(found.warnings)
-    rows: Sweeps = found.rows
-    return rows
+    rows, warnings = analysis.trace_rows(cell, io.read_recordings(options.file, cell), session=options.session)
+    warn(warnings)
+    return rows  # type: ignore[no-any-return]
 
 
 def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:

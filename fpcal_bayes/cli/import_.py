@@ -11,7 +11,6 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     sweeps = read_moves(options.log, cell, session=options.session, time_h=options.time_h)
     write_sweeps(options.output, sweeps, cell)

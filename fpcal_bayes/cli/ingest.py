@@ -25,7 +25,6 @@ from fpcal_bayes.report.fringes import draw_sweep
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.output, ".csv", *HDF5_SUFFIXES)
     estimate = None if options.estimate is None else read_estimate(options.estimate, cell)
     index = read_recordings(options.index, cell, options.columns)

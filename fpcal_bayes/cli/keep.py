@@ -24,7 +24,6 @@ from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     goal = goal_of(options, cell)
     require_suffix(options.flat, *FLAT_SUFFIXES)
     rig = None if options.rig is None else read_rig(options.rig, cell)

@@ -28,7 +28,6 @@ from fpcal_bayes.rig.settings import ProgramDevice, Rig
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     ticket = read_ticket(options.ticket, cell)
     if ticket.plan is None:
         console(options).say(f"{options.ticket}: no rows, nothing to measure")

@@ -12,7 +12,6 @@ from fpcal_bayes.report.observe import observe_html, print_observability
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     sweeps = read_sweeps(options.file, cell, plan=True).of_session(options.session)
     warm_up(cell)
     result = observe(cell, sweeps, sigma=options.sigma_nm * 1e-3)

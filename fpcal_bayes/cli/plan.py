@@ -60,7 +60,6 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     asked = any(size is not None for size in (options.n, options.reach, options.minutes))
     if asked + options.commission + (options.validation is not None) != 1:
         raise InputError(

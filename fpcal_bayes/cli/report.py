@@ -15,7 +15,6 @@ from fpcal_bayes.report.campaign.words import since_content, standing, verdict
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     goal = goal_of(options, cell)
     _warm_up(cell)
     with console(options).status("working out the report"):

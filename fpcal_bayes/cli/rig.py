@@ -14,7 +14,6 @@ from fpcal_bayes.simulator.sweeps import machine_of
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     rig = read_rig(options.emulate, cell)
     source = Path(options.emulate)
     output = options.output or source.with_name(f"{source.stem}_live.toml")

@@ -19,7 +19,6 @@ from fpcal_bayes.report.posterior import posterior_table
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.output, ".nc")
     sweeps = rows_of(options, cell)
     sweeps, prior, before = with_prior(options.prior, cell, sweeps)

@@ -27,7 +27,6 @@ _SIGMA_NM = 5.0
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     _check_options(options)
     if options.traces and options.path is None:
         cell.require_one_beam("a recording of sweeps (--traces)")

@@ -29,7 +29,6 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 
 def run(options: argparse.Namespace, stated: Cell) -> int:
-    """Run the command."""
     # A study draws its truths from the priors of the parameters: its mechanism is perfect, whatever the cell states.
     cell = stated.ideal
     options.output = options.output or Path(f"study-{options.study}.jsonl")

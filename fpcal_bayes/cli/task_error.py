@@ -15,7 +15,6 @@ from fpcal_bayes.report import tasks as words
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     knowledge = read_knowledge(options.file, cell, held=options.estimate)
     warm_up_inverse(cell)
     given = None if options.tolerance_nm is None else options.tolerance_nm * 1e-3

@@ -19,7 +19,6 @@ _COLUMNS = ("sweep", "dL um", "sigma nm", "fringes", "visibility", "noise V", "L
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     require_suffix(options.figure, ".svg", ".png")
     index = read_recordings(options.file, cell, options.columns)
     sweeps = index.sweeps

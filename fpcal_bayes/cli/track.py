@@ -24,7 +24,6 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     goal = goal_of(options, cell)
     if options.watch is None:
         return _take_in(options, cell, goal)

@@ -21,7 +21,6 @@ from fpcal_bayes.tracking.drift import drift_root
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     fitted = _calibration_rows(options.file, cell)
     fresh = _fresh_rows(options, cell, fitted)
     warm_up_inverse(cell)

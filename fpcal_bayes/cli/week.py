@@ -45,7 +45,6 @@ _DRAWS = 1000
 
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
-    """Run the command."""
     cell.require_one_beam("the paper's week")
     make_folder(options.output)
     with exclusive(options.output):

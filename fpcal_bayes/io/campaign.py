@@ -12,7 +12,7 @@ from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, replacing
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.columns import Column, from_columns, get_columns, put_columns, to_columns
 from fpcal_bayes.io.hdf5 import Reader, put_array, put_text, reading, writing
-from fpcal_bayes.io.recordings_hdf5 import get_index, put_index
+from fpcal_bayes.io.recordings_hdf5 import ends_of, get_index, get_pieces, put_index
 from fpcal_bayes.measure.campaign import Campaign, DoubtfulRecord, TrackRecord
 from fpcal_bayes.measure.truth import TruthRecord
 from fpcal_bayes.model.cell.beams import Opd
@@ -208,21 +208,18 @@ def put_doubtful(group: Any, record: DoubtfulRecord) -> None:
     for (name, unit), array in zip(_DOUBTFUL_NUMBERS.items(), values, strict=True):
         put_array(group, name, array, unit)
     put_array(group, "alternatives_um", np.array([x for each in record.alternatives for x in each]), "um")
-    put_array(group, "alternatives_end", np.cumsum([len(each) for each in record.alternatives], dtype=np.int64))
+    put_array(group, "alternatives_end", ends_of(record.alternatives))
 
 
 def get_doubtful(reader: Reader, group: Any) -> DoubtfulRecord:
     """Read a record from an HDF5 group; `InputError` if anything in it is not as `put_doubtful` writes it."""
     session, label, reason = (reader.texts(group, name) for name in _DOUBTFUL_TEXTS)
     recording, dl, sigma, signed = (reader.numbers(group, name) for name in _DOUBTFUL_NUMBERS)
-    values, ends = reader.numbers(group, "alternatives_um"), reader.numbers(group, "alternatives_end")
     n = len(dl)
-    place = f"{reader.path}: {group.name}"
-    if any(len(column) != n for column in (session, label, reason, recording, sigma, signed, ends)):
-        raise InputError(f"{place}: expected {n} values in every column")
-    whole = np.isfinite(ends).all() and (ends == np.round(ends)).all() and (np.diff(ends, prepend=0) >= 0).all()
-    if not whole or (n and ends[-1] != len(values)) or not np.isfinite(recording).all():
-        raise InputError(f"{place}/alternatives_end: expected whole numbers that rise to {len(values)}")
-    pieces = np.split(values, ends[:-1].astype(np.int64)) if n else []
-    alternatives = tuple(tuple(piece.tolist()) for piece in pieces)
+    if any(len(column) != n for column in (session, label, reason, recording, sigma, signed)):
+        raise InputError(f"{reader.path}: {group.name}: expected {n} values in every column")
+    if not np.isfinite(recording).all():
+        raise InputError(f"{reader.path}: {group.name}/recording: expected finite numbers")
+    pieces = get_pieces(reader, group, "alternatives_end", ("alternatives_um",), n)
+    alternatives = tuple(tuple(piece.tolist()) for (piece,) in pieces)
     return DoubtfulRecord(session, label, reason, recording.astype(np.int64), dl, sigma, signed == 1, alternatives)

@@ -4,7 +4,7 @@ CSV, HDF5 and MATLAB readers and writers all work from these.
 """
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, largest, located
-from fpcal_bayes.core.typing import Bools, Ints
+from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.io.csv import Records
 from fpcal_bayes.io.hdf5 import Reader, put_array
 from fpcal_bayes.io.validate import shown
 from fpcal_bayes.measure.protocol import read_often, seen_by_all
+from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import MAX_TEXT, Sweeps
+from fpcal_bayes.measure.traces import Trace, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 Column = NDArray[Any]
@@ -242,6 +244,31 @@ def from_columns(
         readings == 0, "readings", "a whole trace is recorded by simulate --traces or measure, expected 1 or more here"
     )
     return seen_by_all(read_often(sweeps, readings), cell)
+
+
+def trace_index(
+    sweeps: Sweeps,
+    cell: Cell,
+    conditions: Sequence[Floats],
+    traces: Iterable[tuple[Floats, ...]],
+    scans: Sequence[Sequence[tuple[Floats, ...]]],
+    file: str,
+) -> TraceIndex:
+    """Recorded sweeps from columns in the units of files; of scans before and after, if any, empty ones are none."""
+    made = [
+        Trace(time_s, joint * cell.joint_scales[moving_joint(sweeps, i)], irradiance, f"{file}: trace {i + 1}")
+        for i, (time_s, joint, irradiance) in enumerate(traces)
+    ]
+    before, after = (
+        [
+            WavelengthScan(wavelength * 1e-3, irradiance, f"{file}: {name} {i}") if len(wavelength) else None
+            for i, (wavelength, irradiance) in enumerate(part, 1)
+        ]
+        or [None] * len(sweeps)
+        for name, part in zip(SCANS, scans, strict=True)
+    )
+    wavelength_nm, celsius, pressure, humidity = conditions
+    return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, made, before, after)
 
 
 def readings_of(table: Mapping[str, Column], file: str, rows: Ints) -> Ints:

@@ -117,26 +117,15 @@ def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
         body = "\n".join(line for line in body.split("\n") if line.strip())
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
-    except ValueError as error:
-        raise _first_fault(path, text, names) from error
+    except ValueError:
+        table = np.full((1, 1), np.nan)
     if table.shape[1] != len(names) or not np.isfinite(table).all():
-        raise _first_fault(path, text, names)
+        records = read_records(path, text=text)
+        for name, fields in records.columns().items():
+            records.numbers(name, [field.strip() for field in fields], finite=True)
+        raise InputError(f"{path}: expected lines of {len(names)} numbers")
     require_line_end(path, text)
     return np.ascontiguousarray(table.T)
-
-
-def _first_fault(path: Path, text: str, names: tuple[str, ...]) -> InputError:
-    """The message for the first field that is no number, or the first line with too many or too few fields."""
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    for number, line in lines[1:]:
-        fields = line.split(",")
-        if len(fields) != len(names):
-            return located(path, f"expected {len(names)} fields, found {len(fields)}", row=number)
-        for name, field in zip(names, fields, strict=True):
-            if not _NUMBER.fullmatch(field.strip()):
-                found = f"found {shown(field)}" if field.strip() else "found nothing"
-                return located(path, f"expected a number, {found}", row=number, column=name)
-    return InputError(f"{path}: expected lines of {len(names)} numbers")
 
 
 def write_table(path: Path, table: Mapping[str, NDArray[Any]]) -> None:

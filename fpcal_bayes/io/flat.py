@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.io import savemat
-
-from fpcal_bayes.core.files import replacing, require_suffix, write_json, write_text
+from fpcal_bayes.core.files import require_suffix, write_json, write_text
 from fpcal_bayes.core.resources import data_file
+from fpcal_bayes.io.recordings_mat import write_mat
 
 FUNCTIONS = ("fpcal_fk.m", "fpcal_ik.m")
 FLAT_SUFFIXES = (".json", ".mat")
@@ -23,15 +21,5 @@ def write_flat(path: Path, content: Mapping[str, Any]) -> None:
             write_text(beside, data_file(f"matlab/{name}").read_text(encoding="utf-8"))
     if path.suffix.lower() == ".json":
         write_json(path, dict(content))
-        return
-    table: dict[str, Any] = {}
-    for name, value in content.items():
-        array = np.array([np.nan if value is None else value]) if not isinstance(value, list) else np.array(value)
-        if isinstance(value, str):
-            table[name] = value
-        elif array.dtype.kind == "U":
-            table[name] = array.astype(object)[:, None]
-        else:
-            table[name] = array.astype(float)
-    with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, table, oned_as="column")
+    else:
+        write_mat(path, content)

@@ -18,11 +18,6 @@ from fpcal_bayes.io.csv import MAX_SAMPLES
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.io.recordings_mat import load_variables
 
-try:
-    import nptdms
-except ImportError:
-    nptdms = None
-
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 #: What stands between two numbers; None: blanks.
 _DELIMITERS = ("\t", ";", ",", None)
@@ -88,8 +83,10 @@ def _same(text: str, names: Iterable[str]) -> list[str]:
 
 def _tdms(path: Path) -> dict[str, Floats]:
     """Channels of a LabVIEW file as group/channel, with the time of a waveform as group/channel time."""
-    if nptdms is None:
-        raise InputError(f"{path}: a TDMS file, read by npTDMS: pip install 'fpcal-bayes[formats]'")
+    try:
+        import nptdms
+    except ImportError:
+        raise InputError(f"{path}: a TDMS file, read by npTDMS: pip install 'fpcal-bayes[formats]'") from None
     try:
         channels = [channel for group in nptdms.TdmsFile.read(path).groups() for channel in group.channels()]
         numeric = [each for each in channels if each.dtype is not None and np.dtype(each.dtype).kind in "fiu"]

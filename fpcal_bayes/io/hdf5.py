@@ -36,10 +36,8 @@ def is_hdf5(path: Path) -> bool:
 class Reader:
     """Reads from one open file; every refusal is an `InputError` that names the file and the place in it."""
 
-    def __init__(self, path: Path, root: Any, most: int) -> None:
-        self.path = path
-        self.root = root
-        self._most = self._bytes_left = most
+    def __init__(self, path: Path, root: Any) -> None:
+        self.path, self.root, self._bytes_left = path, root, MAX_BYTES
 
     def has(self, group: Any, name: str) -> bool:
         """Whether `group` holds something called `name`."""
@@ -117,22 +115,22 @@ class Reader:
     def _spend(self, place: str, size: int) -> None:
         self._bytes_left -= size
         if self._bytes_left < 0:
-            raise self._error(place, f"the file holds more than {self._most >> 20} MiB")
+            raise self._error(place, f"the file holds more than {MAX_BYTES >> 20} MiB")
 
     def _error(self, place: str, expected: str) -> InputError:
         return located(self.path, f"{place}: {expected}")
 
 
 @contextlib.contextmanager
-def reading(path: Path, kind: str = "an HDF5 file", most: int = MAX_BYTES) -> Iterator[Reader]:
-    """Open an HDF5 file to read at most so many bytes; whatever the library raises becomes one `InputError`."""
+def reading(path: Path, kind: str = "an HDF5 file") -> Iterator[Reader]:
+    """Open an HDF5 file to read; whatever the library raises becomes one `InputError`."""
     try:
         require_readable(path)
         if not is_hdf5(path):
             raise InputError(f"{path}: not {kind}")
         # Files are replaced whole, so a lock would only hinder readers on shared drives.
         with h5py.File(path, "r", locking=False) as file:
-            yield Reader(path, file, most)
+            yield Reader(path, file)
     except _FAILURES as error:
         if path.is_file():
             require_quiet(path)

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import savemat
 
 from fpcal_bayes.core.errors import InputError, largest, located
-from fpcal_bayes.core.files import replacing, require_suffix
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
+from fpcal_bayes.io.recordings_mat import write_mat
 from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 #: Columns that may stand beside the joints'.
@@ -51,12 +51,7 @@ def write_joints(
     if path.suffix.lower() == ".csv":
         write_table(path, {**joints, "status": status, "predicted_sd_nm": sd_nm})
         return
-    texts = np.empty((len(q), 1), dtype=object)
-    texts[:, 0] = status.tolist()
-    columns = {name: column[:, None] for name, column in joints.items()}
-    content = {**columns, "q": shown, "status": texts, "predicted_sd_nm": sd_nm[:, None], "task": task}
-    with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, content, oned_as="column")
+    write_mat(path, {**joints, "q": shown, "status": status, "predicted_sd_nm": sd_nm, "task": task})
 
 
 def read_path(path: str | Path) -> Floats:

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
 
 from fpcal_bayes.core.errors import InputError, located
-from fpcal_bayes.core.files import replacing, require_suffix
+from fpcal_bayes.core.files import require_suffix
 from fpcal_bayes.core.times import clock
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.csv import read_records, write_table
-from fpcal_bayes.io.recordings_mat import load_variables, mat_numbers, mat_texts
+from fpcal_bayes.io.recordings_mat import load_variables, mat_numbers, mat_texts, write_mat
 from fpcal_bayes.measure.protocol import seen_by_all
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -99,12 +98,7 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
         }
         write_table(path, {name: np.array(values) for name, values in texts.items()})
         return
-    content = {
-        name: np.array(values, dtype=object if isinstance(values[0], str) else float)[:, None]
-        for name, values in columns.items()
-    }
-    with replacing(path) as temporary, temporary.open("wb") as handle:
-        savemat(handle, content, oned_as="column")
+    write_mat(path, columns)
 
 
 def _axes(cell: Cell) -> dict[tuple[str, str], int]:

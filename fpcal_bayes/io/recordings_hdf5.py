@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import replacing
-from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.columns import CONDITIONS, SCANS, from_columns, get_columns, put_columns, to_columns
+from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.io.columns import CONDITIONS, SCANS, from_columns, get_columns, put_columns, to_columns, trace_index
 from fpcal_bayes.io.hdf5 import Reader, put_text, reading, writing
 from fpcal_bayes.io.traces import unscaled
 from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
-from fpcal_bayes.measure.traces import Trace, WavelengthScan
+from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS, WavelengthScan
 from fpcal_bayes.model.cell.cell import Cell
 
 SCHEMA = "fpcal-trace-index"
@@ -57,7 +56,7 @@ def put_index(group: Any, index: TraceIndex, cell: Cell, file: object) -> None:
     scales = [cell.joint_scales[moving_joint(index.sweeps, i)] for i in range(len(index))]
     joints = [unscaled(trace.joint, scale) for trace, scale in zip(index.traces, scales, strict=True)]
     columns = {
-        "trace_end": _ends(index.traces),
+        "trace_end": ends_of(index.traces),
         "t_s": _chain([trace.time_s for trace in index.traces]),
         "joint": _chain(joints),
         "irradiance_v": _chain([trace.irradiance for trace in index.traces]),
@@ -68,7 +67,7 @@ def put_index(group: Any, index: TraceIndex, cell: Cell, file: object) -> None:
         if any(scan is not None for scan in scans):
             given = [scan or WavelengthScan(np.zeros(0), np.zeros(0)) for scan in scans]
             columns = {
-                "scan_end": _ends(given),
+                "scan_end": ends_of(given),
                 "wavelength_nm": _chain([unscaled(scan.wavelength, 1e-3) for scan in given]),
                 "irradiance_v": _chain([scan.irradiance for scan in given]),
             }
@@ -77,9 +76,7 @@ def put_index(group: Any, index: TraceIndex, cell: Cell, file: object) -> None:
 
 def get_index(reader: Reader, group: Any, cell: Cell) -> TraceIndex:
     """Read recorded sweeps from an HDF5 group; `InputError` if anything is not as `put_index` writes it."""
-    part = reader.group(group, "sweeps")
-    place = f"{reader.path}: {part.name}"
-    table = get_columns(reader, part, cell, plan=True)
+    table = get_columns(reader, reader.group(group, "sweeps"), cell, plan=True)
     n = len(next(iter(table.values())))
     sweeps = from_columns(table, cell, str(reader.path), np.arange(1, n + 1), plan=True, whole=True)
 
@@ -87,46 +84,28 @@ def get_index(reader: Reader, group: Any, cell: Cell) -> TraceIndex:
     numbers = [reader.numbers(conditions, name) for name in CONDITIONS]
     if any(len(values) != n for values in numbers):
         raise InputError(f"{reader.path}: {conditions.name}: expected {n} values in every column")
-    wavelength_nm, celsius, pressure, humidity = numbers
-
-    part = reader.group(group, "traces")
-    columns = [reader.numbers(part, name) for name in ("t_s", "joint", "irradiance_v")]
-    parts = _split(reader, part, "trace_end", columns, n)
-    traces = [
-        Trace(time_s, joint * cell.joint_scales[moving_joint(sweeps, i)], irradiance, f"{place}: trace {i + 1}")
-        for i, (time_s, joint, irradiance) in enumerate(parts)
+    traces = get_pieces(reader, reader.group(group, "traces"), "trace_end", TRACE_COLUMNS, n)
+    scans = [
+        get_pieces(reader, reader.group(group, name), "scan_end", SCAN_COLUMNS, n) if reader.has(group, name) else []
+        for name in SCANS
     ]
-    before, after = (_scans(reader, group, name, n) for name in SCANS)
-    return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, traces, before, after)
+    return trace_index(sweeps, cell, numbers, traces, scans, f"{reader.path}: {group.name}")
 
 
-def _scans(reader: Reader, group: Any, name: str, n: int) -> list[WavelengthScan | None]:
-    if not reader.has(group, name):
-        return [None] * n
-    part = reader.group(group, name)
-    columns = [reader.numbers(part, column) for column in ("wavelength_nm", "irradiance_v")]
-    parts = _split(reader, part, "scan_end", columns, n)
-    place = f"{reader.path}: {part.name}"
-    return [
-        WavelengthScan(wavelength * 1e-3, irradiance, f"{place} {i + 1}") if len(wavelength) else None
-        for i, (wavelength, irradiance) in enumerate(parts)
-    ]
-
-
-def _split(reader: Reader, part: Any, name: str, columns: list[Floats], n: int) -> list[list[Floats]]:
-    """Cut columns at the ends that the dataset `name` tells; n pieces of each column."""
-    ends = reader.numbers(part, name)
-    place = f"{reader.path}: {part.name}/{name}"
+def get_pieces(reader: Reader, part: Any, end: str, names: Sequence[str], n: int) -> list[tuple[Floats, ...]]:
+    """Columns of a group cut at the ends that its dataset `end` tells: n pieces of each."""
+    columns, ends = [reader.numbers(part, name) for name in names], reader.numbers(part, end)
     total = len(columns[0])
-    if len(ends) != n or not np.isfinite(ends).all() or (ends != np.round(ends)).any():
-        raise InputError(f"{place}: expected {n} whole numbers")
-    if any(len(column) != total for column in columns) or (np.diff(ends, prepend=0) < 0).any() or ends[-1] != total:
-        raise InputError(f"{place}: expected ends that rise to the number of samples of every column")
+    whole = len(ends) == n and np.isfinite(ends).all() and (ends == np.round(ends)).all()
+    rising = whole and (np.diff(ends, prepend=0) >= 0).all() and (ends[-1] if n else 0) == total
+    if not rising or any(len(column) != total for column in columns):
+        raise InputError(f"{reader.path}: {part.name}/{end}: expected whole numbers that rise to {total}, {n} of them")
     cuts = ends[:-1].astype(np.int64)
-    return [list(pieces) for pieces in zip(*(np.split(column, cuts) for column in columns), strict=True)]
+    return list(zip(*(np.split(column, cuts)[:n] for column in columns), strict=True))
 
 
-def _ends(parts: Sequence[Trace | WavelengthScan]) -> NDArray[np.int64]:
+def ends_of(parts: Sequence[Any]) -> Ints:
+    """Where each of some parts, which lie one after the other, ends."""
     return np.cumsum([len(part) for part in parts], dtype=np.int64)
 
 

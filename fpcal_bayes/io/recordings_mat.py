@@ -6,22 +6,32 @@ char. ``t_s``, ``joint`` and ``irradiance_v`` are cell arrays (n by 1) of vector
 """
 
 import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping
+from concurrent import futures
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.files import replacing
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.io.columns import CONDITIONS, INDEX, SCANS, check_names, from_columns, is_text, joint_columns
+from fpcal_bayes.io.columns import (
+    CONDITIONS,
+    INDEX,
+    SCANS,
+    check_names,
+    from_columns,
+    is_text,
+    joint_columns,
+    trace_index,
+)
 from fpcal_bayes.io.hdf5 import MAX_BYTES
-from fpcal_bayes.measure.recordings import TraceIndex, moving_joint
-from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS, Trace, WavelengthScan
+from fpcal_bayes.measure.recordings import TraceIndex
+from fpcal_bayes.measure.traces import SCAN_COLUMNS, TRACE_COLUMNS
 from fpcal_bayes.model.cell.cell import Cell
 
 
@@ -43,24 +53,31 @@ def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
     }
     sweeps = from_columns(table, cell, str(path), np.arange(1, n + 1), plan=True, whole=True)
     unknown = np.full(n, np.nan)
-    wavelength_nm, celsius, pressure, humidity = (
-        mat_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS
-    )
-    parts = [_vectors(path, name, variables[name], n) for name in TRACE_COLUMNS]
-    traces = [
-        Trace(time_s, joint * cell.joint_scales[moving_joint(sweeps, i)], irradiance, f"{path}: trace {i + 1}")
-        for i, (time_s, joint, irradiance) in enumerate(zip(*parts, strict=True))
-    ]
-    before, after = (_scans(path, name, variables, n) for name in SCANS)
-    return TraceIndex(sweeps, wavelength_nm * 1e-3, celsius, pressure, humidity, traces, before, after)
+    conditions = [mat_numbers(path, name, variables[name], n) if name in variables else unknown for name in CONDITIONS]
+    traces = zip(*(_vectors(path, name, variables[name], n) for name in TRACE_COLUMNS), strict=True)
+    scans = [_scans(path, name, variables, n) for name in SCANS]
+    return trace_index(sweeps, cell, conditions, traces, scans, str(path))
+
+
+def write_mat(path: Path, content: Mapping[str, Any]) -> None:
+    """Write variables, whole or not at all: texts, numbers, None as NaN, and lists of these as columns."""
+
+    def variable(value: Any) -> Any:
+        array = np.asarray(np.nan if value is None else value)
+        if array.dtype.kind == "U":
+            return value if isinstance(value, str) else array.astype(object)[:, None]
+        return array.astype(float)
+
+    with replacing(path) as temporary, temporary.open("wb") as handle:
+        scipy.io.savemat(handle, {name: variable(value) for name, value in content.items()}, oned_as="column")
 
 
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file, read by a process of its own: some damaged files end the one that reads them."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
             return pool.submit(_load, str(path)).result()
-        except BrokenProcessPool as error:
+        except futures.BrokenExecutor as error:
             raise InputError(f"{path}: a damaged MATLAB file, expected one that can be read") from error
 
 
@@ -68,7 +85,7 @@ def _load(path: str) -> dict[str, Any]:
     try:
         if h5py.is_hdf5(path):
             return _load_hdf5(path)
-        return dict(loadmat(path, squeeze_me=False, chars_as_strings=True))
+        return dict(scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True))
     except Exception as error:  # scipy and h5py raise whatever a damaged file leads to
         raise InputError(f"{path}: not a MATLAB file, or a damaged one ({str(error)[:100]})") from None
 
@@ -99,18 +116,14 @@ def _load_hdf5(path: str) -> dict[str, Any]:
         return {name: value(item) for name, item in file.items() if isinstance(item, h5py.Dataset)}
 
 
-def _scans(path: Path, name: str, variables: dict[str, Any], n: int) -> list[WavelengthScan | None]:
+def _scans(path: Path, name: str, variables: dict[str, Any], n: int) -> list[tuple[Floats, ...]]:
     names = [f"{name}_{column}" for column in SCAN_COLUMNS]
     if not any(each in variables for each in names):
-        return [None] * n
+        return []
     for each in names:
         if each not in variables:
             raise InputError(f"{path}: the variable {each} is missing")
-    wavelengths, irradiances = (_vectors(path, each, variables[each], n) for each in names)
-    return [
-        WavelengthScan(wavelength * 1e-3, irradiance, f"{path}: {name} {i + 1}") if len(wavelength) else None
-        for i, (wavelength, irradiance) in enumerate(zip(wavelengths, irradiances, strict=True))
-    ]
+    return list(zip(*(_vectors(path, each, variables[each], n) for each in names), strict=True))
 
 
 def mat_numbers(path: Path, name: str, value: Any, n: int) -> Floats:

@@ -5,8 +5,9 @@ Cui, Marzouk 2017): the score's prior row is a unit row, whatever the prior, so 
 priors only. The maximum that a fit finds is then that of the density of the scores.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
@@ -17,31 +18,36 @@ from fpcal_bayes.core.typing import Floats
 _LOG_ROOT_TWO_PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
-class Marginal(Protocol):
+class Marginal(ABC):
     """A prior that is not normal; lengths and angles in internal units (um, rad, 1)."""
 
     #: As written in a cell's file.
     kind: ClassVar[str]
 
     @property
+    @abstractmethod
     def sd(self) -> float:
         """Standard deviation."""
 
+    @abstractmethod
     def value(self, score: Floats) -> Floats:
         """Values of standard normal scores, same shape."""
 
+    @abstractmethod
     def slope(self, score: Floats) -> Floats:
         """Derivatives of `value`, same shape."""
 
+    @abstractmethod
     def score(self, value: Floats) -> Floats:
         """Scores of values, same shape; `InputError` if the prior excludes one."""
 
     def settings(self) -> list[float]:
         """The numbers that define it, for the cell's hash."""
+        return list(vars(self).values())
 
 
 @dataclass(frozen=True)
-class TruncatedNormal:
+class TruncatedNormal(Marginal):
     """A normal distribution cut off at `low` and `high`, which may be infinite; half-normal: cut off at its centre."""
 
     centre: float
@@ -65,7 +71,6 @@ class TruncatedNormal:
 
     @property
     def sd(self) -> float:
-        """Standard deviation."""
         low, high = self._ends
         at = [0.0 if np.isinf(end) else float(np.exp(-0.5 * end**2 - _LOG_ROOT_TWO_PI)) for end in (low, high)]
         ends = [0.0 if np.isinf(end) else end for end in (low, high)]
@@ -73,17 +78,12 @@ class TruncatedNormal:
         return self.spread * float(np.sqrt(1.0 + (ends[0] * at[0] - ends[1] * at[1]) / self._mass - mean**2))
 
     def value(self, score: Floats) -> Floats:
-        """Values of standard normal scores, same shape."""
         return self.centre + self.spread * self._deviate(score)
 
     def slope(self, score: Floats) -> Floats:
-        """Derivatives of `value`, same shape."""
-        deviate = self._deviate(score)
-        result: Floats = self.spread * self._mass * np.exp(0.5 * (deviate**2 - score**2))
-        return result
+        return np.asarray(self.spread * self._mass * np.exp(0.5 * (self._deviate(score) ** 2 - score**2)))
 
     def score(self, value: Floats) -> Floats:
-        """Scores of values, same shape."""
         _require_inside(value, self.low, self.high)
         low, high = self._ends
         deviate = (value - self.centre) / self.spread
@@ -92,7 +92,6 @@ class TruncatedNormal:
         return _smaller_tail(below, above)
 
     def settings(self) -> list[float]:
-        """The numbers that define it."""
         return [self.centre, self.spread, *self._ends]
 
     def _deviate(self, score: Floats) -> Floats:
@@ -104,7 +103,7 @@ class TruncatedNormal:
 
 
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(Marginal):
     """All values between `low` and `high` equally likely."""
 
     low: float
@@ -117,34 +116,23 @@ class Uniform:
 
     @property
     def sd(self) -> float:
-        """Standard deviation."""
         return (self.high - self.low) / float(np.sqrt(12.0))
 
     def value(self, score: Floats) -> Floats:
-        """Values of standard normal scores, same shape."""
         width = self.high - self.low
-        from_low, from_high = self.low + width * special.ndtr(score), self.high - width * special.ndtr(-score)
-        result: Floats = np.where(score < 0, from_low, from_high)
-        return result
+        return np.where(score < 0, self.low + width * special.ndtr(score), self.high - width * special.ndtr(-score))
 
     def slope(self, score: Floats) -> Floats:
-        """Derivatives of `value`, same shape."""
-        result: Floats = (self.high - self.low) * np.exp(-0.5 * score**2 - _LOG_ROOT_TWO_PI)
-        return result
+        return np.asarray((self.high - self.low) * np.exp(-0.5 * score**2 - _LOG_ROOT_TWO_PI))
 
     def score(self, value: Floats) -> Floats:
-        """Scores of values, same shape."""
         _require_inside(value, self.low, self.high)
         width = self.high - self.low
         return _smaller_tail((value - self.low) / width, (self.high - value) / width)
 
-    def settings(self) -> list[float]:
-        """The numbers that define it."""
-        return [self.low, self.high]
-
 
 @dataclass(frozen=True)
-class LogNormal:
+class LogNormal(Marginal):
     """Positive values whose logarithm is normal: `median`, and the `factor` of one standard deviation."""
 
     median: float
@@ -161,29 +149,19 @@ class LogNormal:
 
     @property
     def sd(self) -> float:
-        """Standard deviation."""
         variance = self._log_factor**2
         return self.median * float(np.exp(variance / 2.0) * np.sqrt(np.expm1(variance)))
 
     def value(self, score: Floats) -> Floats:
-        """Values of standard normal scores, same shape."""
-        result: Floats = self.median * np.exp(self._log_factor * score)
-        return result
+        return np.asarray(self.median * np.exp(self._log_factor * score))
 
     def slope(self, score: Floats) -> Floats:
-        """Derivatives of `value`, same shape."""
         return self._log_factor * self.value(score)
 
     def score(self, value: Floats) -> Floats:
-        """Scores of values, same shape."""
         if not (value > 0).all():
             raise InputError("a value outside its prior's limits, which are above zero")
-        result: Floats = np.log(value / self.median) / self._log_factor
-        return result
-
-    def settings(self) -> list[float]:
-        """The numbers that define it."""
-        return [self.median, self.factor]
+        return np.asarray(np.log(value / self.median) / self._log_factor)
 
 
 def _require_inside(value: Floats, low: float, high: float) -> None:

@@ -173,13 +173,13 @@ def default_radius(cell: Cell) -> float:
     return half_line(cell) / 1.5
 
 
-def possible_tasks(cell: Cell, names: Sequence[str] | None = None, *, radius: float | None = None) -> tuple[str, ...]:
+def possible_tasks(cell: Cell, names: Sequence[str] | None = None) -> tuple[str, ...]:
     """Those of some built-in tasks, by default all and the cell's own, that the nominal cell has the axes for."""
     names = (*TASKS, *(task.name for task in cell.tasks)) if names is None else names
     if len(cell.joints) == 6:
         return tuple(names)
     vector = cell.parameters.nominal
-    few = {name: task_path(cell, vector, name, radius=radius, n_points=8).status for name in names if name in TASKS}
+    few = {name: task_path(cell, vector, name, n_points=8).status for name in names if name in TASKS}
     return tuple(
         name for name in names if name not in few or not any(text.startswith("out of reach") for text in few[name])
     )

@@ -155,7 +155,6 @@ class MachineMove(Move):  # type: ignore[misc]
         """Nothing is made ahead."""
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Move every walker once."""
         random, charts = model.random, self.charts
         log_scales, made = charts.move_scales(state.coords[:, charts.n :], random)
         return independent_step(self, random, state, charts.propose(log_scales, random, made))
@@ -168,7 +167,6 @@ class MachineLocalMove(Move):  # type: ignore[misc]
         self.charts = charts
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Move every walker once."""
         random, charts = model.random, self.charts
         scale = SCALES[random.randint(len(SCALES))]
         step = random.standard_normal((len(state.coords), charts.n)) @ charts.metric.T

@@ -28,7 +28,6 @@ class RandomiseThenOptimiseMove(Move):  # type: ignore[misc]
         self._ready.clear()
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Move every walker once."""
         random = model.random
         if not self._ready:
             self._ready = self._propose_ahead(random, *state.coords.shape)
@@ -80,7 +79,6 @@ class LocalMove(Move):  # type: ignore[misc]
         self.target, self.atlas = target, atlas
 
     def propose(self, model: Any, state: State) -> tuple[State, Any]:
-        """Move every walker once."""
         random = model.random
         scale = SCALES[random.randint(len(SCALES))]
         factor, _ = self._metric(state.coords)

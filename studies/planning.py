@@ -332,7 +332,7 @@ def machine(options: argparse.Namespace) -> None:
     ground = prior_ground(cell, tasks=tuple(options.tasks), draws=options.draws, seed=options.seed)
     paper = paper_protocol(cell)
     reference = ground.expected_sd(paper, readings=2)
-    planner = Planner(ground, replace(settings_of(options), starts=3, trials=6), reference)
+    planner = Planner(ground, replace(settings_of(options), starts=3, crossings=5, share=8), reference)
     plans = {"paper, midpoints": paper}
     plans |= {str(n): planner.in_order(planner.best(n).sweeps) for n in options.numbers}
     for name, plan in plans.items():
@@ -386,8 +386,8 @@ def parser() -> argparse.ArgumentParser:
         "--against", choices=("endpoints", "midpoints"), default="endpoints", help="of the paper's sweeps"
     )
     made.add_argument("--readings", type=int, default=2, help="of each planned sweep after its start")
-    made.add_argument("--draws", type=int, default=192, help="that plans are averaged over")
-    made.add_argument("--share", type=int, default=16, help="of these draws for each start of the search")
+    made.add_argument("--draws", type=int, default=256, help="that plans are averaged over")
+    made.add_argument("--share", type=int, default=32, help="of these draws for each start of the search")
     made.add_argument("--truths", type=int, default=500, help="that plans are judged on")
     made.add_argument("--tilt", type=float, default=4.3, help="largest tilt of the mirror in deg")
     made.add_argument("--coordinated", action="store_true", help="joints of one controller may move together")

@@ -277,9 +277,10 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
     settings = settings_of(options)
     at_once = Planner(grounds.made, settings, grounds.reference).best(n).sweeps
     first, rest = at_once.take(np.arange(n // 2)), at_once.take(np.arange(n // 2, n))
-    theirs = {task: sd[: options.adaptive] for task, sd in grounds.paper.items()}
-    same = grounds.judged.at_draws(np.arange(options.adaptive))
-    show(f"{n} at once, same truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
+    count = min(options.adaptive, len(grounds.judged.goals.values))
+    theirs = {task: sd[:count] for task, sd in grounds.paper.items()}
+    same = grounds.judged.at_draws(np.arange(count))
+    show(f"{n} at once, {count} truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(same.goals.values):
         truth = Truth(cell.free, np.zeros(1), values[None])
@@ -287,7 +288,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
         second = rest
         try:
             now = measured_ground(identify(cell, measured).estimate, measured, tasks=tuple(grounds.paper), draws=64)
-            planner = Planner(now, replace(settings, seed=number), grounds.reference)
+            planner = Planner(now, replace(settings, seed=number, starts=2, crossings=3), grounds.reference)
             found = planner.best(n - n // 2).sweeps
             if planner.judge(found).value(range(len(found))) < planner.judge(rest).value(range(len(rest))):
                 second = found

@@ -136,7 +136,7 @@ class Planner:
             )
         tries = settings.starts + settings.crossings * bool(settings.iterations)
         # In descents of `_STARTED` steps on `share` draws.
-        work = np.cumsum([0.0, tries, 2.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
+        work = np.cumsum([0.0, tries, 3.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
 
         def begun(stage: int, share: float) -> None:
             self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
@@ -174,8 +174,9 @@ class Planner:
         every = join(found, "joined")
         judge = self.judge(every, ground)
         begun = tuple(range(n * best, n * (best + 1))), greedy(judge, n)
-        ends = [exchange(judge, start, passes=_PASSES) for start in begun]
-        return self._descended(every.take(np.array(min(ends, key=judge.value))), ground, _STARTED)
+        ends = [every.take(np.array(exchange(judge, start, passes=_PASSES))) for start in begun]
+        ends = [self._descended(plan, ground, _STARTED) for plan in ends]
+        return min(ends, key=lambda plan: self.judge(plan, ground).value(range(n)))
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""

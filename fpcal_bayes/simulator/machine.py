@@ -189,7 +189,7 @@ class Machine:
         return turn, at
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
-        """What error motions, reversal and encoders add to L at a pose (n_joints,), in um; `approach`: signs, or 0."""
+        """What error motions, reversal and encoders add to L at a pose (n_joints,), in um; `approach`: a sign each."""
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))
         errors = self.half_reversal * side + self.periodic(q)
@@ -215,7 +215,6 @@ class Machine:
 
 
 def _beam(cell: Cell, beta_wf: float, theta_wf: float) -> Floats:
-    """Direction of the light."""
     if cell.optical_axis == "z":
         return np.array([0.0, -np.sin(beta_wf), np.cos(beta_wf)])
     return np.array([np.sin(theta_wf), -np.cos(theta_wf) * np.cos(beta_wf), -np.cos(theta_wf) * np.sin(beta_wf)])
@@ -319,7 +318,6 @@ def _axes(base: Floats) -> Floats:
 
 
 def _nominal_bases(cell: Cell) -> list[Floats]:
-    """Base frames of the joints in the world, at joint zero of the nominal cell."""
     vector, made, turn, (ex, ey, ez) = cell.parameters.nominal, [], np.eye(3), np.eye(3)
     for i in range(len(cell.joints)):
         beta, alpha, _, theta, *_ = vector[_STRIDE * i : _STRIDE * (i + 1)]

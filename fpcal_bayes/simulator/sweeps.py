@@ -35,7 +35,7 @@ def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
 def noise_free(
     cell: Cell, truth: Truth, sweeps: Sweeps, q_start: Floats | None = None, q_end: Floats | None = None
 ) -> Floats:
-    """Changes of cavity length of the truth at each row's time, um, (n,), at joints reached, else as commanded."""
+    """True changes of cavity length in um, (n,), at each row's time, between joints reached, by default commanded."""
     model = CavityModel.of(cell, truth.parameters)
     q_start = sweeps.q_start if q_start is None else q_start
     q_end = sweeps.q_end if q_end is None else q_end

@@ -19,7 +19,7 @@ from fpcal_bayes.model.trust import trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
@@ -30,8 +30,8 @@ from fpcal_bayes.tracking.tracker import Track, calibration_measurement
 _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_likelihood", "converged")
 _ONSET = ("session", "hours", "age", "squared", "dof")
 
-#: The calibration's rows that were found last, for who follows one campaign again and again; they come from a fit.
-_found_rows: dict[tuple[Cell, DriftModel, str], Measurement | None] = {}
+#: The track that was saved or read last, by cell, drift and record, for who follows one campaign again and again.
+_last: dict[tuple[Any, ...], Track] = {}
 
 
 def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:
@@ -42,26 +42,21 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
 
 def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
     """A track as a campaign file holds it; hashes of the `sweeps` tell later which sessions the states hold."""
-    # With error motions the memory of the tests is large, and kept for the last session alone.
-    first = 0 if track.drift.motions is None else len(track.outcomes) - 1
-    remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]
-    onsets = [onset for part in remembered for onset in part]
+    if track.drift.motions is not None:
+        # The memory of the tests is large then, and kept for the last session alone.
+        before = [replace(outcome, monitor=replace(outcome.monitor, onsets=())) for outcome in track.outcomes[:-1]]
+        track = replace(track, outcomes=(*before, track.last))
+    onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
     n, states = track.drift.n_parameters, track.drift.n_states
     summary = {
-        "sessions": [_summary(outcome, sweeps, part) for outcome, part in zip(track.outcomes, remembered, strict=True)],
+        "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
         "status": track.status,
         "solutions": track.solutions,
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
         "trust": track.trust.content(),
-    }
-    calibration = track.outcomes[0]
-    if calibration.motions is not None:
-        taken = calibration.measurement
-        rows = taken.target.tolist() if isinstance(taken, SweepMeasurement) else None
-        found = {"log_scales": calibration.motions.log_scales.tolist(), "session_min": calibration.motions.session_min}
-        summary["motions"] = found | {"rows": rows}
-    return TrackRecord(
+    } | _motions_content(track.outcomes[0])
+    record = TrackRecord(
         cell_sha256=track.cell.sha256,
         settings_sha256=settings_sha256(track.drift, limits, track.cell.mechanics),
         names=track.drift.parameters.names,
@@ -73,6 +68,18 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
         onset_information=np.array([onset.information for onset in onsets]).reshape(-1, n, n),
         onset_score=np.array([onset.score for onset in onsets]).reshape(-1, n),
     )
+    _remember(_key(record, track.cell, replace(track.drift, pace=(1.0, 1.0))), track)
+    return record
+
+
+def _key(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Any, ...]:
+    arrays = (value.tobytes() for value in vars(record).values() if isinstance(value, np.ndarray))
+    return cell, drift, record.summary, *arrays
+
+
+def _remember(key: tuple[Any, ...], track: Track) -> None:
+    _last.clear()
+    _last[key] = track
 
 
 def resume(
@@ -80,7 +87,8 @@ def resume(
 ) -> tuple[Track | None, str]:
     """The part of a saved track that still holds, or None if all is to be taken in anew; and why, or an empty text.
 
-    It ends before the first session that is new, was changed, or came late. `InputError` if it is of another cell.
+    It ends before the first of the sessions `parts` that is new, was changed, or came in between late. `InputError` if
+    the track is of another cell, or cannot be understood.
     """
     if record.cell_sha256 != cell.sha256 or record.names != drift.parameters.names:
         raise InputError(
@@ -90,8 +98,10 @@ def resume(
     if record.settings_sha256 != settings_sha256(drift, limits, cell.mechanics):
         return None, "drift, limits or error motions are no longer the saved track's: all sessions are taken in anew"
     try:
-        track, hashes = _track(record, cell, drift)
-        from_prior = track is not None and bool(json.loads(record.summary)["from_prior"])
+        summary, key = json.loads(record.summary), _key(record, cell, drift)
+        track = _last.get(key) or _track(record, summary, cell, drift)
+        hashes = [] if track is None else [[each["session"], each["sha256"]] for each in summary["sessions"]]
+        from_prior = track is not None and bool(summary["from_prior"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: the saved track cannot be read ({error}); give --anew to replace it") from error
     if track is None:
@@ -107,28 +117,21 @@ def resume(
     nothing_new = kept == len(hashes) == len(parts)
     if track.solutions > 1 and kept <= LOOKS and not nothing_new:
         return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
-    outcomes = track.outcomes[:kept]
     machine = track.drift.motions is not None
     if machine and kept < len(hashes):
         return None, f"{reason}: with all before them"
-    if not from_prior:
-        return replace(track, outcomes=outcomes, resumed=kept), reason
-    taken: Measurement | None
-    if machine:
-        used, model = parts[0].take(parts[0].kind != "path"), CavityModel.of(cell, track.drift.parameters)
-        rows = np.array(json.loads(record.summary)["motions"]["rows"])
-        taken = replace(SweepMeasurement.of(track.drift, model, used, outcomes[0].state.mean), target=rows)
-    else:
-        key = (cell, drift, hashes[0][1])
-        if key not in _found_rows:
-            _found_rows.clear()
-            _found_rows[key] = calibration_measurement(cell, drift, parts[0])
-        taken = _found_rows[key]
-    outcomes = (replace(outcomes[0], measurement=taken), *outcomes[1:])
-    return replace(track, outcomes=outcomes, resumed=kept), reason
+    first = track.outcomes[0]
+    if from_prior and first.measurement is None:
+        if machine:
+            first = _with_rows(track, parts[0], summary["motions"]["rows"])
+        else:
+            first = replace(first, measurement=calibration_measurement(cell, drift, parts[0]))
+        track = replace(track, outcomes=(first, *track.outcomes[1:]))
+        _remember(key, track)
+    return replace(track, outcomes=track.outcomes[:kept], resumed=kept), reason
 
 
-def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -> dict[str, Any]:
+def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
     monitor, temperature = outcome.monitor, outcome.state.temperature_c
     return {
         **{name: getattr(outcome, name) for name in _PLAIN},
@@ -139,8 +142,25 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -
         "temperature_c": None if np.isnan(temperature) else temperature,
         "recent": monitor.recent,
         "cusum": [monitor.cusum_extrinsic, monitor.cusum_residual],
-        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in onsets],
+        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in monitor.onsets],
     }
+
+
+def _motions_content(first: SessionOutcome) -> dict[str, Any]:
+    """What a calibration found of a machine, beside its state; nothing of a perfect mechanism."""
+    if first.motions is None:
+        return {}
+    rows = first.measurement.target.tolist() if isinstance(first.measurement, SweepMeasurement) else None
+    found = {"log_scales": first.motions.log_scales.tolist(), "session_min": first.motions.session_min}
+    return {"motions": found | {"rows": rows}}
+
+
+def _with_rows(track: Track, sweeps: Sweeps, rows: Sequence[float]) -> SessionOutcome:
+    """The calibration of a machine with its rows as they were taken in."""
+    first, used = track.outcomes[0], sweeps.take(sweeps.kind != "path")
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    measurement = SweepMeasurement.of(track.drift, model, used, first.state.mean)
+    return replace(first, measurement=replace(measurement, target=np.array(rows)))
 
 
 def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> MotionStates | None:
@@ -153,10 +173,9 @@ def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> Mo
     return MotionStates(terms, log_scales, float(stated["session_min"]))
 
 
-def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
-    summary = json.loads(record.summary)
+def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: DriftModel) -> Track | None:
     if "sessions" in summary and not all("trust" in stated for stated in summary["sessions"]):
-        return None, []
+        return None
     outcomes: list[SessionOutcome] = []
     pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))
     if len(pace) != 2 or not all(0.0 < each < np.inf for each in pace):
@@ -188,7 +207,6 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
                 motions=None if outcomes else drift.motions,
             )
         )
-    hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]
     if len(record.mean) != len(outcomes) or record.mean.shape[1] != drift.n_states:
         raise ValueError("its arrays do not fit its sessions")
-    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"])), hashes
+    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"]))

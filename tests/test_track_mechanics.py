@@ -200,17 +200,20 @@ def test_out_of_reach_is_said_with_the_least_that_can_be_met(followed, sweeps):
     assert within.after.exceeds(1e-3 * least) <= 0.1
 
 
-def test_where_one_session_is_not_enough_the_first_of_two_is_asked_for(machine):
+def test_where_one_session_is_not_enough_the_first_of_several_is_asked_for(machine):
     full = session("full", 0.0, paper_protocol(CELL, midpoints=True), machine)
-    followed, goal, costs = track(CELL, full, drift=DRIFT), Goal(40.0), Costs()
-    first = decide_track(followed, full, goal, costs, 0.1)
-    assert (first.action, len(first.sweeps)) == ("extrinsic", costs.most_sweeps)
-    assert first.after.exceeds(0.04) > goal.level
-    assert "two in a row do" in first.reason
-    both = join([full, session("s1", 0.1, first.sweeps, machine)])
-    second = decide_track(track(CELL, both, drift=DRIFT), both, goal, costs, 0.2)
-    assert second.action == "extrinsic"
-    assert second.after.exceeds(0.04) <= goal.level
+    sweeps, goal, costs, left = full, Goal(36.0), Costs(), []
+    while left[-1:] != [1]:
+        now_h = 0.1 * (1 + len(left))
+        found = decide_track(track(CELL, sweeps, drift=DRIFT), sweeps, goal, costs, now_h)
+        assert found.action == "extrinsic"
+        enough, said = found.after.exceeds(0.036) <= goal.level, re.search(r"(\d+) in a row do", found.reason)
+        assert enough == (said is None)
+        left.append(1 if said is None else int(said[1]))
+        sweeps = join([sweeps, session(f"s{len(left)}", now_h, found.sweeps, machine)])
+    assert 3 <= left[0] <= 5
+    assert left == sorted(left, reverse=True)
+    assert len(left) <= left[0] + 1
 
 
 def test_compensation_leaves_less_to_hold(followed, sweeps):

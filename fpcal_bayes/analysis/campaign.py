@@ -70,9 +70,12 @@ class _Measured:
         if self.campaign is not None and self.campaign.track is not None and not anew:
             known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
 
-        # Where drift is not as stated, the first sessions say so, and the others cost less under what they say.
+        # Where drift is not as stated, the first sessions say so, and the others cost less under what they say. A track
+        # that is taken up knows that, and stays as it is if there is nothing new.
         begun, resumed, found = min(_LEARNT_FIRST, len(self.parts)), 0 if known is None else len(known.outcomes), known
-        for count in dict.fromkeys((max(begun, resumed), len(self.parts))):
+        for count in dict.fromkeys((begun, len(self.parts))):
+            if count <= resumed:
+                continue
             rows = sweeps if count == len(self.parts) else join(self.parts[:count], file=sweeps.file)
 
             def taken(known: Track | None, rows: Sweeps = rows) -> Track:

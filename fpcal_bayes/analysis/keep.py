@@ -95,7 +95,7 @@ class Keeper:
     _held: Decision | None = None
     # Until when the estimate holds, and what is to be said of that; and what was published.
     _until: tuple[float | None, list[str]] | None = None
-    _published: object = None
+    _published: tuple[list[str], list[object], float] | None = None
 
     def round(self) -> Round:
         """Follow, decide, publish; `InputError` if the campaign cannot be read or followed."""
@@ -120,9 +120,9 @@ class Keeper:
             notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
-        if self._published != (notes, self._stamps()):
+        if self._published is None or self._published[:2] != (notes, self._stamps()):
             self._publish(found, until_h, notes, began)
-            self._published = notes, self._stamps()
+            self._published = notes, self._stamps(), began
         ticket = self._issue(decision, sweeps, moment)
         return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
 
@@ -167,6 +167,8 @@ class Keeper:
         """Unix time at which the campaign began, by when its sessions were first seen; the last estimate remembers."""
         # A session is seen when it was measured or later, so that the earliest guess is the nearest.
         guess = moment - 3600.0 * found.last.time_h
+        if self._published is not None and self._published[1] == self._stamps():
+            return min(guess, self._published[2])
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             before: Mapping[str, Any] = json.loads(self.outputs.estimate.read_text(encoding="utf-8"))
             if before["calibration_session"] == found.outcomes[0].session:

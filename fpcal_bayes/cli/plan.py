@@ -47,7 +47,7 @@ from fpcal_bayes.report.plan import accuracy_table, frontier_content, plan_conte
 from fpcal_bayes.tracking.drift import propagated
 
 #: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
-_DRAWS, _MACHINE_DRAWS = 192, 24
+_DRAWS, _MACHINE_DRAWS = 256, 24
 #: Other draws that a plan is judged on, at most.
 _CHECKED = 96
 #: Seconds until the first line of progress, and between two.
@@ -311,7 +311,7 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
         sigma=options.sigma_nm * 1e-3,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,
-        **({} if cell.mechanics is None else {"starts": 3, "trials": 6}),
+        **({} if cell.mechanics is None else {"starts": 3, "crossings": 5, "share": 8}),
         seed=options.seed,
         limits=SweepLimits(tilt=float(np.radians(options.max_tilt_deg)), fringe_rate=options.max_fringe_rate),
     )
@@ -326,7 +326,7 @@ def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, ob
         "candidates": settings.n_candidates,
         "coordinated": settings.several,
         "starts": settings.starts,
-        "exchanges": settings.trials,
+        "crossings": settings.crossings,
         "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,

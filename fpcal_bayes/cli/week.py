@@ -11,7 +11,7 @@ from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
+from fpcal_bayes.infer.posterior.netcdf import data_tree, summarise, write_netcdf
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.traces import write_path_trace
@@ -155,6 +155,6 @@ def _print_posterior(posterior: Posterior | None, out: Output) -> None:
     if posterior is None:
         out.print("Posterior of day 0: not sampled, since its maximum was not found")
         return
-    out.print(posterior_table(posterior, "Posterior of day 0"))
+    out.print(posterior_table(summarise(posterior), posterior.identification.free, "Posterior of day 0"))
     for failure in posterior.failures:
         out.say(f"not converged: {failure}")

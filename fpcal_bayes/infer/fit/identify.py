@@ -157,7 +157,7 @@ def identify(
     """
     began = time.perf_counter()
     warnings: list[str] = []
-    used = sweeps.take(sweeps.kind != "path")
+    used = sweeps.take(sweeps.kind != "path") if (sweeps.kind == "path").any() else sweeps
     if len(used) < len(sweeps):
         warnings.append(f"{counted(len(sweeps) - len(used), 'row')} of kind path not used in the identification")
     if len(used) == 0 or not used.measured:

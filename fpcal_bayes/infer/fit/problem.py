@@ -199,7 +199,8 @@ class Problem:
         """Whitened residuals (n_points, n_rows) and derivatives (n_points, n_rows, n_unknowns) at many points."""
         change, scaled = self.unwhitened_batch(points)
         if self.whitening.only_scales:
-            return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
+            scaled *= self.whitening.scale[:, None]
+            return change * self.whitening.scale, scaled
         return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 
     def unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:

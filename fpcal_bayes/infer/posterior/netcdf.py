@@ -230,9 +230,12 @@ def slip_probabilities(posterior: Posterior) -> list[tuple[str, float]] | None:
 
 
 def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
-    """The draws as an ArviZ DataTree, in the units a person reads; rows of a group given those before them in it."""
-    # Importing arviz takes long: only where it is used.
-    import arviz as az
+    """The draws as an ArviZ DataTree, in the units a person reads; of long runs on many rows, likelihoods of some.
+
+    Rows that share a reading have the likelihood of a row given those before it in its group.
+    """
+    # Importing it takes long: only where it is used. ArviZ's plots, which nothing here needs, would take longer.
+    import arviz_base as az
 
     identification = posterior.identification
     problem, parameters = identification.problem, identification.free

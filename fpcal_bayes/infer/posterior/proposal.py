@@ -49,10 +49,11 @@ class Proposal:
         self.target, self.reference = target.centred(reference), reference
         residuals, jacobian = self.target.data_batch(reference[None])
         rows = np.vstack([jacobian[0], np.eye(len(reference))])
-        orthonormal, triangle = linalg.qr(rows, mode="economic")
+        del jacobian
+        orthonormal, triangle = linalg.qr(rows, mode="economic", overwrite_a=True)
         # Positive diagonal: det Q'J is positive at the reference point.
         signs = np.where(np.diag(triangle) < 0, -1.0, 1.0)
-        orthonormal = orthonormal * signs
+        orthonormal *= signs
         self.log_volume = float(np.log(np.abs(np.diag(triangle))).sum())
         self._inverse = linalg.solve_triangular(triangle * signs[:, None], np.eye(len(reference)))
         self._on_data, self._on_prior = orthonormal[: -len(reference)], orthonormal[-len(reference) :]

@@ -78,7 +78,5 @@ def _write_rows(
     options: argparse.Namespace, cell: Cell, estimate: Estimate, trace: PathTrace, measured: PathError
 ) -> None:
     time_h = estimate.time_h if options.time_h is None else options.time_h
-    rows = check_rows(
-        cell, estimate, trace, measured, session=options.session, time_h=time_h, points=options.points or 0
-    )
+    rows = check_rows(estimate, trace, measured, session=options.session, time_h=time_h, points=options.points or 0)
     write_sweeps(options.output, rows, cell, command="fpcal check")

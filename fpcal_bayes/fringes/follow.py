@@ -266,7 +266,8 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
     found = at(value, best.best, None, whole)
     told = replace(found.best, ends_variance=float(share @ change**2 / share.sum()))
-    return Followed(replace(found, fits=(told,)), per_um, *((-1.0, value) if stops else (value, 1.0)))
+    # Beyond the sweep's own ends a place is none.
+    return Followed(replace(found, fits=(told,)), per_um, *told.ends)
 
 
 def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:

@@ -91,8 +91,7 @@ def fit_signal(
 ) -> tuple[float, float, Floats]:
     """Levenberg-Marquardt from `unknowns`, which are improved in place.
 
-    Returns the sum of squares reached, and of the normal equations there the logarithm of the determinant and the
-    inverse (p, p), the covariance of the unknowns.
+    Returns the sum of squares reached, and the log determinant and the inverse (p, p) of the normal equations there.
     """
     p = unknowns.size
     gradient, matrix = np.empty(p), np.empty((p, p))

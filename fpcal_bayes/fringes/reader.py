@@ -100,10 +100,9 @@ def read_traces(
             continue
         if solution is not None:
             sd = pool.noise_of(solution.best)[0] if pool else solution.best.noise
-            if abs(np.log(sd / solution.best.noise)) > 0.05:
-                solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
-            else:
-                solution = rescaled(solution, sd)
+            other = abs(np.log(sd / solution.best.noise)) > 0.05
+            again = partial(with_noise, profile=each.profile, phase_per_um=each.phase_per_um, mirror_light=mirror_light)
+            solution = again(solution, noise=sd) if other else rescaled(solution, sd)
         course = _followed(each, solution, noise, mirror_light)
         if course is None or _faint(course[0].solution.best, each.samples):
             readings.append(Reading(each.label, refused=_unseen(each), phase_per_um=each.phase_per_um))

@@ -30,7 +30,9 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
-    kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
+    kept = [
+        i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or name.startswith("drift along")
+    ]
     names = numbered([fit.design.names[i] for i in kept])
     geometry, known = _deviations(fit, draws.scores, free)
     changes = np.hstack([geometry, draws.weights[:, kept]])
@@ -95,10 +97,6 @@ def _deviations(fit: MechanicsFit, scores: Floats, moved: Collection[str]) -> tu
         return free, problem.model.free.names
     held = scores[:, n:] @ problem.considered.factor.T
     return np.hstack([free, held]), (*problem.model.free.names, *problem.considered.parameters.names)
-
-
-def _drifts(name: str) -> bool:
-    return name.startswith("drift along")
 
 
 def numbered(names: list[str]) -> list[str]:

@@ -32,10 +32,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
-
-    Arguments are those of `follow`.
-    """
+    """As `follow`; the states are saved in the campaign, if it is an HDF5 file, under the lock of its writers."""
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):
@@ -139,7 +136,6 @@ class Keeper:
         self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
-        """The campaign as it is followed up to its last session."""
         path, (before, known) = Path(self._campaign), self._followed
         same = known is not None and before <= moment and path.is_file()
         if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
@@ -162,7 +158,6 @@ class Keeper:
         return ticket
 
     def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
-        """Write a ticket, unless it is empty as the one that is there."""
         if pending is None or pending.plan is not None or ticket.plan is not None:
             write_ticket(self._outputs.ticket, ticket, self._cell)
 
@@ -196,7 +191,6 @@ class Keeper:
             write_flat(self._outputs.flat, flat_content(estimate))
 
     def _stamps(self) -> list[object]:
-        """Tell whether the published files are as they were written."""
         return [stamp(path) for path in (self._outputs.estimate, self._outputs.flat) if path is not None]
 
     def _valid_until(self, found: Track) -> tuple[float | None, list[str]]:

@@ -61,7 +61,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, found: Round) -> None:
-    """Drive the ticket and hand over what was measured."""
     ticket = read_ticket(options.ticket, cell)
     assert ticket.plan is not None
     # A ticket that expired half measured has a session of the same name after it.

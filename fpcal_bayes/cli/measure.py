@@ -71,7 +71,6 @@ def drive(
 
 
 def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
-    """The dry run, as a table."""
     orders = orders_of(ticket)
     legs = dry_run(guard, orders, guard.inside(orders[0].start))
     table = Table("sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most", box=None)

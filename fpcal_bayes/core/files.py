@@ -111,9 +111,9 @@ def make_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path`; on success it takes the place of `path`, unless another program holds that.
+    """Give a temporary name that on success, on disk, takes the place of `path`, unless another program holds that.
 
-    Content reaches the disk before the rename. Links are followed; a device or a stream is written, never replaced.
+    Links are followed; a device or a stream is written, never replaced.
     """
     target = require_writable(path)
     try:

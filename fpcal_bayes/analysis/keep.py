@@ -117,7 +117,8 @@ class Keeper:
                 decision = self._held = None
                 decision = decide_track(found, sweeps, goal, self.costs(sweeps), now_h)
                 self._held = decision if decision.action == "hold" else None
-            notes += [] if decision.attainable_nm is None else [decision.reason]
+            stuck = decision.action == "hold" and not found.trust.usable
+            notes += [decision.reason] if stuck or decision.attainable_nm is not None else []
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
         if self._published is None or self._published[:2] != (notes, self._stamps()):

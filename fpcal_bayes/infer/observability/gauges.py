@@ -98,24 +98,27 @@ def null_space_within(space: Floats, jacobian: Floats) -> Floats:
     return spectrum.directions[unseen] @ space
 
 
-def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:
-    """Directions that complete `known` to `space`, each with one at its own pivot parameter and zero at the others'.
+def pivots_of(directions: Floats) -> list[int]:
+    """As many columns as rows by pivoting; among equals the first, so that rounding decides nothing."""
+    reduced, chosen = directions.copy(), []
+    for _ in range(len(directions)):
+        size = np.linalg.norm(reduced, axis=0)
+        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
+        chosen.append(column)
+        unit = reduced[:, column] / size[column]
+        reduced = reduced - np.outer(unit, unit @ reduced)
+    return chosen
 
-    Pivots are chosen by column pivoting; among equals the first parameter wins, so that rounding decides nothing.
-    """
+
+def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:
+    """Directions that complete `known` to `space`, each with one at its own pivot parameter and zero at the others'."""
     remainder = space
     if pivots:
         remainder = space - space[:, pivots] @ linalg.solve(known[:, pivots], known)
     # Directions of the space that are already known leave nothing behind.
     _, values, rows = linalg.svd(remainder, full_matrices=False)
     remainder = rows[values > 1e-6]
-    reduced, chosen = remainder.copy(), []
-    for _ in range(len(remainder)):
-        size = np.linalg.norm(reduced, axis=0)
-        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
-        chosen.append(column)
-        unit = reduced[:, column] / size[column]
-        reduced = reduced - np.outer(unit, unit @ reduced)
+    chosen = pivots_of(remainder)
     if not chosen:
         return remainder, []
     found: Floats = linalg.solve(remainder[:, chosen], remainder)

@@ -8,6 +8,7 @@ from scipy import linalg
 from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Spectrum, spectrum_of
+from fpcal_bayes.infer.observability.gauges import pivots_of
 from fpcal_bayes.model.parameters import ParameterSet
 
 
@@ -90,23 +91,13 @@ class BaseParameter:
 
 
 def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseParameter, ...]:
-    """As many base parameters as the rank, by QR with column pivoting (Gautier 1991), in prior-scaled units.
-
-    Among columns of equal size the first parameter is kept.
-    """
+    """As many base parameters as the rank, by QR with column pivoting (Gautier 1991), in prior-scaled units."""
     rank = spectrum.rank
     if rank == 0:
         return ()
     # Only directions count, not how well each is seen: weak combinations are base parameters too.
     directions = spectrum.observable
-    reduced, kept = directions.copy(), []
-    for _ in range(rank):
-        size = np.linalg.norm(reduced, axis=0)
-        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
-        kept.append(column)
-        unit = reduced[:, column] / size[column]
-        reduced = reduced - np.outer(unit, unit @ reduced)
-    kept.sort()
+    kept = sorted(pivots_of(directions))
     others = [i for i in range(len(parameters)) if i not in kept]
     factors = linalg.solve(directions[:, kept], directions[:, others]).reshape(rank, len(others))
     unit_of = parameters.to_shown(parameters.prior_sd)

@@ -85,7 +85,10 @@ def validation_plan(
         cell, replace(whole.take(np.array(chosen)), label=np.array([f"v{i + 1}" for i in range(n)]))
     )
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file="plan")
-    return ValidationPlan(sweeps, readings, powers(expected, effects, np.flatnonzero(np.isin(sweep, chosen))))
+    fresh = np.flatnonzero(np.isin(sweep, chosen))
+    covariance = expected.covariance[np.ix_(fresh, fresh)]
+    power = {task: Effects(kind.names, kind.rows[:, fresh]).power(covariance) for task, kind in effects.items()}
+    return ValidationPlan(sweeps, readings, power)
 
 
 def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: int) -> list[int]:
@@ -127,9 +130,3 @@ def _likely(excess: Floats, n_rows: int) -> Floats:
     """Power, as `power_of` but for the tails: with the normal distribution of the same mean and variance."""
     least = special.chdtri(n_rows, LEVEL)
     return np.asarray(special.ndtr((excess + n_rows - least) / np.sqrt(2.0 * (n_rows + 2.0 * excess))))
-
-
-def powers(expected: Expected, effects: Mapping[str, Effects], rows: Ints) -> dict[str, dict[str, float]]:
-    """Power to find each kind of error of each task with some of the fresh rows."""
-    covariance: Floats = expected.covariance[np.ix_(rows, rows)]
-    return {task: Effects(kind.names, kind.rows[:, rows]).power(covariance) for task, kind in effects.items()}

@@ -48,11 +48,7 @@ class Gauge:
 
 
 def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[Gauge]:
-    """Take the null space of a set of sweeps apart.
-
-    The sweeps were linearised at `values` (n,), in um and rad; `null_space` (k, n) holds orthonormal directions that
-    they do not see, in prior-scaled units.
-    """
+    """Take apart orthonormal directions (k, n), prior-scaled, that sweeps linearised at `values` (n,) do not see."""
     if not len(null_space):
         return []
     poses = random_poses(model, np.random.default_rng(0), _RANDOM_POSES)

@@ -302,15 +302,5 @@ class CavityModel:
     def _question(self, values: Floats, rows: Rows) -> Question:
         cell, poses = self.cell, rows.poses
         groups = poses.group_q, poses.group_cos, poses.group_sin, poses.group_start, poses.prismatic_q
-        axis_is_z = cell.optical_axis == "z"
-        return (
-            self.held,
-            self.free.slots,
-            values,
-            self._path,
-            axis_is_z,
-            cell.revolute,
-            groups,
-            rows.starts,
-            rows.ends,
-        )
+        asked = self.held, self.free.slots, values, self._path, cell.optical_axis == "z", cell.revolute
+        return *asked, groups, rows.starts, rows.ends

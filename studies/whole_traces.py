@@ -62,7 +62,7 @@ def main() -> None:
     def from_traces(protocol: Sweeps) -> Callable[[Truth, int], Estimate]:
         def made(truth: Truth, seed: int) -> Estimate:
             index = record_sweeps(cell, truth, protocol, seed=seed)
-            return identify(cell, trace_rows(cell, index).rows).estimate
+            return identify(cell, trace_rows(cell, index)[0]).estimate
 
         return made
 

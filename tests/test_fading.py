@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fpcal_bayes.fringes.fading import fading_priors
+from fpcal_bayes.fringes.ingest import fading_priors
 from fpcal_bayes.measure.protocol import paper_protocol
 from fpcal_bayes.measure.truth import paper_truth
 from fpcal_bayes.model.cavity import CavityModel

@@ -7,7 +7,7 @@ import pytest
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.fringes.kernels import follow_phase
-from fpcal_bayes.fringes.path_check import PathCheck, PathError, check_path, check_rows, measure_path, starts_flat
+from fpcal_bayes.fringes.path_check import check, check_rows, measure_path
 from fpcal_bayes.fringes.path_curve import splines
 from fpcal_bayes.infer.fit.identify import identify
 from fpcal_bayes.measure.protocol import paper_protocol
@@ -48,20 +48,16 @@ def recorded(
     return trace, true - true[0]
 
 
-def judged(estimate: Estimate, trace: PathTrace, measured: PathError) -> PathCheck:
-    return check_path(measured, estimate, trace)
-
-
 @pytest.mark.parametrize("task", ["circle", "line-z", "tilt-x", "spin"])
 def test_a_fresh_calibration_is_confirmed_and_an_old_one_refuted(femto: Cell, estimate: Estimate, task: str) -> None:
     for time_h, verdict in ((0.0, "confirmed"), (192.0, "refuted")):
         trace, true = recorded(femto, estimate, task, time_h)
-        measured = measure_path(femto, estimate, trace)
-        check = judged(estimate, trace, measured)
+        found = check(estimate, trace)
+        measured = found.measured
         if measured.rival is None:
             assert 1e3 * np.sqrt(((measured.error - true) ** 2).mean()) < 6.0
             assert measured.peak_to_peak == pytest.approx(np.ptp(true), abs=0.004 + 3 * measured.peak_to_peak_sd)
-        assert check.verdict == verdict
+        assert found.verdict == verdict
 
 
 def test_stated_sd_is_right(femto: Cell, estimate: Estimate) -> None:
@@ -81,23 +77,24 @@ def test_hard_disturbances_widen_the_interval_instead_of_misleading(femto: Cell,
     mild = measure_path(femto, estimate, recorded(femto, estimate, "circle", 0.0)[0]).draws.std(axis=0).max()
     for seed in range(6):
         trace, true = recorded(femto, estimate, "circle", 0.0, replace(HARD, rate_hz=50.0), seed)
-        measured = measure_path(femto, estimate, trace, stability=0.07)
+        found = check(estimate, trace, stability=0.07)
+        measured = found.measured
         sd = measured.draws.std(axis=0)
         assert sd.max() > 2 * mild
         assert (np.abs(measured.error - true)[measured.places] < 4 * sd + 1e-3).all()
-        assert judged(estimate, trace, measured).verdict != "refuted"
+        assert found.verdict != "refuted"
 
 
 def test_a_start_at_the_maximum_is_told(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 8.0, replace(SHORT, quadrature=True))
-    assert not starts_flat(measure_path(femto, estimate, trace))
+    assert not measure_path(femto, estimate, trace).starts_flat
     path = task_path(femto, estimate.vector(), "circle", n_points=41).q.copy()
     # From half height to the extreme is an eighth of a wavelength.
     path[:, 1] = trace.q[trace.path][0, 1] + femto.wavelength / 8 + (path[:, 1] - path[0, 1])
     flat = record_path(femto, paper_truth(femto), path, 8.0, replace(SHORT, quadrature=False))
-    measured = measure_path(femto, estimate, flat)
-    assert starts_flat(measured)
-    assert any("start at half height" in line for line in check_warnings(judged(estimate, flat, measured)))
+    found = check(estimate, flat)
+    assert found.measured.starts_flat
+    assert any("start at half height" in line for line in check_warnings(found))
 
 
 def test_a_signal_that_no_path_makes_is_not_evaluated(femto: Cell, estimate: Estimate) -> None:
@@ -106,9 +103,9 @@ def test_a_signal_that_no_path_makes_is_not_evaluated(femto: Cell, estimate: Est
     read = trace.irradiance.copy()
     read[trace.path] = random.uniform(read.min(), read.max(), trace.path.stop - trace.path.start)
     noise = replace(trace, irradiance=read)
-    check = judged(estimate, noise, measure_path(femto, estimate, noise))
-    assert check.verdict == "not evaluated"
-    assert "Not evaluated" in " ".join(check_sentences(check, 0.05))
+    found = check(estimate, noise)
+    assert found.verdict == "not evaluated"
+    assert "Not evaluated" in " ".join(check_sentences(found, 0.05))
 
 
 def test_a_reference_without_fringe_is_refused(femto: Cell, estimate: Estimate) -> None:
@@ -152,11 +149,11 @@ def test_rows_for_a_campaign(femto: Cell, estimate: Estimate) -> None:
 
 def test_words_and_json(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 192.0)
-    check = judged(estimate, trace, measure_path(femto, estimate, trace))
-    text = " ".join(check_sentences(check, 0.05))
+    found = check(estimate, trace)
+    text = " ".join(check_sentences(found, 0.05))
     assert "refuted on the cell" in text
     assert "beyond 50 nm" in text
-    content = check_content(check, 0.05)
+    content = check_content(found, 0.05)
     assert content["verdict"] == "refuted"
     assert content["within_tolerance_probability"] == 0.0
     assert len(content["error_nm"]) == len(content["along"]) == len(content["error_sd_nm"])

@@ -31,7 +31,7 @@ def test_a_falling_scan_and_air_are_taken_into_account() -> None:
     index = ciddor(wavelength, 25.0, 1000.0, 50.0)
     signal = 1.5 + np.cos(4.0 * np.pi * index * 930.0 / wavelength) + 0.01 * random.normal(size=900)
     falling = replace(scan(random, 1.0), wavelength=wavelength, irradiance=signal)
-    read = read_wavelength_scan(falling, 920.0, 200.0, temperature_c=25.0, pressure_hpa=1000.0, humidity_pct=50.0)
+    read = read_wavelength_scan(falling, 920.0, 200.0, air=(25.0, 1000.0, 50.0))
     assert read.length == pytest.approx(930.0, abs=5 * read.sigma)
     without = read_wavelength_scan(falling, 920.0, 200.0)
     assert without.length - 930.0 == pytest.approx(930.0 * 2.6e-4, rel=0.05)

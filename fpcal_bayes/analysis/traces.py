@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import counted, covariance_root
+from fpcal_bayes.core.linalg import counted, covariance_root, quantile_band
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.fringes.count import Reading
 from fpcal_bayes.fringes.fit import fit_course
 from fpcal_bayes.fringes.ingest import IngestSettings, ingest, rows_along
-from fpcal_bayes.fringes.path_check import PathCheck, starts_flat
+from fpcal_bayes.fringes.path_check import PathCheck
 from fpcal_bayes.fringes.profile import (
     DEGREE,
     DisplacementProfile,
@@ -141,13 +141,13 @@ class CheckNumbers:
     @classmethod
     def of(cls, check: PathCheck, tolerance: float | None = None) -> "CheckNumbers":
         """Numbers of a check, with a tolerance in um."""
-        measured, (low, high) = check.measured, check.predicted_band()
+        measured, (low, high) = check.measured, quantile_band(check.predicted, 0.95).tolist()
         sizes = np.ptp(measured.error[measured.places] + measured.draws, axis=1)
         return cls(
             predicted=(1e3 * low, 1e3 * float(np.median(check.predicted)), 1e3 * high),
             noisy=1e3 * float(np.quantile(check.expected, 0.975)),
             rival=None if measured.rival is None else 1e3 * float(np.ptp(measured.rival)),
-            height=50.0 * (1.0 + np.sqrt(1.0 - measured.start_sine**2)) if starts_flat(measured) else None,
+            height=50.0 * (1.0 + np.sqrt(1.0 - measured.start_sine**2)) if measured.starts_flat else None,
             within=None if tolerance is None else float((sizes <= tolerance).mean()),
         )
 
@@ -176,7 +176,7 @@ class FittedSweep:
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
         time = np.interp(s, samples.s[order], samples.time[order])
-        there, places = np.maximum(s, reading.set_out), np.maximum(samples.s, reading.set_out)
+        there, places = (np.clip(at, reading.set_out, reading.stop) for at in (s, samples.s))
         lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, there)
         turned = fit.phase(there, phase_per_um) / (2.0 * np.pi)
         return cls(

@@ -44,7 +44,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _sample(options: argparse.Namespace, result: Identification, store: BlockStore) -> int:
-    """Draw, and write what was drawn."""
     if not options.resume:
         store.clear()
     with Console(stderr=True, quiet=options.quiet or not sys.stderr.isatty()).status("sampling") as status:

@@ -32,6 +32,8 @@ _COURSES = ((15, 0.1), (30, 0.3), (45, 0.6), (60, 0.6))
 _LATE_ODDS = 0.01
 #: Phase in rad within which a late start may be told by few samples.
 _HIDDEN = 3.0 * np.pi
+#: Samples that tell about where a trace's start ends, and averages of that start.
+_THINNED = 1000
 #: Places at which a hop of the phase is sought to begin with.
 _HOPS = 48
 #: Share of a trace below which its first samples are fitted beside what the others say.
@@ -172,16 +174,22 @@ def hidden(fit: Fit, samples: Samples, phase_per_um: float, end: float = -1.0) -
     around an extreme of the fringe, far from where the joint begins. end: 1 for an early stop, read backwards.
     """
     samples = samples if end < 0.0 else samples.part(slice(None, None, -1))
-    phase = fit.phase(samples.s, phase_per_um)
     first, inside = fit.phase(np.array([end, end * (1.0 - 1e-6)]), phase_per_um).tolist()
     ahead = float(np.sign(inside - first))
     first *= ahead
-    few = samples.part(np.cumsum(ahead * phase > first + _HIDDEN) == 0)
+    few = samples
+    for _ in range(2):
+        step = 1 + len(few) // _THINNED
+        beyond = ahead * fit.phase(few.s[::step], phase_per_um) > first + _HIDDEN
+        if beyond.any():
+            few = few.part(slice(step * int(np.argmax(beyond)) + (step > 1)))
     if len(few) < 2:
         return False, 0.0
+    few = _chunked(few, 1 + len(few) // _THINNED)
     level, height = fit.levels(few.s, few.time)
-    wave, signal = fit.wave(phase[: len(few)])[0], (few.signal - level) / height
-    phase = ahead * phase[: len(few)]
+    phase = fit.phase(few.s, phase_per_um)
+    wave, signal = fit.wave(phase)[0], (few.signal - level) / height
+    phase = ahead * phase
     weight = few.count * (height / fit.noise) ** 2
     total, mean = np.cumsum(weight)[:-1], (np.cumsum(weight * signal) / np.cumsum(weight))[:-1]
     # From one sample to the next the fringe passes these heights, its extreme between them included.

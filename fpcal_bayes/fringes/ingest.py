@@ -8,8 +8,15 @@ import numpy as np
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import Reading, SignSource
-from fpcal_bayes.fringes.fading import fading_priors
-from fpcal_bayes.fringes.profile import estimated_profiles, lengths_at, prior_profiles
+from fpcal_bayes.fringes.fit import CALM, Nuisance
+from fpcal_bayes.fringes.profile import (
+    centre_and_spread,
+    coefficients_of,
+    estimated_profiles,
+    lengths_at,
+    nodes,
+    prior_profiles,
+)
 from fpcal_bayes.fringes.reader import Recorded, estimate_sign_source, read_traces
 from fpcal_bayes.fringes.samples import Samples, lay_out
 from fpcal_bayes.fringes.wavelength_scan import ScanReading, expected_lengths, read_wavelength_scan
@@ -19,12 +26,20 @@ from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.measure.sweeps import Sweeps, join
 from fpcal_bayes.measure.traces import WavelengthScan
 from fpcal_bayes.model.air_index import air_index
+from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
+from fpcal_bayes.model.chain import fibre_in_world, optical_axis
 from fpcal_bayes.model.estimate import Estimate
+from fpcal_bayes.model.interferometer import mirror_amplitude
 from fpcal_bayes.model.mechanics import Terms
 
 #: Share of the full scale below which a higher gain is proposed.
 _LITTLE = 0.25
+#: Draws of expected fading, and the nodes of each.
+_DRAWS, _SEED, _NODES = 120, 20240502, 9
+#: Legendre polynomials of the logarithm, from the first on; what the optics' own uncertainty adds to each.
+_FLOORS = (0.03, 0.02, 0.005, 0.003)
+_OPTICS_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -70,7 +85,12 @@ def read_index(
 ) -> Ingested:
     """As `ingest`, doubtful traces alone included."""
     settings = IngestSettings() if settings is None else settings
-    _require_sweeps(index)
+    sweeps, paths = index.sweeps, index.sweeps.kind == "path"
+    if paths.any():
+        row, wanted = int(sweeps.rows[np.argmax(paths)]), "expected sweep or absolute"
+        raise located(
+            sweeps.file, f"{wanted}: a path is held against an estimate, by fpcal check", row=row, column="kind"
+        )
     light, optics = _light(index, cell, settings), cell.interferometer
     before = _read_scans(index, cell, index.sweeps.q_start, index.scans_before)
     after = _read_scans(index, cell, index.sweeps.q_end, index.scans_after)
@@ -85,7 +105,6 @@ def read_index(
     remaining = iter(found)
     readings = tuple(None if each is None else next(remaining) for each in recorded)
 
-    sweeps = index.sweeps
     parts = []
     for i, reading in enumerate(readings):
         if reading is not None and reading.good:
@@ -134,9 +153,7 @@ def _read_scans(
             scan,
             float(lengths[i]),
             float(sds[i]),
-            temperature_c=float(index.temperature_c[i]),
-            pressure_hpa=float(index.pressure_hpa[i]),
-            humidity_pct=float(index.humidity_pct[i]),
+            air=(float(index.temperature_c[i]), float(index.pressure_hpa[i]), float(index.humidity_pct[i])),
             noise=optics.noise,
             full_scale=optics.full_scale,
         )
@@ -198,15 +215,30 @@ def _record(
     return made
 
 
-def _require_sweeps(index: TraceIndex) -> None:
-    paths = index.sweeps.kind == "path"
-    if paths.any():
-        raise located(
-            index.sweeps.file,
-            "expected sweep or absolute: a path is held against an estimate, by fpcal check",
-            row=int(index.sweeps.rows[np.argmax(paths)]),
-            column="kind",
-        )
+def fading_priors(cell: Cell, sweeps: Sweeps) -> list[Nuisance]:
+    """What a signal may do beside its fringes along each sweep, if the mirror fades as the cell's optics say.
+
+    A mirror that tilts or moves away sends less light back into the fibre. For a tilt the bow of log visibility is
+    nearly certain and its slope is not, for a translation there is next to nothing. A short sweep needs that to tell an
+    envelope from a fringe.
+    """
+    model = CavityModel.of(cell)
+    sds = np.array([p.prior_sd for p in model.free])
+    draws = model.free.nominal + sds * np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sds)))
+    q, fit = nodes(sweeps, len(_FLOORS), _NODES)
+    normals, origins = model.mirrors(draws, q)
+    vectors = [model.vector(values) for values in draws]
+    fibres = np.array([fibre_in_world(vector)[:3, 3] for vector in vectors])
+    axes = np.array([optical_axis(cell, vector) for vector in vectors])
+    distance = np.abs(np.einsum("vqi,vqi->vq", normals, origins - fibres[:, None]))
+    tilt = np.arccos(np.clip(np.abs(np.einsum("vqi,vi->vq", normals, axes)), 0.0, 1.0))
+    seen = np.log(np.maximum(mirror_amplitude(cell.interferometer, distance, tilt), 1e-12))
+    centre, spread = centre_and_spread(coefficients_of(seen, fit))
+    wide = np.hypot(spread, _OPTICS_SHARE * np.abs(centre)) + np.array(_FLOORS)
+    return [
+        Nuisance(CALM.offset, CALM.gain, tuple(sd.tolist()), tuple(mean.tolist()))
+        for mean, sd in zip(centre, wide, strict=True)
+    ]
 
 
 def sweep_rows(sweeps: Sweeps, row: int, reading: Reading, points: int = 0) -> Sweeps:

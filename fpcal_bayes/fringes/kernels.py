@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.typing import Floats, Ints
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.kernels.compile import compiled
 
 #: Harmonics of a fringe whose sizes are fitted, two numbers each for the second and the third.
@@ -27,64 +27,6 @@ def legendre_table(s: Floats, degree: int) -> Floats:
         for k in range(2, degree + 1):
             table[i, k] = ((2.0 * k - 1.0) * s[i] * table[i, k - 1] - (k - 1.0) * table[i, k - 2]) / k
     return table
-
-
-@compiled
-def turned_bins(
-    signal: Floats, place: Ints, base: Floats, bend: Floats, bends: Floats, n_bins: int
-) -> NDArray[np.complex128]:
-    """Signal (n,) turned back by the phase base + bend of each of `bends` (m,) and summed into the bins `place` (n,).
-
-    Returns shape (m, n_bins): its Fourier transform along the bins tells how well each slope fits.
-    """
-    bins = np.zeros((bends.size, n_bins), dtype=np.complex128)
-    for i in range(bends.size):
-        for k in range(signal.size):
-            f = base[k] + bends[i] * bend[k]
-            bins[i, place[k]] += signal[k] * complex(np.cos(f), -np.sin(f))
-    return bins
-
-
-@compiled
-def floating_fits(
-    s: Floats, signal: Floats, weight: Floats, base: Floats, slope: Floats, bend: Floats, slopes: Floats, bends: Floats
-) -> Floats:
-    """Sum of squares left by 1, s, s^2, cos f and sin f for each slope and bend, shape (n_slopes, n_bends).
-
-    Few fringes and a curved offset look alike: here both are fitted together.
-    """
-    left = np.empty((slopes.size, bends.size))
-    matrix, vector, row = np.empty((5, 5)), np.empty(5), np.empty(5)
-    total = 0.0
-    for k in range(s.size):
-        total += weight[k] * signal[k] * signal[k]
-    for a in range(slopes.size):
-        for b in range(bends.size):
-            matrix[:] = 0.0
-            vector[:] = 0.0
-            for k in range(s.size):
-                f = base[k] + slopes[a] * slope[k] + bends[b] * bend[k]
-                row[0], row[1], row[2], row[3], row[4] = 1.0, s[k], s[k] * s[k], np.cos(f), np.sin(f)
-                for i in range(5):
-                    scaled = weight[k] * row[i]
-                    vector[i] += scaled * signal[k]
-                    for j in range(i + 1):
-                        matrix[i, j] += scaled * row[j]
-            # L D L' in place; a tiny ridge keeps a fringe that looks like a parabola solvable.
-            explained = 0.0
-            for i in range(5):
-                pivot = matrix[i, i] * (1.0 + 1e-6) + 1e-12
-                for j in range(i):
-                    coupled = matrix[i, j]
-                    for m in range(j):
-                        coupled -= matrix[i, m] * matrix[j, m] * matrix[m, m]
-                    matrix[i, j] = coupled / matrix[j, j]
-                    pivot -= matrix[i, j] * coupled
-                    vector[i] -= matrix[i, j] * vector[j]
-                matrix[i, i] = pivot
-                explained += vector[i] * vector[i] / pivot
-            left[a, b] = total - explained
-    return left
 
 
 @compiled
@@ -147,36 +89,6 @@ def normal_equations(
 
 
 @compiled
-def damped_step(matrix: Floats, gradient: Floats, damping: float, factor: Floats, step: Floats) -> bool:
-    """Solve (matrix + damping diagonal) step = gradient by Cholesky; False if it is not positive definite."""
-    p = gradient.size
-    for i in range(p):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            if i == j:
-                total *= 1.0 + damping
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                factor[i, i] = np.sqrt(total)
-            else:
-                factor[i, j] = total / factor[j, j]
-    for i in range(p):
-        total = gradient[i]
-        for k in range(i):
-            total -= factor[i, k] * step[k]
-        step[i] = total / factor[i, i]
-    for i in range(p - 1, -1, -1):
-        total = step[i]
-        for k in range(i + 1, p):
-            total -= factor[k, i] * step[k]
-        step[i] = total / factor[i, i]
-    return True
-
-
-@compiled
 def fit_signal(
     data: SignalData, unknowns: Floats, prior_mean: Floats, prior_weight: Floats, max_steps: int
 ) -> tuple[float, float, Floats]:
@@ -186,8 +98,7 @@ def fit_signal(
     inverse (p, p), the covariance of the unknowns.
     """
     p = unknowns.size
-    gradient, factor, step = np.empty(p), np.zeros((p, p)), np.empty(p)
-    matrix = np.empty((p, p))
+    gradient, matrix = np.empty(p), np.empty((p, p))
     trial, trial_matrix, trial_gradient = np.empty(p), np.empty((p, p)), np.empty(p)
     damped, cost = 1e-3, np.inf
     trial[:] = unknowns
@@ -206,11 +117,8 @@ def fit_signal(
                 break
         if number == max_steps:
             break
-        while not damped_step(matrix, gradient, damped, factor, step):
-            damped = max(10.0 * damped, 1e-3)
-        trial[:] = unknowns + step
-    damped_step(matrix, gradient, 0.0, factor, step)
-    return cost, 2.0 * np.log(np.diag(factor)).sum(), np.linalg.inv(matrix)
+        trial[:] = unknowns + np.linalg.solve(matrix + damped * np.diag(np.diag(matrix)), gradient)
+    return cost, np.linalg.slogdet(matrix)[1], np.linalg.inv(matrix)
 
 
 @compiled

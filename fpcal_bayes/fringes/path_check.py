@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fpcal_bayes.core.linalg import covariance_root, quantile_band
+from fpcal_bayes.core.linalg import covariance_root
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.path_curve import STABILITY, Levels, fit_curve
 from fpcal_bayes.fringes.reference import fit_fringe
-from fpcal_bayes.measure.sweeps import Sweeps, join
+from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import PathTrace, check_parts
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
@@ -59,9 +59,9 @@ class PathError:
         return float(np.ptp(self.error[self.places]))
 
     @property
-    def least_peak_to_peak(self) -> float:
-        """The smaller one of error and rival, in um."""
-        return self.peak_to_peak if self.rival is None else min(self.peak_to_peak, float(np.ptp(self.rival)))
+    def starts_flat(self) -> bool:
+        """Whether it starts so near an extreme of the fringe that small changes hardly show."""
+        return abs(self.start_sine) < _FLAT
 
     @property
     def peak_to_peak_sd(self) -> float:
@@ -89,19 +89,11 @@ class PathCheck:
         noisy, predicted = np.quantile(self.expected, 0.975), np.quantile(self.predicted, 0.975)
         return bool(noisy > max(2.0 * predicted, _COARSE))
 
-    def predicted_band(self) -> tuple[float, float]:
-        """Band that holds 95 % of the predicted peak-to-peak values, in um."""
-        low, high = quantile_band(self.predicted, 0.95).tolist()
-        return low, high
-
 
 def measure_path(
     cell: Cell, estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
 ) -> PathError:
-    """The error along a path against an estimate, from its irradiance; `index`: of the air.
-
-    stability: how gain and offset may bow between the reference scans, relative, one standard deviation.
-    """
+    """The error along a path against an estimate, from its irradiance; arguments as in `check`."""
     check_parts(trace)
     model = CavityModel.of(cell, estimate.parameters)
     values, wavelength = estimate.values, cell.wavelength / index
@@ -151,6 +143,7 @@ def check(
     draws: Floats | None = None,
     drift: Floats | None = None,
     index: float = 1.0,
+    stability: float = STABILITY,
     level: float = 0.01,
     seed: int = 0,
 ) -> PathCheck:
@@ -169,6 +162,8 @@ def check(
         Covariance of what the parameters may have drifted since the estimate, shape (n_free, n_free).
     index
         Refractive index of the air.
+    stability
+        How gain and offset of the signal may bow between the reference scans, relative, one standard deviation.
     level
         Probability below which the calibration is refuted.
     seed
@@ -179,56 +174,37 @@ def check(
     InputError
         If the recording lacks a part.
     """
-    measured = measure_path(estimate.cell, estimate, trace, index=index, seed=seed)
-    return check_path(measured, estimate, trace, draws=draws, drift=drift, level=level, seed=seed)
-
-
-def check_path(
-    measured: PathError,
-    estimate: Estimate,
-    trace: PathTrace,
-    *,
-    draws: Floats | None = None,
-    drift: Floats | None = None,
-    level: float = 0.01,
-    seed: int = 0,
-) -> PathCheck:
-    """Hold a measured error against what an estimate leaves unknown; arguments as in `check`."""
+    measured = measure_path(estimate.cell, estimate, trace, index=index, stability=stability, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
     random = np.random.default_rng([seed, 1])
     _, jacobian = model.predict_with_jacobian(estimate.values, rows)
+
+    def linear_errors(covariance: Floats) -> Floats:
+        root = covariance_root(covariance, model.free.prior_sd)
+        return np.asarray(random.standard_normal((_DRAWS, len(root))) @ (jacobian @ root).T)
+
     if estimate.mechanics is not None:
         errors = known_task_errors(estimate, q[0], q, draws=_DRAWS, seed=seed)[0].total
     elif draws is not None:
         errors = model.predict(draws, rows) - model.predict(estimate.values, rows)
         errors = errors[random.integers(len(errors), size=_DRAWS)]
     else:
-        errors = _linear_errors(jacobian, estimate.covariance, model.free.prior_sd, random)
+        errors = linear_errors(estimate.covariance)
     if drift is not None:
-        errors = errors + _linear_errors(jacobian, drift, model.free.prior_sd, random)
+        errors = errors + linear_errors(drift)
     predicted = np.ptp(errors, axis=1)
     expected = np.ptp(errors + measured.draws[random.permutation(len(measured.draws))], axis=1)
     # Never zero: so many draws tell no smaller probability.
-    probability = (1.0 + float((expected >= measured.least_peak_to_peak).sum())) / (1.0 + len(expected))
+    least = min(measured.peak_to_peak, np.inf if measured.rival is None else float(np.ptp(measured.rival)))
+    probability = (1.0 + float((expected >= least).sum())) / (1.0 + len(expected))
     check = PathCheck(measured, predicted, expected, probability, "refuted", level, estimate.trust)
     if not measured.followed or not estimate.trust.usable:
         return replace(check, verdict="not evaluated")
     if probability < level:
         return check
     return replace(check, verdict="not evaluated" if check.blunt or measured.rival is not None else "confirmed")
-
-
-def starts_flat(measured: PathError) -> bool:
-    """Whether a path starts so near an extreme of the fringe that small changes hardly show."""
-    return abs(measured.start_sine) < _FLAT
-
-
-def _linear_errors(jacobian: Floats, covariance: Floats, scale: Floats, random: np.random.Generator) -> Floats:
-    """Errors along the path to first order, as draws."""
-    root = covariance_root(covariance, scale)
-    return np.asarray(random.standard_normal((_DRAWS, len(scale))) @ (jacobian @ root).T)
 
 
 def check_rows(
@@ -246,37 +222,25 @@ def check_rows(
     These are one group: the reading at the start, and the signal's drift, which counts as part of it, are common to
     them.
     """
-    q = trace.q[trace.path]
+    q, model = trace.q[trace.path], CavityModel.of(cell, estimate.parameters, estimate.vector())
     name = Path(trace.file).name or "path"
-    row = Sweeps.of_um_rad(
-        q[:1],
-        q[-1:],
-        session=session,
-        label="check",
-        time_h=time_h,
-        dl=measured.peak_to_peak,
-        sigma=max(measured.peak_to_peak_sd, _LEAST_SIGMA),
-        signed=False,
-        kind="path",
-        trace=name,
-        file=name,
-    )
-    if points == 0:
-        return row
-    model = CavityModel.of(cell, estimate.parameters, estimate.vector())
     # Without the start; the path's end too unless it is the start again.
     chosen = np.unique(np.linspace(0, len(measured.places) - 1, points + 2).round().astype(np.int64)[1:-1])
-    ends = q[measured.places[chosen]]
-    starts = np.repeat(q[:1], len(ends), axis=0)
-    expected = model.predict(estimate.values, model.rows(starts, ends))
-    sweeps = Sweeps.of_um_rad(
+    starts, ends = np.repeat(q[:1], len(chosen) + 1, axis=0), np.vstack([q[-1:], q[measured.places[chosen]]])
+    others = model.predict(estimate.values, model.rows(starts, ends))[1:] + measured.error[measured.places[chosen]]
+    sd = float(measured.draws[:, chosen].std(axis=0).max(initial=0.0))
+    first = np.arange(len(ends)) == 0
+    return Sweeps.of_um_rad(
         starts,
         ends,
         session=session,
-        label=[f"check-{i}" for i in range(1, len(ends) + 1)],
+        label=["check", *(f"check-{i}" for i in range(1, len(ends)))],
         time_h=time_h,
-        dl=expected + measured.error[measured.places[chosen]],
-        sigma=max(float(measured.draws[:, chosen].std(axis=0).max()), _LEAST_SIGMA),
-        group="check",
+        dl=[measured.peak_to_peak, *others],
+        sigma=np.maximum(np.where(first, measured.peak_to_peak_sd, sd), _LEAST_SIGMA),
+        signed=~first,
+        kind=np.where(first, "path", "sweep"),
+        trace=np.where(first, name, ""),
+        group=np.where(first, "", "check"),
+        file=name,
     )
-    return join([row, sweeps], name)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.optimize import least_squares
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import follow_phase
@@ -205,7 +206,7 @@ class _Fit:
         return Curve(self.basis @ unknowns[:count], unknowns, covariance, self.basis, residual, objective)
 
     def _descend(self, unknowns: Floats, rough: float) -> tuple[Floats, Floats, Floats]:
-        """Damped Gauss-Newton: unknowns, whitened residuals, Hessian of half the sum of squares."""
+        """Levenberg-Marquardt: unknowns, whitened residuals, Hessian of half the sum of squares."""
         count, size = self.basis.shape[1], len(unknowns)
         rows = np.zeros((count - 1 + len(self.prior), size))
         rows[: count - 2, :count] = np.diff(np.eye(count), n=2, axis=0) / rough
@@ -213,30 +214,18 @@ class _Fit:
         rows[count - 1 :, count:] = self.whitened
         target = rows @ np.append(np.zeros(count), self.prior)
 
-        def residuals(at: Floats) -> tuple[Floats, Floats, float]:
+        def residuals(at: Floats) -> Floats:
             height = self.by_mean @ at[count:] + (self.by_amplitude @ at[count:]) * np.cos(self.phase(at))
-            left, prior_left = (self.irradiance - height) / self.noise, target - rows @ at
-            return left, prior_left, float(left @ left + prior_left @ prior_left)
+            return np.append((height - self.irradiance) / self.noise, rows @ at - target)
 
-        (left, prior_left, total), damping, hessian = residuals(unknowns), 1e-3, np.eye(size)
-        for _ in range(_STEPS):
-            phase = self.phase(unknowns)
-            slope = -(self.by_amplitude @ unknowns[count:]) * np.sin(phase)
+        def jacobian(at: Floats) -> Floats:
+            phase = self.phase(at)
+            slope = -(self.by_amplitude @ at[count:]) * np.sin(phase)
             levels = self.by_mean + self.by_amplitude * np.cos(phase)[:, None]
-            jacobian = np.hstack([(slope * self.first.wave_number)[:, None] * self.basis, levels]) / self.noise
-            jacobian[:, count + 4] = slope / self.noise
-            hessian = jacobian.T @ jacobian + rows.T @ rows
-            gradient = jacobian.T @ left + rows.T @ prior_left
-            for _ in range(8):
-                step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-                trial = residuals(unknowns + step)
-                if trial[2] <= total:
-                    break
-                damping *= 10.0
-            else:
-                break
-            gained = total - trial[2]
-            unknowns, (left, prior_left, total), damping = unknowns + step, trial, damping / 10.0
-            if gained < 1e-4:
-                break
-        return unknowns, left, hessian
+            levels[:, 4] = slope
+            data = np.hstack([(slope * self.first.wave_number)[:, None] * self.basis, levels]) / self.noise
+            return np.vstack([data, rows])
+
+        found = least_squares(residuals, unknowns, jacobian, method="lm", max_nfev=_STEPS)
+        slopes = jacobian(found.x)
+        return found.x, found.fun[: len(self.irradiance)], slopes.T @ slopes

@@ -7,10 +7,9 @@ rotation two. That smoothness is what tells a reversal from a fringe, and one co
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import legder
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.kernels import legendre_table
@@ -78,13 +77,10 @@ def lengths_at(profile: Floats, s: Floats) -> Floats:
 
 def slopes_at(profile: Floats, s: Floats) -> Floats:
     """Slopes of the same, in um per unit of s."""
-    return legendre(s, len(profile) - 1) @ (_derivative(len(profile)) @ profile)
-
-
-@cache
-def _derivative(degree: int) -> Floats:
-    """What makes the coefficients from P_0 on of a slope of those from P_1 on of a profile, shape (degree, degree)."""
-    return np.asarray(legder(np.eye(degree + 1)[:, 1:]), dtype=float)
+    n = np.arange(len(profile))
+    # The slope of P_k is the sum of (2 n + 1) P_n over every other n below k.
+    own: Floats = (2 * n + 1) * (np.triu((n - n[:, None]) % 2 == 0) @ profile)
+    return legendre(s, len(n) - 1) @ own
 
 
 def loosened(profile: DisplacementProfile, degree: int, size: float) -> DisplacementProfile:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -194,11 +195,12 @@ class _Pool:
         own = np.array([np.sqrt(fit.residual_squares / fit.freedom) for fit in rich])
         size = np.array([fit.amplitude for fit in rich])
         freedom = np.minimum(np.array([fit.freedom for fit in rich]), 100.0)
+        median = partial(np.quantile, q=0.5, weights=freedom, method="inverted_cdf")
         choices = []
         for relative, values in ((False, own), (True, own / size)):
             logs = np.log(np.maximum(values, 1e-12))
-            centre = _weighted_median(logs, freedom)
-            choices.append((_weighted_median(np.abs(logs - centre), freedom), relative, centre))
+            centre = median(logs)
+            choices.append((median(np.abs(logs - centre)), relative, centre))
         _, relative, centre = min(choices)
         # Around the median, the mean square is the better estimate.
         values = np.log(np.maximum(own / size if relative else own, 1e-12))
@@ -213,12 +215,6 @@ class _Pool:
         square = (_POOL_WEIGHT * expected**2 + fit.residual_squares) / (_POOL_WEIGHT + freedom)
         excess = np.sqrt(fit.residual_squares / freedom) / expected if freedom > 3 else 1.0
         return float(np.sqrt(square)), float(excess)
-
-
-def _weighted_median(values: Floats, weights: Floats) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
 def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
@@ -304,8 +300,7 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
         return f"the mirror stops {missing:.2f} um early: its pose at the end is not that of the joint"
     if found.stop == 1.0 and missing > 3.0 * sd:
         return f"the trace ends {1e3 * missing:.0f} nm before the mirror stands still"
-    more = _TURNED + _turned_back(each.profile.mean, found)
-    if found.uneven and _turned_back(verdict.fit.profile, found) > more:
+    if found.uneven and _turned_back(found, verdict.fit.profile) > _TURNED + _turned_back(found, each.profile.mean):
         turns = verdict.fit.phase(_turns(verdict.fit), each.phase_per_um) / np.pi
         if (np.abs(turns - np.rint(turns)) < _AT_EXTREME).any():
             return "the course seems to turn back at an extreme of the fringe, which its mirror image explains as well"
@@ -319,7 +314,7 @@ def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float)
     return ""
 
 
-def _turned_back(profile: Floats, found: Followed) -> float:
+def _turned_back(found: Followed, profile: Floats) -> float:
     """How far L runs against its own change along a sweep, in um."""
     lengths = lengths_at(profile, np.linspace(*found.solution.best.ends, 1025))
     return float(np.abs(np.diff(lengths)).sum() - abs(lengths[-1] - lengths[0])) / 2.0

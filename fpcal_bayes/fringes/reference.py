@@ -35,10 +35,6 @@ class FringeFit:
         """Phase at x = 0, in rad."""
         return float(np.arctan2(self.coefficients[2], self.coefficients[1]))
 
-    def at(self, change: Floats) -> Floats:
-        """Irradiance in V at changes (n,) of the cavity length, in um."""
-        return np.asarray(_basis(self.wave_number * change) @ self.coefficients)
-
     def to_quadrature(self, low: float = -np.inf, high: float = np.inf) -> float:
         """The smallest change of cavity length in um, from low to high, that leads to half fringe height."""
         around = np.arange(-4, 5) + np.round(self.phase / np.pi)
@@ -57,7 +53,8 @@ def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeF
             f"a reference scan of {len(change)} samples over {1e3 * float(np.ptp(change)):.0f} nm: expected three "
             f"quarters of a fringe ({375 * wavelength:.0f} nm) or more"
         )
-    basis = _basis(wave_number * change)
+    phase = wave_number * change
+    basis = np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])
     coefficients, *_ = np.linalg.lstsq(basis, irradiance)
     left = irradiance - basis @ coefficients
     variance = float(left @ left) / (len(left) - 3)
@@ -67,7 +64,3 @@ def fit_fringe(change: Floats, irradiance: Floats, wavelength: float) -> FringeF
             f"the reference scan shows no fringe: amplitude {fit.amplitude:.3g} V, noise {fit.noise:.3g} V"
         )
     return fit
-
-
-def _basis(phase: Floats) -> Floats:
-    return np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])

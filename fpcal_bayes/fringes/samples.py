@@ -74,24 +74,17 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
     """
     travel = end - start
     s = (2.0 * trace.joint - start - end) / travel
-    for name, first, wanted, found in (("start", s[0], -1.0, trace.joint[0]), ("end", s[-1], 1.0, trace.joint[-1])):
-        if abs(first - wanted) > 2.0 * END_TOLERANCE:
-            value = start if name == "start" else end
-            raise located(
-                trace.file or place,
-                f"the {name} at {found / scale:.6g} {unit} disagrees with the index, "
-                f"expected {value / scale:.6g} {unit}",
-                column="joint",
-            )
+    wanted = [f"{value / scale:.6g}" for value in (start, end)]
     beyond = np.abs(s) > 1.0 + 4.0 * END_TOLERANCE
+    why, found = "", trace.joint[int(np.argmax(beyond))] / scale
     if beyond.any():
-        far = trace.joint[int(np.argmax(beyond))]
-        raise located(
-            trace.file or place,
-            f"{far / scale:.6g} {unit} lies outside the sweep of the index, "
-            f"expected {start / scale:.6g} to {end / scale:.6g} {unit}",
-            column="joint",
-        )
+        why = f"{found:.6g} {unit} lies outside the sweep of the index, expected {wanted[0]} to {wanted[1]} {unit}"
+    for at, name in ((-1, "end"), (0, "start")):
+        if abs(s[at] - (-1.0, 1.0)[at]) > 2.0 * END_TOLERANCE:
+            found = trace.joint[at] / scale
+            why = f"the {name} at {found:.6g} {unit} disagrees with the index, expected {wanted[at]} {unit}"
+    if why:
+        raise located(trace.file or place, why, column="joint")
     first, last = trace.time_s[0], trace.time_s[-1]
     time = (2.0 * trace.time_s - first - last) / (last - first)
     return Samples(s, time, trace.irradiance, np.ones(len(s)))

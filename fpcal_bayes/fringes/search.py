@@ -8,9 +8,9 @@ out however often L turns back, since all parts of the sweep add up in phase.
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.kernels import floating_fits, turned_bins
 from fpcal_bayes.fringes.profile import DEGREE, DisplacementProfile, legendre
 from fpcal_bayes.fringes.samples import Samples
 
@@ -49,8 +49,8 @@ def find_profiles(samples: Samples, profile: DisplacementProfile, phase_per_um: 
         slopes = max(-near, float(mean[0]) - room), min(near, float(mean[0]) + room)
         slow, left = _by_fits(used.binned(120), split, bends[::2], phase_per_um, slopes)
         found, scores = np.concatenate([found, slow]), np.concatenate([scores, left])
-    order = np.argsort(-scores)
-    return _distinct(found[order], phase_per_um, most)
+    found = found[np.argsort(-scores)]
+    return found[distinct(found, np.full(len(found), 1.5 / phase_per_um))[:most]]
 
 
 def _by_transform(
@@ -58,15 +58,20 @@ def _by_transform(
 ) -> tuple[Floats, Floats]:
     """Courses base + slope a + bend b, `split` being these three (3, DEGREE), and how well each explains the signal."""
     signal = used.levelled()
-    base, slope, bend = np.ascontiguousarray((phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T)
+    base, slope, bend = (phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T
     cycles = slope / (2.0 * np.pi)
     width = 1.0 / (_BINS_A_FRINGE * reach)
-    first = cycles.min()
-    place = np.rint((cycles - first) / width).astype(np.int64)
+    place = np.rint((cycles - cycles.min()) / width).astype(np.int64)
     n_bins = int(place.max()) + 1
+    # The signal turned back by each bend's phase and summed into bins of the slope's.
+    turn = base + bends[:, None] * bend
+    into = (place + n_bins * np.arange(len(bends))[:, None]).ravel()
+    real, imaginary = (
+        np.bincount(into, (used.count * signal * wave).ravel(), n_bins * len(bends)).reshape(len(bends), n_bins)
+        for wave in (np.cos(turn), -np.sin(turn))
+    )
     n_fast = scipy.fft.next_fast_len(2 * n_bins)
-    bins = turned_bins(used.count * signal, place, base, bend, bends, n_bins)
-    spectrum = scipy.fft.fft(bins, n_fast, axis=1)
+    spectrum = scipy.fft.fft(real + 1j * imaginary, n_fast, axis=1)
     frequency = scipy.fft.fftfreq(n_fast, width)
     order = np.argsort(frequency, kind="stable")
     # The neighbours beyond either end stand for a range narrower than a step.
@@ -83,14 +88,27 @@ def _by_transform(
 def _by_fits(
     used: Samples, split: Floats, bends: Floats, phase_per_um: float, ends: tuple[float, float]
 ) -> tuple[Floats, Floats]:
+    """The same of few fringes, which look like a curved offset, by least squares of 1, s, s^2, cos f and sin f."""
     low, high = ends
     if low >= high:
         return np.zeros((0, DEGREE)), np.zeros(0)
-    base, slope, bend = np.ascontiguousarray((phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T)
+    base, slope, bend = (phase_per_um * (legendre(used.s)[:, 1:] @ split.T)).T
     slopes = np.linspace(low, high, max(2, int((high - low) * phase_per_um / 0.8)))
-    signal = used.signal - used.signal.mean()
-    left = floating_fits(used.s, signal, used.count, base, slope, bend, slopes, bends)
-    explained = 1.0 - left / float((used.count * signal**2).sum())
+    signal, powers = used.signal - used.signal.mean(), used.s ** np.arange(3)[:, None]
+    turned = np.exp(1j * (base + slopes[:, None] * slope))[:, None] * np.exp(1j * bends[:, None] * bend)
+    gram, seen = np.empty((*turned.shape[:2], 5, 5)), np.empty((*turned.shape[:2], 5))
+    gram[..., :3, :3], seen[..., :3] = used.count * powers @ powers.T, used.count * signal @ powers.T
+    crossed, twice = turned @ (used.count * powers).T, turned**2 @ used.count
+    gram[..., :3, 3], gram[..., :3, 4] = crossed.real, crossed.imag
+    gram[..., 3:, :3] = gram[..., :3, 3:].swapaxes(2, 3)
+    gram[..., 3, 3], gram[..., 4, 4] = 0.5 * (used.count.sum() + np.array([twice.real, -twice.real]))
+    gram[..., 3, 4] = gram[..., 4, 3] = 0.5 * twice.imag
+    at = turned @ (used.count * signal)
+    seen[..., 3], seen[..., 4] = at.real, at.imag
+    # A tiny ridge keeps a fringe that looks like a parabola solvable.
+    gram += np.eye(5) * (1e-6 * gram + 1e-12)
+    explained = (seen * np.linalg.solve(gram, seen[..., None])[..., 0]).sum(axis=2)
+    explained /= float((used.count * signal**2).sum())
     a, b = _peaks(explained)
     return _combined(split, slopes[a], bends[b]), explained[a, b]
 
@@ -101,24 +119,16 @@ def _combined(split: Floats, slopes: Floats, bends: Floats) -> Floats:
 
 def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Places of the highest local maxima of a table, those above a share of the highest."""
-    padded = np.pad(values, 1, constant_values=-np.inf)
-    is_peak = values > least * values.max()
-    for i in (0, 1, 2):
-        for j in (0, 1, 2):
-            if (i, j) != (1, 1):
-                is_peak &= values >= padded[i : i + values.shape[0], j : j + values.shape[1]]
+    is_peak = (values > least * values.max()) & (values >= maximum_filter(values, 3, mode="nearest"))
     rows, columns = np.nonzero(is_peak)
     order = np.argsort(-values[rows, columns])[:most]
     return rows[order], columns[order]
 
 
-def _distinct(found: Floats, phase_per_um: float, most: int) -> Floats:
-    """The first of courses that are alike or mirror images; `found` is best first."""
-    near = 1.5 / phase_per_um
-    kept: list[Floats] = []
-    for candidate in found:
-        if all(min(np.abs(candidate - k).max(), np.abs(candidate + k).max()) > near for k in kept):
-            kept.append(candidate)
-            if len(kept) == most:
-                break
-    return np.array(kept).reshape(-1, DEGREE)
+def distinct(profiles: Floats, near: Floats) -> list[int]:
+    """Which of profiles (m, degree) are the first within `near` (m,), in um, of themselves or their mirror images."""
+    kept: list[int] = []
+    for i, each in enumerate(profiles):
+        if all(min(np.abs(each - k).max(), np.abs(each + k).max()) > near[i] for k in profiles[kept]):
+            kept.append(i)
+    return kept

@@ -10,7 +10,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance, fit_course
 from fpcal_bayes.fringes.profile import DisplacementProfile, legendre, lengths_at
 from fpcal_bayes.fringes.samples import Samples
-from fpcal_bayes.fringes.search import find_profiles
+from fpcal_bayes.fringes.search import distinct, find_profiles
 
 #: Averages of a fringe at its fastest, for the choice among profiles and for the final fit, and the fewest of a sweep.
 _CHOICE_BINS, _FINAL_BINS, _FEWEST_BINS = 10, 32, 160
@@ -72,7 +72,7 @@ def solve(
     fits = [
         max((fit(c, fading), fit(c, CALM)), key=lambda f: f.evidence - doubt * (f.nuisance is CALM)) for c in chosen
     ]
-    solution = FringeSolution(tuple(_distinct(fits)), used)
+    solution = FringeSolution(_distinct(fits), used)
     own = noise_of(solution.best, sd)
     if abs(np.log(own / sd)) > 0.2:
         solution = with_noise(solution, profile, phase_per_um, own, mirror_light)
@@ -87,7 +87,7 @@ def with_noise(
     samples = solution.samples
     again = partial(fit_course, samples, profile, phase_per_um=phase_per_um, noise=noise, mirror_light=mirror_light)
     fits = [again(fit.profile, nuisance=fit.nuisance, warm=fit) for fit in solution.fits]
-    return FringeSolution(tuple(_distinct(fits)), samples)
+    return FringeSolution(_distinct(fits), samples)
 
 
 def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
@@ -118,11 +118,8 @@ def bins(profiles: Floats, phase_per_um: float, a_fringe: int) -> int:
     return max(_FEWEST_BINS, int(np.ceil(2.0 * slopes * phase_per_um / (2.0 * np.pi) * a_fringe)))
 
 
-def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Fits by falling evidence, each profile once; mirror images are alike."""
-    kept: list[Fit] = []
-    for fit in sorted(fits, key=lambda each: -each.evidence):
-        near = 5.0 * np.sqrt(np.diag(fit.covariance)).max() + 1e-3
-        if all(min(np.abs(fit.profile - k.profile).max(), np.abs(fit.profile + k.profile).max()) > near for k in kept):
-            kept.append(fit)
-    return kept
+def _distinct(fits: Sequence[Fit]) -> tuple[Fit, ...]:
+    """Fits by falling evidence, each profile once."""
+    ranked = sorted(fits, key=lambda each: -each.evidence)
+    near = np.array([5.0 * np.sqrt(np.diag(fit.covariance)).max() + 1e-3 for fit in ranked])
+    return tuple(ranked[i] for i in distinct(np.array([fit.profile for fit in ranked]), near))

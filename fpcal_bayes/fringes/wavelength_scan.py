@@ -62,17 +62,16 @@ def read_wavelength_scan(
     expected: float,
     expected_sd: float,
     *,
-    temperature_c: float = np.nan,
-    pressure_hpa: float = np.nan,
-    humidity_pct: float = np.nan,
+    air: tuple[float, float, float] = (np.nan, np.nan, np.nan),
     noise: float | None = None,
     full_scale: float | None = None,
 ) -> ScanReading:
     """Read the absolute cavity length near `expected` um; it and its sd are widened.
 
-    Without all three of the air's numbers its index is 1. noise: sd of one sample in V to begin with.
+    air: its temperature in deg C, pressure in hPa and humidity in %, without all three of which its index is 1. noise:
+    sd of one sample in V to begin with.
     """
-    index = air_index(scan.wavelength, temperature_c, pressure_hpa, humidity_pct)
+    index = air_index(scan.wavelength, *air)
     wave_number = index / scan.wavelength
     middle, half = wave_number[[0, -1]].mean(), abs(wave_number[-1] - wave_number[0]) / 2.0
     s = (wave_number - middle) / half

@@ -77,10 +77,9 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, **beside: Any) ->
 
 
 def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:
-    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes; all that it holds now.
+    """Add measured sessions to a file of sweeps, under the lock of its writers; all that it holds now.
 
-    `check` is called with all sweeps before anything is written; where it or this raises `InputError` the file is as it
-    was. Other content of a campaign is kept.
+    `check` sees all sweeps first: where it raises `InputError` the file stays. Other content of a campaign is kept.
     """
     path = Path(path)
     if not sweeps.measured:

@@ -298,7 +298,6 @@ def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
 
 
 def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
-    """Decide the unknown signs, again if the measurement covariance depends on the point."""
     signs = decide_signs(problem, start)
     if problem.depends_on_point:
         signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
@@ -331,7 +330,6 @@ def _fit(
 
 
 def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
-    """Rows whose sign may be the other one, and rows that stand twice."""
     found, doubtful, again = [], _doubtful(used, signs), repeated_rows(used)
     if doubtful:
         named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])

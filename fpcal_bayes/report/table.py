@@ -59,7 +59,7 @@ class Table:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         # Rich would break a title that is wider than its table.
-        yield Text(self.title, style="table.title", no_wrap=True, overflow="ignore")
+        yield Text(self.title, style="table.title", overflow="fold")
         shown = TerminalTable(box=box.SIMPLE_HEAD, pad_edge=False)
         for column in self.columns:
             head = f"{column.name} {column.unit}".rstrip()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -22,8 +23,8 @@ HOURS_PER_DAY = 24.0
 _WORTH_SAYING = 1.5
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, repr=False)
+class State(Brief):
     """What is known at a time."""
 
     time_h: float  # hours since the campaign began
@@ -41,8 +42,8 @@ class Transition:
     shift: Floats  # shape (n_states,)
 
 
-@dataclass(frozen=True)
-class DriftModel:
+@dataclass(frozen=True, repr=False)
+class DriftModel(Brief):
     """Drift of a set of parameters.
 
     The state holds the parameters, from nominal in prior standard deviations, the error motions, which stay, then what

@@ -341,6 +341,9 @@ def _uneven(base: Followed, profile: DisplacementProfile, fit: _Fitter) -> list[
             prior, joint = loosened(profile, degree, size), np.pad(profile.covariance, (0, degree - DEGREE))
             room, own = np.diag(prior.covariance - joint), (best.profile - prior.mean) ** 2 + np.diag(best.covariance)
             told = room > np.diag(joint)
+            # A fit of few fringes need not be a maximum, and tells nothing then.
+            if not own[told].sum() > 0.0:
+                break
             wanted = size * float(np.sqrt(own[told].sum() / room[told].sum()))
             better = fit(moved, None, loosened(profile, degree, wanted), best.profile)
             if better.evidence < best.evidence:

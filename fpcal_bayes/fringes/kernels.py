@@ -113,8 +113,13 @@ def fit_signal(
                 break
         if number == max_steps:
             break
-        trial[:] = unknowns + np.linalg.solve(matrix + damped * np.diag(np.diag(matrix)), gradient)
-    return cost, np.linalg.slogdet(matrix)[1], np.linalg.inv(matrix)
+        # Prior weights differ by many orders: with its diagonal scaled to one the matrix is never singular to rounding.
+        scale = 1.0 / np.sqrt(np.diag(matrix))
+        scaled = matrix * np.outer(scale, scale) + damped * np.eye(p)
+        trial[:] = unknowns + scale * np.linalg.solve(scaled, scale * gradient)
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    scales = np.outer(scale, scale)
+    return cost, np.linalg.slogdet(matrix)[1], np.linalg.inv(matrix * scales) * scales
 
 
 @compiled

@@ -48,7 +48,7 @@ lint: $(VENV)/.test
 bench: $(VENV)/.bench
 	rm -rf .benchmarks
 	mkdir -p .benchmarks
-	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name \
+	-$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-columns=min,median,rounds --benchmark-sort=name \
 		--benchmark-timer=time.process_time --benchmark-json=.benchmarks/bench.json
 	-$(BIN)/python benchmarks/bench_posterior.py --nuts-draws 150 --nuts-warm-up 150 --steps 600 > .benchmarks/posterior.txt
 	-$(BIN)/python benchmarks/scaling.py --json .benchmarks/scaling.json

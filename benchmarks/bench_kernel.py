@@ -115,7 +115,7 @@ def numpy_lengths(case: Case, values: np.ndarray, q: np.ndarray) -> np.ndarray:
         transform[..., 2, 2], transform[..., 2, 3] = cb * ca, r * cb * ca - d * sb
         transform[..., 3, 3] = 1.0
         pose = pose @ transform
-    mirrors = np.array([chain.mirror_in_tool(v) for v in vectors])
+    mirrors = np.array([chain.mirror_in_tool(case.cell, v) for v in vectors])
     fibres = np.array([chain.fibre_in_world(v) for v in vectors])
     pose = pose @ mirrors[:, None]
     normal, to_mirror = pose[..., :3, 2], pose[..., :3, 3] - fibres[:, None, :3, 3]

@@ -24,7 +24,7 @@ class PinocchioCell:
             kind = pinocchio.JointModelPZ() if joint.kind == "prismatic" else pinocchio.JointModelRZ()
             parent = self.model.addJoint(parent, kind, end * placement, f"q{i + 1}")
         self.tool = parent
-        self.mirror = self._frame("mirror", parent, chain.mirror_in_tool(vector))
+        self.mirror = self._frame("mirror", parent, chain.mirror_in_tool(cell, vector))
         self.fibre = self._frame("fibre", 0, chain.fibre_in_world(vector))
         self.data = self.model.createData()
 

@@ -277,9 +277,10 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
     settings = settings_of(options)
     at_once = Planner(grounds.made, settings, grounds.reference).best(n).sweeps
     first, rest = at_once.take(np.arange(n // 2)), at_once.take(np.arange(n // 2, n))
-    theirs = {task: sd[: options.adaptive] for task, sd in grounds.paper.items()}
-    same = grounds.judged.at_draws(np.arange(options.adaptive))
-    show(f"{n} at once, same truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
+    count = min(options.adaptive, len(grounds.judged.goals.values))
+    theirs = {task: sd[:count] for task, sd in grounds.paper.items()}
+    same = grounds.judged.at_draws(np.arange(count))
+    show(f"{n} at once, {count} truths", same.sd_at_draws(at_once, readings=options.readings), theirs)
     ours: dict[str, list[float]] = {task: [] for task in grounds.paper}
     for number, values in enumerate(same.goals.values):
         truth = Truth(cell.free, np.zeros(1), values[None])
@@ -287,7 +288,7 @@ def adaptive(cell: Cell, grounds: Grounds, n: int, options: argparse.Namespace) 
         second = rest
         try:
             now = measured_ground(identify(cell, measured).estimate, measured, tasks=tuple(grounds.paper), draws=64)
-            planner = Planner(now, replace(settings, seed=number), grounds.reference)
+            planner = Planner(now, replace(settings, seed=number, starts=2, crossings=3), grounds.reference)
             found = planner.best(n - n // 2).sweeps
             if planner.judge(found).value(range(len(found))) < planner.judge(rest).value(range(len(rest))):
                 second = found
@@ -332,7 +333,7 @@ def machine(options: argparse.Namespace) -> None:
     ground = prior_ground(cell, tasks=tuple(options.tasks), draws=options.draws, seed=options.seed)
     paper = paper_protocol(cell)
     reference = ground.expected_sd(paper, readings=2)
-    planner = Planner(ground, replace(settings_of(options), starts=3, trials=6), reference)
+    planner = Planner(ground, replace(settings_of(options), starts=3, crossings=5, share=8), reference)
     plans = {"paper, midpoints": paper}
     plans |= {str(n): planner.in_order(planner.best(n).sweeps) for n in options.numbers}
     for name, plan in plans.items():
@@ -386,8 +387,8 @@ def parser() -> argparse.ArgumentParser:
         "--against", choices=("endpoints", "midpoints"), default="endpoints", help="of the paper's sweeps"
     )
     made.add_argument("--readings", type=int, default=2, help="of each planned sweep after its start")
-    made.add_argument("--draws", type=int, default=192, help="that plans are averaged over")
-    made.add_argument("--share", type=int, default=16, help="of these draws for each start of the search")
+    made.add_argument("--draws", type=int, default=256, help="that plans are averaged over")
+    made.add_argument("--share", type=int, default=32, help="of these draws for each start of the search")
     made.add_argument("--truths", type=int, default=500, help="that plans are judged on")
     made.add_argument("--tilt", type=float, default=4.3, help="largest tilt of the mirror in deg")
     made.add_argument("--coordinated", action="store_true", help="joints of one controller may move together")

@@ -87,7 +87,7 @@ def test_no_circle():
 
 
 #: Libraries that are an extra, or that take long to import and are not always needed.
-SLOW = {"arviz", "arviz_stats", "matplotlib", "nptdms", "pandas", "xarray"}
+SLOW = {"arviz_base", "arviz_stats", "matplotlib", "nptdms", "pandas", "xarray"}
 
 
 def test_imports_stand_at_the_top():

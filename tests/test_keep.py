@@ -38,10 +38,10 @@ class Lab:
         goal, costs = Goal(50.0), Costs(sigma_nm=5.0, diagnosis_h=24.0)
         return Keeper(self.campaign, CELL, goal, lambda _: costs, self.outputs, lambda: self.now)
 
-    def measure(self) -> str:
+    def measure(self, seed: int = 1) -> str:
         plan = read_sweeps(self.outputs.ticket, CELL, plan=True)
         session = self.campaign.with_name(f"{plan.session[0]}.csv")
-        write_sweeps(session, simulate_um(CELL, TRUTH, plan, sigma=0.005, seed=len(str(session))), CELL)
+        write_sweeps(session, simulate_um(CELL, TRUTH, plan, sigma=0.005, seed=seed), CELL)
         append(self.campaign, session, CELL, ticket=self.outputs.ticket)
         return str(plan.session[0])
 
@@ -87,6 +87,35 @@ def test_a_keeper_does_less_where_nothing_has_changed_and_finds_what_a_new_one_f
     assert found.followed is not first.followed
     np.testing.assert_array_equal(found.followed.track.last.state.mean, new.followed.track.last.state.mean)
     assert (found.decision.hold_hours, found.valid_until_h) == (new.decision.hold_hours, new.valid_until_h)
+
+
+def test_an_update_that_does_not_converge_leaves_what_was_known_and_the_loop_goes_on(tmp_path, monkeypatch):
+    lab = Lab(tmp_path)
+    keeper = lab.keeper()
+    good = keeper.round()
+    lab.now += 3600.0 * good.decision.hold_hours + 60.0
+    before = keeper.round()
+    name = lab.measure()
+    with monkeypatch.context() as stalls:
+        stalls.setattr("fpcal_bayes.tracking.filter._MAX_STEPS", 0)
+        doubtful = keeper.round()
+    last, expected = doubtful.followed.track.last, before.followed.track
+    assert (last.session, last.converged, last.n_sweeps) == (name, False, 0)
+    now = expected.drift.propagate(expected.last.state.mean, expected.last.state.covariance, last.time_h)
+    for found, known in zip((last.state.mean, last.state.covariance), now, strict=True):
+        np.testing.assert_allclose(found, known, rtol=1e-12, atol=1e-12)
+    said = json.loads(lab.outputs.estimate.read_text())
+    assert (said["trust"]["usable"], said["fit"]["converged"], said["valid_until_h"]) == (False, False, None)
+    assert f"the update of session {name} did not converge" in str(said["trust"]["reasons"])
+    # It is asked for sweeps again, not for a full calibration, and what these say lifts the doubt.
+    assert doubtful.decision.action == "extrinsic"
+    lab.now += 60.0
+    lab.measure(seed=2)
+    again = keeper.round()
+    assert again.followed.track.trust.usable
+    assert again.valid_until_h > again.now_h
+    assert json.loads(lab.outputs.estimate.read_text())["fit"]["converged"]
+    assert lab.keeper().round().valid_until_h == again.valid_until_h
 
 
 def test_a_ticket_that_is_being_measured_stays(tmp_path):

@@ -53,7 +53,7 @@ def test_slopes_against_differences() -> None:
 @pytest.mark.parametrize("several", [True, False])
 def test_descent_is_better_and_keeps_to_the_limits(ground: Ground, several: bool) -> None:
     search = planner(ground, several=several)
-    first = search.best(5).sweeps
+    first = search.candidates.take(np.arange(5))
     model, centre, made = CavityModel.of(CELL), CELL.free.nominal, ground.sweep_rows(2, 0.005)
     found = descend(first, search.judge, made, centre, LIMITS, several=several, iterations=25)
     again = descend(first, search.judge, made, centre, LIMITS, several=several, iterations=25)

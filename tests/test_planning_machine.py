@@ -108,7 +108,7 @@ def test_a_whole_trace_tells_as_much_as_many_readings() -> None:
 
 def test_a_plan_on_a_machine_covers_the_spin_and_turns_round(cell: Cell, ground: Ground) -> None:
     """Spin needs q6 where the paper's sweeps do not go; lost motion shows only if joints come from both sides."""
-    planner = Planner(ground, PlanSettings(n_candidates=100, starts=1, trials=1, share=3, iterations=2))
+    planner = Planner(ground, PlanSettings(n_candidates=100, starts=1, crossings=1, share=3, iterations=2))
     found = planner.best(8)
     ordered = planner.in_order(found.sweeps)
     assert planner.value(ordered) <= planner.value(found.sweeps) * 1.05

@@ -23,7 +23,7 @@ from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.motion.tasks import task_path
 from fpcal_bayes.simulator.sweeps import simulate_um
 
-SMALL = PlanSettings(n_candidates=150, starts=2, trials=2, iterations=10, share=4, several=True)
+SMALL = PlanSettings(n_candidates=150, starts=2, crossings=2, iterations=10, share=4, several=True)
 
 
 @pytest.fixture(scope="module")

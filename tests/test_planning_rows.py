@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.rows import sweep_rows
 from fpcal_bayes.infer.observability.observe import whitened_jacobian
+from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.measure.protocol import add_midpoints, paper_protocol, read_often
 from fpcal_bayes.measure.rules import check_sweeps
 from fpcal_bayes.model.cavity import CavityModel
@@ -39,3 +41,22 @@ def test_readings_are_evenly_spaced(femto: Cell) -> None:
     assert (read_often(plan, 1).group == "").all()
     with pytest.raises(InputError, match="0 readings: expected one at least"):
         read_often(plan, 0)
+
+
+@pytest.mark.parametrize("cell", [*(load_cell(opd=opd) for opd in ("axis", "perpendicular")), load_cell("three-beams")])
+def test_pulls_of_joints_against_differences(cell: Cell) -> None:
+    model, rng = CavityModel.of(cell), np.random.default_rng(0)
+    values = cell.free.nominal + 0.3 * rng.normal(size=(3, len(cell.free))) * cell.free.prior_sd
+    scales = np.where(cell.revolute, 1.0, 1000.0)
+    n, beam = len(scales), len(cell.beams) - 1
+    q = rng.uniform(-0.05, 0.05, (4, n)) * scales
+    pulls = rng.normal(size=(3, 4, len(cell.free)))
+
+    def pulled(poses: Floats) -> float:
+        _, jacobian = model.predict_with_jacobian(values, model.pose_rows(poses, np.full(len(poses), beam)))
+        return (jacobian * pulls).sum(axis=(0, 2))
+
+    steps = np.diag(1e-5 * scales)
+    differences = np.stack([(pulled(q + step) - pulled(q - step)) / (2.0 * step.max()) for step in steps], axis=1)
+    found = model.joint_pulls(values, q, pulls, beam, 1e-6 * scales)
+    np.testing.assert_allclose(found, differences, atol=1e-8 * np.abs(differences).max())

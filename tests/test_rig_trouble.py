@@ -14,6 +14,7 @@ from test_rig_files import with_columns
 from fpcal_bayes.analysis.append import append
 from fpcal_bayes.cli.main import main
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.times import iso
 from fpcal_bayes.io.campaign import read_campaign
 from fpcal_bayes.io.cell import load_cell
 from fpcal_bayes.io.sweeps import read_sweeps, write_csv, write_sweeps
@@ -224,9 +225,10 @@ def test_a_ticket_that_expires_half_measured_is_followed_by_another(cell_live, f
     monkeypatch.chdir(tmp_path)
     options = "--ticket ticket.csv --estimate now.json --rig live.toml --once --mechanics none"
     line = f"keep campaign.h5 {options}".split()
-    day0 = with_columns(write_ticket(tmp_path / "day0.csv", femto, session="full-0"), readings=2)
-    cell_live.measure(day0, tmp_path / "campaign.h5")
     clock, server, drives = cell_live.rig.clock, cell_live.emulated.server, [0]
+    day0 = simulate_um(femto, constant(femto), paper_protocol(femto, midpoints=True), sigma=0.003, seed=1)
+    utc, full = np.full(len(day0), iso(clock.now())), np.full(len(day0), "full-0")
+    write_sweeps(tmp_path / "campaign.h5", replace(day0, utc=utc, session=full), femto)
     move = cell_live.lab.move
 
     def lost(joint, target):

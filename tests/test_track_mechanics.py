@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from machine_errors import scaled
 from scipy import linalg
 
 from fpcal_bayes import (
@@ -153,7 +154,7 @@ def test_a_reading_far_off_is_set_aside(machine, sweeps, followed):
 
 
 def test_error_motions_that_change_are_told_from_the_geometry(machine, sweeps, followed):
-    other = Machine.draw(CELL, CELL.mechanics.scaled(12.0), machine.vector, np.random.default_rng(11))
+    other = Machine.draw(CELL, scaled(CELL.mechanics, 12.0), machine.vector, np.random.default_rng(11))
     moved = replace(machine, motions=other.motions)
     last = session("s4", 7.0, varied(np.random.default_rng(9)), moved)
     found = track(CELL, join([sweeps, last]), drift=DRIFT, known=followed)
@@ -199,17 +200,20 @@ def test_out_of_reach_is_said_with_the_least_that_can_be_met(followed, sweeps):
     assert within.after.exceeds(1e-3 * least) <= 0.1
 
 
-def test_where_one_session_is_not_enough_the_first_of_two_is_asked_for(machine):
+def test_where_one_session_is_not_enough_the_first_of_several_is_asked_for(machine):
     full = session("full", 0.0, paper_protocol(CELL, midpoints=True), machine)
-    followed, goal, costs = track(CELL, full, drift=DRIFT), Goal(40.0), Costs()
-    first = decide_track(followed, full, goal, costs, 0.1)
-    assert (first.action, len(first.sweeps)) == ("extrinsic", costs.most_sweeps)
-    assert first.after.exceeds(0.04) > goal.level
-    assert "two in a row do" in first.reason
-    both = join([full, session("s1", 0.1, first.sweeps, machine)])
-    second = decide_track(track(CELL, both, drift=DRIFT), both, goal, costs, 0.2)
-    assert second.action == "extrinsic"
-    assert second.after.exceeds(0.04) <= goal.level
+    sweeps, goal, costs, left = full, Goal(36.0), Costs(), []
+    while left[-1:] != [1]:
+        now_h = 0.1 * (1 + len(left))
+        found = decide_track(track(CELL, sweeps, drift=DRIFT), sweeps, goal, costs, now_h)
+        assert found.action == "extrinsic"
+        enough, said = found.after.exceeds(0.036) <= goal.level, re.search(r"(\d+) in a row do", found.reason)
+        assert enough == (said is None)
+        left.append(1 if said is None else int(said[1]))
+        sweeps = join([sweeps, session(f"s{len(left)}", now_h, found.sweeps, machine)])
+    assert 3 <= left[0] <= 5
+    assert left == sorted(left, reverse=True)
+    assert len(left) <= left[0] + 1
 
 
 def test_compensation_leaves_less_to_hold(followed, sweeps):

@@ -11,6 +11,7 @@ from track_fixtures import CELL, DRIFT, campaign, knock
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.measure.campaign import Campaign
+from fpcal_bayes.tracking import record
 from fpcal_bayes.tracking.alarms import Limits
 from fpcal_bayes.tracking.record import record_of, resume
 from fpcal_bayes.tracking.sessions import check_sessions
@@ -44,8 +45,10 @@ def saved(tmp_path):
     """A campaign file tracked up to session s4, two sessions after a knock."""
     part = early("s1", "s2", "s3", "s4")
     path = tmp_path / "campaign.h5"
-    record = record_of(track(CELL, part), part, LIMITS)
-    write_campaign(path, replace(Campaign.of(part, CELL), track=record), CELL)
+    made = record_of(track(CELL, part), part, LIMITS)
+    write_campaign(path, replace(Campaign.of(part, CELL), track=made), CELL)
+    # What this process remembers of it is another test's matter.
+    record._last.clear()
     return read_campaign(path, CELL).track
 
 
@@ -54,6 +57,20 @@ def test_tracking_goes_on_as_if_it_had_never_stopped(saved, whole):
     assert note == ""
     assert known.resumed == 5
     assert_same(track(CELL, SWEEPS, known=known), whole)
+
+
+def test_what_is_remembered_of_a_track_is_what_its_file_says(saved):
+    parts = check_sessions(SWEEPS)
+    read, note = resume(saved, CELL, DRIFT, LIMITS, parts, "file")
+    record._last.clear()
+    part = early("s1", "s2", "s3", "s4")
+    record_of(track(CELL, part), part, LIMITS)
+    remembered, again = resume(saved, CELL, DRIFT, LIMITS, parts, "file")
+    assert (note, again) == ("", "")
+    assert read.outcomes[2].measurement is None
+    assert remembered.outcomes[2].measurement is not None
+    assert_same(read, remembered)
+    assert_same(track(CELL, SWEEPS, known=read), track(CELL, SWEEPS, known=remembered))
 
 
 def test_a_late_session_is_taken_in_at_its_time(whole):

@@ -36,16 +36,10 @@ def append(
     ticket: str | Path | None = None,
     now: float | None = None,
 ) -> Appended:
-    """Add a measured session to a campaign and empty its ticket; nothing if the ticket asks for nothing.
+    """Add measured sessions, a file or what was read, to a campaign and empty its ticket; nothing if that asks nothing.
 
-    A session that is there already, under a ticket that was not emptied, is taken as done.
-
-    campaign: CSV or HDF5; replaced in one step, under the lock of its writers.
-    measured: sessions that the campaign does not hold yet, all later than its first; a file, or what was read.
-    ticket: what was to be measured.
-    now: Unix time, by default this machine's: sessions after it are refused.
-    Raises InputError if a row is not what the ticket asks for, is there already, or the sessions do not go together;
-    the campaign stays as it was.
+    Sessions that are there already, under a ticket that was not emptied, are taken as done; those after `now`, in Unix
+    time, are refused. Where anything is refused the campaign stays as it was.
     """
     asked = None if ticket is None else read_ticket(ticket, cell)
     if asked is not None and asked.plan is None:
@@ -76,10 +70,8 @@ def append(
 
 def _is_there(before: Sweeps, sweeps: Sweeps) -> bool:
     """Whether a campaign holds these very sessions."""
-    parts = [before.take(before.session == name) for name in sweeps.sessions]
-    return all(
-        _contents(part) == _contents(sweeps.of_session(name)) for name, part in zip(sweeps.sessions, parts, strict=True)
-    )
+    parts = [(before.take(before.session == name), sweeps.of_session(name)) for name in sweeps.sessions]
+    return all(_contents(there) == _contents(own) for there, own in parts)
 
 
 def _refuse_again(sweeps: Sweeps, before: Sweeps) -> None:

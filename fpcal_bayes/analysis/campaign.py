@@ -46,8 +46,6 @@ _DIAGNOSIS_H = 24.0
 
 @dataclass(frozen=True)
 class _Measured:
-    """A campaign as it was read."""
-
     file: str | Path
     cell: Cell
     sweeps: Sweeps  # of all sessions
@@ -72,9 +70,12 @@ class _Measured:
         if self.campaign is not None and self.campaign.track is not None and not anew:
             known, note = resume(self.campaign.track, cell, drift, limits, self.parts, str(self.file))
 
-        # Where drift is not as stated, the first sessions say so, and the others cost less under what they say.
+        # Where drift is not as stated, the first sessions say so, and the others cost less under what they say. A track
+        # that is taken up knows that, and stays as it is if there is nothing new.
         begun, resumed, found = min(_LEARNT_FIRST, len(self.parts)), 0 if known is None else len(known.outcomes), known
-        for count in dict.fromkeys((max(begun, resumed), len(self.parts))):
+        for count in dict.fromkeys((begun, len(self.parts))):
+            if count <= resumed:
+                continue
             rows = sweeps if count == len(self.parts) else join(self.parts[:count], file=sweeps.file)
 
             def taken(known: Track | None, rows: Sweeps = rows) -> Track:
@@ -100,15 +101,9 @@ class Followed:
 
 
 def follow(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign, from where a saved track ends.
+    """Follow a campaign from where a saved track ends, or `anew`; sessions after `now` are refused.
 
-    Parameters
-    ----------
-    now
-        Hours since the campaign began, or a clock time, as text: sessions after it are refused. A number is a Unix
-        time, which is held against rows with clock times only.
-    anew
-        Take in all sessions again, whatever was saved.
+    As text `now` is hours since the campaign began or a clock time; a number is a Unix time, held against clock times.
     """
     measured = _Measured.read(file, cell, now)
     warm_up(cell)
@@ -279,7 +274,6 @@ def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStan
 
 
 def _budget(found: Identification, goal: Goal) -> tuple[Budget | None, str]:
-    """The budget of the first task after the calibration, or why there is none."""
     estimate = found.estimate
     if not estimate.trust.usable:
         return None, estimate.trust.against

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import finite
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.axes import Sight, axis_words, direction_words, home, joint_axes, sight
 from fpcal_bayes.model.cell.cell import Cell
@@ -60,16 +61,16 @@ class CellView:
         seen, scales = self.sight, self.cell.joint_scales
         tilts = {name: getattr(self.reach, name) for name in ("tilt_x", "tilt_z")}
         return {
-            "q": {name: _number(v) for name, v in zip(self.cell.joint_columns, self.q / scales, strict=True)},
+            "q": {name: finite(v) for name, v in zip(self.cell.joint_columns, self.q / scales, strict=True)},
             "axes": [
                 {"name": a.name, "kind": a.kind, "direction": a.direction.tolist(), "words": a.words} for a in self.axes
             ],
             "mirror": {"normal": seen.normal.tolist(), "origin_um": seen.origin.tolist()},
             "fibre": {"end_um": seen.fibre.tolist(), "light": seen.light.tolist()},
-            "length_um": _number(seen.length),
+            "length_um": finite(seen.length),
             "tilt_deg": float(np.degrees(seen.tilt)),
             "faces_the_light": bool(seen.tilt < np.pi / 2 and seen.length > 0),
-            "reflection_point_um": [_number(x) for x in seen.point],
+            "reflection_point_um": [finite(x) for x in seen.point],
             "reach": {
                 "circle_um": self.reach.circle,
                 **{f"{name}_deg": None if v is None else float(np.degrees(v)) for name, v in tilts.items()},
@@ -176,7 +177,3 @@ def _missing(cell: Cell) -> list[str]:
     elif cell.envelope.gap is None:
         found.append("gap_um and gap_sd_um of [envelope], the measured gap: lengths tell its changes only")
     return found
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

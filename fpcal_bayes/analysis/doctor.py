@@ -46,7 +46,6 @@ def row_names(sweeps: Sweeps, chosen: Bools) -> str:
 
 
 def _times(sweeps: Sweeps) -> Iterator[Finding]:
-    """Times of the sessions."""
     names = sweeps.sessions
     times = {name: sweeps.time_h[sweeps.session == name] for name in names}
     if len(names) > 1 and len({float(t.max()) for t in times.values()}) == 1:
@@ -79,7 +78,6 @@ def _times(sweeps: Sweeps) -> Iterator[Finding]:
 
 
 def _rows(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
-    """Single rows: twice the same, at limits, without sign, joints that never move."""
     unsigned = ~sweeps.signed & ~sweeps.absolute
     if unsigned.any():
         what = f"{int(unsigned.sum())} of {len(sweeps)} rows have no sign: {row_names(sweeps, unsigned)}"
@@ -161,7 +159,6 @@ def _still_readings(name: str, part: Sweeps) -> Iterator[Finding]:
 
 
 def _plan(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
-    """What a plan will not show."""
     what = "the file is a plan: nothing is measured yet"
     yield Finding("note", "plan", "", what, "measure it; fpcal observe says in full what it will tell")
     for name in sweeps.sessions:

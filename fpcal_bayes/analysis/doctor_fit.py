@@ -61,7 +61,6 @@ def session_fits(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
 
 
 def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
-    """Directions of the calibration that other measurements would show."""
     seen = observe(cell, used)
     hidden = [gauge for gauge in seen.gauges if gauge.layer == "model"]
     if hidden:
@@ -78,7 +77,6 @@ def _rank(cell: Cell, used: Sweeps) -> Iterator[Finding]:
 
 
 def _fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Iterator[Finding]:
-    """Whether the session's own fit can be believed."""
     reasons = {reason.kind: reason.text for reason in found.estimate.trust.reasons}
     if "signs" in reasons:
         remedy = "scan the wavelength before and after these sweeps, or leave them out"
@@ -215,7 +213,6 @@ def _poor_fit(cell: Cell, name: str, used: Sweeps, found: Identification) -> Ite
 
 
 def _other(cell: Cell) -> Cell:
-    """The same cell with the other path model."""
     return cell.with_opd("perpendicular" if cell.opd == "axis" else "axis")
 
 

@@ -22,8 +22,7 @@ from fpcal_bayes.tracking.tracker import Track, smooth_track
 _MOST_TIMES, _LEAST_BETWEEN, _LEAST_AHEAD = 480, 3, 24
 #: Times at which the error of the tasks is worked out, at most.
 _MOST_OUTLOOKS = 160
-#: A change is explained by the stated drift unless one as large is rarer than this; directions of which less than this
-#: share of the variance was told since do not count; draws of what is expected of tasks.
+#: Changes rarer than this the drift does not explain; least share of a direction's variance that was told; draws.
 _EXPLAINED, _TOLD, _DRAWS = 1e-3, 1e-2, 1000
 
 
@@ -74,10 +73,7 @@ class TaskChange:
 
 @dataclass(frozen=True)
 class SinceCalibration:
-    """What changed between the last calibration and the last session, held against the stated drift.
-
-    Under it the change of the filter's mean is normal, its covariance what the sessions since have told.
-    """
+    """What changed between last calibration and last session, held against the stated drift: a normal change."""
 
     session: str  # the calibration
     hours: float  # from it to the last session
@@ -241,10 +237,7 @@ def session_bounds(outcome: SessionOutcome) -> tuple[float, float] | None:
 
 
 def session_log(facts: CampaignFacts) -> list[tuple[SessionOutcome, float, bool, float]] | None:
-    """Each session, for how many hours its estimate held, or held at least, and how late the next one came.
-
-    After the last one the present stands for it. None where that cannot be said.
-    """
+    """Each session, hours that its estimate held, or at least held, and how late the next one, or the present, came."""
     if facts.track is None or facts.forecast is None or facts.fit_is_wrong:
         return None
     entries, outcomes = [], facts.track.outcomes

@@ -32,10 +32,7 @@ from fpcal_bayes.tracking.tracker import Track
 
 
 def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None, anew: bool = False) -> Followed:
-    """Follow a campaign and save its states in it, if it is an HDF5 file, under the lock of its writers.
-
-    Arguments are those of `follow`.
-    """
+    """As `follow`; the states are saved in the campaign, if it is an HDF5 file, under the lock of its writers."""
     with contextlib.ExitStack() as alone:
         # Two that save their states in one campaign would each lose what the other found.
         if is_campaign_file(file):
@@ -102,7 +99,7 @@ class Keeper:
         self._held: Decision | None = None
         # Until when the estimate holds, and what is to be said of that; and what was published.
         self._until: tuple[float | None, list[str]] | None = None
-        self._published: object = None
+        self._published: tuple[list[str], list[object], float] | None = None
 
     def round(self) -> Round:
         """Follow, decide, publish; `InputError` if the campaign cannot be read or followed."""
@@ -127,9 +124,9 @@ class Keeper:
             notes += [] if decision.attainable_nm is None else [decision.reason]
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
-        if self._published != (notes, self._stamps()):
+        if self._published is None or self._published[:2] != (notes, self._stamps()):
             self._publish(found, until_h, notes, began)
-            self._published = notes, self._stamps()
+            self._published = notes, self._stamps(), began
         ticket = self._issue(decision, sweeps, moment)
         return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
 
@@ -138,7 +135,6 @@ class Keeper:
         self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
-        """The campaign as it is followed up to its last session."""
         path, (before, known) = Path(self._campaign), self._followed
         same = known is not None and before <= moment and path.is_file()
         if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
@@ -161,7 +157,6 @@ class Keeper:
         return ticket
 
     def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
-        """Write a ticket, unless it is empty as the one that is there."""
         if pending is None or pending.plan is not None or ticket.plan is not None:
             write_ticket(self._outputs.ticket, ticket, self._cell)
 
@@ -176,6 +171,8 @@ class Keeper:
         """Unix time at which the campaign began, by when its sessions were first seen; the last estimate remembers."""
         # A session is seen when it was measured or later, so that the earliest guess is the nearest.
         guess = moment - 3600.0 * found.last.time_h
+        if self._published is not None and self._published[1] == self._stamps():
+            return min(guess, self._published[2])
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             before: Mapping[str, Any] = json.loads(self._outputs.estimate.read_text(encoding="utf-8"))
             if before["calibration_session"] == found.outcomes[0].session:
@@ -193,7 +190,6 @@ class Keeper:
             write_flat(self._outputs.flat, flat_content(estimate))
 
     def _stamps(self) -> list[object]:
-        """Tell whether the published files are as they were written."""
         return [stamp(path) for path in (self._outputs.estimate, self._outputs.flat) if path is not None]
 
     def _valid_until(self, found: Track) -> tuple[float | None, list[str]]:

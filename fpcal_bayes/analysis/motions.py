@@ -62,10 +62,9 @@ def motion_curves(estimate: Estimate) -> list[MotionCurve]:
 
 
 def axis_tables(estimate: Estimate) -> dict[int, dict[str, Floats]]:
-    """Error motions by joint position, as columns over the joint's value, named after ISO 230-1.
+    """Error motions by joint position, mean and 95 % band as columns over the joint's value; to compensate subtract.
 
-    EYX is what a joint along X moves along Y: the nearest world axes, A B C for turns. Mean and edges of the 95 % band
-    of what is added at the point of the data sheet; to compensate subtract it.
+    Names are those of ISO 230-1: EYX is what a joint along X, the nearest world axis, moves along Y; A B C are turns.
     """
     knowledge, tables = estimate.mechanics, dict[int, dict[str, Floats]]()
     if knowledge is None:

@@ -34,10 +34,7 @@ class FreedomNumbers:
 
 @dataclass(frozen=True)
 class TaskNumbers(FreedomNumbers):
-    """A predicted task error along the beam, with the angles in deg.
-
-    All numbers are NaN, and the probability is None, where what the prediction is made from is not to be used.
-    """
+    """A predicted task error along the beam, angles in deg; NaN, and None, where nothing of it is to be used."""
 
     task: Task  # as it is driven: points that cannot be reached are left out
     linear: bool  # to first order from a covariance, else from posterior draws

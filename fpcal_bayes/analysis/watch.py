@@ -22,15 +22,10 @@ def watch(
     *,
     at_least: float = np.inf,
 ) -> NoReturn:
-    """Take in a file, and again whenever it has changed, until the process is interrupted.
+    """Take in a file, and again whenever it has changed or `at_least` seconds have passed, until interrupted.
 
-    Nothing that the file holds ends this: a file that is not there yet, that another program holds or that cannot be
-    taken in is waited for, and tried again later even if it has not changed.
-
-    seconds: between two looks at the file.
-    take_in: does the work; its argument is whether it came to its end the last time.
-    say: told what is waited for, once.
-    at_least: seconds after which the file is taken in although it has not changed.
+    Nothing that the file holds ends this: one that is missing, held by another program or cannot be taken in is tried
+    again later, even unchanged. `take_in` is told whether it came to its end the last time, `say` what is waited for.
     """
     seen: object = ()
     waiting, again = "", False

@@ -91,5 +91,4 @@ def joints_at(cell: Cell, text: str) -> Floats:
             raise InputError(f"--at {part!r:.40}: expected a number in um or deg") from error
     if not np.isfinite(shown).all():
         raise InputError(f"--at {text!r:.40}: expected finite numbers")
-    internal: Floats = shown * cell.joint_scales
-    return internal
+    return np.asarray(shown * cell.joint_scales)

@@ -12,6 +12,7 @@ from fpcal_bayes.analysis.motions import axis_tables
 from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import file_sha256, make_folder
+from fpcal_bayes.core.linalg import finite
 from fpcal_bayes.core.times import clock, iso
 from fpcal_bayes.core.version import __version__
 from fpcal_bayes.infer.fit.kernels import warm_up_inverse
@@ -102,7 +103,7 @@ def certificate(estimate: Estimate, file: Path) -> dict[str, Any]:
             "mechanics": "perfect" if estimate.mechanics is None else "stated",
             "assumed_half_widths": asdict(Conditions()),
             "joint_ranges": {
-                name: [float(end) if np.isfinite(end) else None for end in ends]
+                name: [finite(end) for end in ends]
                 for name, *ends in zip(
                     cell.joint_columns, cell.low / cell.joint_scales, cell.high / cell.joint_scales, strict=True
                 )

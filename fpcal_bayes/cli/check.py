@@ -7,13 +7,12 @@ import numpy as np
 from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
-from fpcal_bayes.fringes.path_check import PathError, check, check_rows
+from fpcal_bayes.fringes.path_check import check, check_rows
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.tasks.source import read_estimate_draws
 from fpcal_bayes.io.estimate import read_estimate
 from fpcal_bayes.io.sweeps import write_sweeps
 from fpcal_bayes.io.traces import read_path_trace
-from fpcal_bayes.measure.traces import PathTrace
 from fpcal_bayes.model.air_index import ciddor
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
@@ -25,8 +24,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     if options.output is None and options.points is not None:
         raise InputError("--points: is taken with -o only")
     index = _index(options, cell)
-    estimate = read_estimate(options.estimate, cell)
-    draws = read_estimate_draws(options.estimate, cell)
+    estimate, draws = read_estimate(options.estimate, cell), read_estimate_draws(options.estimate, cell)
     trace = read_path_trace(options.trace, cell)
     warm_up(cell)
     found = check(
@@ -41,7 +39,9 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     tolerance = None if options.tolerance_nm is None else 1e-3 * options.tolerance_nm
     warnings = check_warnings(found) + estimate.trust.texts
     if options.output is not None and found.verdict != "not evaluated":
-        _write_rows(options, cell, estimate, trace, found.measured)
+        points, time_h = options.points or 0, estimate.time_h if options.time_h is None else options.time_h
+        rows = check_rows(estimate, trace, found.measured, session=options.session, time_h=time_h, points=points)
+        write_sweeps(options.output, rows, cell, command="fpcal check")
     elif options.output is not None:
         warnings.append(f"{options.output} is not written: the check was not evaluated")
     content = {"check": check_content(found, tolerance), "warnings": warnings}
@@ -51,7 +51,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _index(options: argparse.Namespace, cell: Cell) -> float:
-    """Refractive index of the air."""
     air = (options.temperature_c, options.pressure_hpa, options.humidity_pct)
     if all(value is None for value in air):
         return 1.0
@@ -72,11 +71,3 @@ def _drift(options: argparse.Namespace, cell: Cell, estimate: Estimate) -> Float
     drift = DriftModel.of(cell, estimate.parameters)
     start = drift.initial(estimate.values, np.zeros_like(estimate.covariance))
     return drift.covariance(drift.propagate(*start, hours)[1])
-
-
-def _write_rows(
-    options: argparse.Namespace, cell: Cell, estimate: Estimate, trace: PathTrace, measured: PathError
-) -> None:
-    time_h = estimate.time_h if options.time_h is None else options.time_h
-    rows = check_rows(estimate, trace, measured, session=options.session, time_h=time_h, points=options.points or 0)
-    write_sweeps(options.output, rows, cell, command="fpcal check")

@@ -65,11 +65,7 @@ def rows_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
 
 
 def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Estimate | None, Estimate | None]:
-    """The sweeps with those that an earlier estimate was made from; the normal prior; and the estimate they are of.
-
-    Of an estimate that was made from sweeps the sweeps themselves are taken: its surface bends, a normal prior does
-    not. Values and covariance are those of a normal prior only where they were measured otherwise.
-    """
+    """The sweeps with those of an earlier estimate, whose surface bends, and that estimate; or it as a normal prior."""
     if path is None:
         return sweeps, None, None
     estimate, rows = read_estimate(path, cell), read_estimate_rows(path, cell)
@@ -85,10 +81,7 @@ def with_prior(path: str | None, cell: Cell, sweeps: Sweeps) -> tuple[Sweeps, Es
 
 
 def with_source(result: Identification, file: str, sweeps: Sweeps, before: Estimate | None = None) -> Identification:
-    """The result with name and hash of the file, and the sessions, that it was made from.
-
-    What forbids the use of the estimate `before`, whose sweeps were taken along, holds of the result.
-    """
+    """The result with its file, hash and sessions, and with what forbids the use of `before`, whose sweeps it took."""
     data = {"file": Path(file).name, "sha256": file_sha256(Path(file)), "session": ",".join(sweeps.sessions)}
     found = replace(result.estimate, data=data)
     against = [r for r in (() if before is None else before.trust.reasons) if KINDS[r.kind]]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from fpcal_bayes.cli.common import show, write_result
 from fpcal_bayes.core.files import make_folder, replacing, require_suffix
-from fpcal_bayes.core.linalg import counted
+from fpcal_bayes.core.linalg import counted, finite
 from fpcal_bayes.fringes.ingest import Ingested, IngestSettings, ingest
 from fpcal_bayes.fringes.kernels import fit_signal
 from fpcal_bayes.fringes.wavelength_scan import ScanReading
@@ -61,7 +61,6 @@ def _write(options: argparse.Namespace, found: Ingested, index: TraceIndex, cell
 
 
 def _draw(folder: Path, found: Ingested, index: TraceIndex, cell: Cell) -> int:
-    """Draw the doubtful sweeps; how many were drawn."""
     drawn = [i for i in found.doubtful.recording.tolist() if found.readings[i] is not None]
     if not drawn:
         return 0
@@ -100,22 +99,22 @@ def recordings_content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[s
         if reading is not None:
             scale = float(cell.joint_scales[moving_joint(sweeps, i)])
             row |= {
-                "dl_um": _number(reading.dl),
-                "sigma_um": _number(reading.sigma),
+                "dl_um": finite(reading.dl),
+                "sigma_um": finite(reading.sigma),
                 "signed": int(reading.signed),
                 "sign_from": reading.sign_source or None,
-                "fringes": _number(reading.fringes),
+                "fringes": finite(reading.fringes),
                 "reversals": [turn / scale for turn in reading.reversals],
                 "lost_motion": reading.late / scale,
                 "uneven": reading.uneven,
                 "alternatives_um": list(reading.alternatives),
-                "samples_per_fringe": _number(reading.samples_a_fringe),
-                "noise_v": _number(reading.noise),
-                "visibility": _number(reading.amplitude / float(index.traces[i].irradiance.mean())),
+                "samples_per_fringe": finite(reading.samples_a_fringe),
+                "noise_v": finite(reading.noise),
+                "visibility": finite(reading.amplitude / float(index.traces[i].irradiance.mean())),
             }
         elif (scan := found.scans_after[i]) is not None:
-            row |= {"dl_um": _number(scan.length), "sigma_um": _number(scan.sigma), "signed": 1}
-            row |= {"fringes": _number(scan.fringes), "reversals": [], "alternatives_um": []}
+            row |= {"dl_um": finite(scan.length), "sigma_um": finite(scan.sigma), "signed": 1}
+            row |= {"fringes": finite(scan.fringes), "reversals": [], "alternatives_um": []}
         rows.append(row)
     counts = {"recordings": len(index), "rows": len(found.sweeps), "doubtful": len(found.doubtful)}
     return {"counts": counts, "sweeps": rows, "warnings": list(found.warnings)}
@@ -125,11 +124,7 @@ def _scan_content(scan: ScanReading | None) -> dict[str, Any] | None:
     if scan is None:
         return None
     doubt = scan.refused or scan.doubt or None
-    return {"length_um": _number(scan.length), "sigma_um": _number(scan.sigma), "doubtful": doubt}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return {"length_um": finite(scan.length), "sigma_um": finite(scan.sigma), "doubtful": doubt}
 
 
 def _report(options: argparse.Namespace, found: Ingested, folder: Path | None) -> None:

@@ -20,6 +20,7 @@ from fpcal_bayes.report.campaign.page import write_campaign_report
 from fpcal_bayes.report.track import decision_sentence, time_text, verdict_lines
 from fpcal_bayes.rig.clock import Clock
 from fpcal_bayes.rig.reader import read_rig
+from fpcal_bayes.rig.route import Guard
 from fpcal_bayes.rig.settings import IDSDevice, Rig
 
 
@@ -60,7 +61,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, found: Round) -> None:
-    """Drive the ticket and hand over what was measured."""
     ticket = read_ticket(options.ticket, cell)
     assert ticket.plan is not None
     # A ticket that expired half measured has a session of the same name after it.
@@ -69,7 +69,10 @@ def _measure(options: argparse.Namespace, cell: Cell, rig: Rig, found: Round) ->
     campaign = Path(options.campaign)
     session = campaign.with_name(f"{campaign.stem}_{name}.h5")
     words = argparse.Namespace(**vars(options) | {"output": session})
-    agenda = measure.drive(words, cell, rig, ticket, found.followed.sweeps)
+    # An estimate that is not to be used does not end the loop: moves are then held to the cell's prior.
+    track = found.followed.track
+    guard = Guard(cell, rig, track.estimate() if track.lasting_trust.usable else None)
+    agenda = measure.drive(words, cell, rig, guard, ticket, found.followed.sweeps)
     sweeps = agenda.sweeps()
     if agenda.left or sweeps is None:
         raise InputError(f"{session}: the ticket is not measured to its end")

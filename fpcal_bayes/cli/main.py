@@ -148,7 +148,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str], *, alone: bool) -> int:
-    """Run one command; `alone` in a process that does nothing else."""
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise InputError(f"{word!a}: expected a name in {sys.getfilesystemencoding()}")

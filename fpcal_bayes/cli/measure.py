@@ -34,19 +34,17 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
         return 0
     rig = read_rig(options.rig, cell)
     warm_up(cell)
+    guard = Guard(cell, rig, None if options.estimate is None else read_estimate(options.estimate, cell))
     if options.dry_run:
-        return _show(options, cell, _guard(options, cell, rig), ticket)
+        return _show(options, cell, guard, ticket)
     campaign = None if options.campaign is None else read_sweeps(options.campaign, cell)
-    return 1 if drive(options, cell, rig, ticket, campaign).left else 0
+    return 1 if drive(options, cell, rig, guard, ticket, campaign).left else 0
 
 
-def _guard(options: argparse.Namespace, cell: Cell, rig: Rig) -> Guard:
-    return Guard(cell, rig, None if options.estimate is None else read_estimate(options.estimate, cell))
-
-
-def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, campaign: Sweeps | None) -> Agenda:
-    """Drive a ticket of a campaign, as the options `output`, `estimate` and those of the screen say."""
-    guard = _guard(options, cell, rig)
+def drive(
+    options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, ticket: Ticket, campaign: Sweeps | None
+) -> Agenda:
+    """Drive a ticket of a campaign, as the options `output` and those of the screen say."""
     origin = origin_of(ticket, campaign, rig.clock.now())
     command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
     agenda = Agenda(ticket, cell, rig, options.output, origin, command)
@@ -73,7 +71,6 @@ def drive(options: argparse.Namespace, cell: Cell, rig: Rig, ticket: Ticket, cam
 
 
 def _show(options: argparse.Namespace, cell: Cell, guard: Guard, ticket: Ticket) -> int:
-    """The dry run, as a table."""
     orders = orders_of(ticket)
     legs = dry_run(guard, orders, guard.inside(orders[0].start))
     table = Table("sweep", "moves", "time [s]", "least gap [um]", "fringes a second, most", box=None)

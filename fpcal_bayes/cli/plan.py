@@ -47,7 +47,7 @@ from fpcal_bayes.report.plan import accuracy_table, frontier_content, plan_conte
 from fpcal_bayes.tracking.drift import propagated
 
 #: Draws of the prior; with mechanics the state is larger, and error motions hardly depend on the geometry.
-_DRAWS, _MACHINE_DRAWS = 192, 24
+_DRAWS, _MACHINE_DRAWS = 256, 24
 #: Other draws that a plan is judged on, at most.
 _CHECKED = 96
 #: Seconds until the first line of progress, and between two.
@@ -83,12 +83,14 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    """Search for a plan, write it, and say what it is expected to leave."""
     tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
     ground, check, trust = _grounds(options, cell, tasks)
     readings, sigma = settings.readings, settings.sigma
-    papers = _paper(cell)
+    try:
+        papers = paper_protocol(cell)
+    except InputError:
+        papers = None
     warnings = no_envelope_text(ground.model, ground.draws)
     reference = targets or (ground.expected_sd(papers, readings=1, sigma=sigma) if papers is not None else None)
     planner = Planner(ground, settings, reference, bar.part("plan"))
@@ -220,7 +222,6 @@ class _Bar:
 
 
 def _commission(options: argparse.Namespace, cell: Cell, settings: PlanSettings) -> int:
-    """Write the sweeps that a new cell is commissioned with."""
     warm_up(cell)
     sweeps, (model, draws) = commission_plan(cell), prior_draws(cell)
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file=options.output)
@@ -263,16 +264,13 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
-        extra.append(_absolute(cell))
+        home = np.zeros((1, len(cell.joints)))
+        extra.append(
+            Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
+        )
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
-
-
-def _absolute(cell: Cell) -> Sweeps:
-    """One absolute length at joint vector zero."""
-    home = np.zeros((1, len(cell.joints)))
-    return Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
 
 
 def _labelled(sweeps: Sweeps) -> Sweeps:
@@ -282,14 +280,6 @@ def _labelled(sweeps: Sweeps) -> Sweeps:
         f"p{number:02d}-" + "".join(f"q{i}" for i, m in enumerate(row, 1) if m) for number, row in enumerate(moved, 1)
     ]
     return replace(sweeps, label=np.array(names, dtype=np.str_))
-
-
-def _paper(cell: Cell) -> Sweeps | None:
-    """The paper's sweeps, if the cell can make them."""
-    try:
-        return paper_protocol(cell)
-    except InputError:
-        return None
 
 
 def _targets(text: str | None) -> dict[str, float]:
@@ -323,14 +313,13 @@ def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
         sigma=options.sigma_nm * 1e-3,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,
-        **({} if cell.mechanics is None else {"starts": 3, "trials": 6}),
+        **({} if cell.mechanics is None else {"starts": 3, "crossings": 5, "share": 8}),
         seed=options.seed,
         limits=SweepLimits(tilt=float(np.radians(options.max_tilt_deg)), fringe_rate=options.max_fringe_rate),
     )
 
 
 def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, object]:
-    """How the plan was searched, for JSON."""
     return {
         "for": options.purpose,
         "reach": options.reach,
@@ -339,7 +328,7 @@ def _record(options: argparse.Namespace, settings: PlanSettings) -> dict[str, ob
         "candidates": settings.n_candidates,
         "coordinated": settings.several,
         "starts": settings.starts,
-        "exchanges": settings.trials,
+        "crossings": settings.crossings,
         "iterations": settings.iterations,
         "draws": options.draws,
         "seed": settings.seed,

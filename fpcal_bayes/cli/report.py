@@ -16,7 +16,11 @@ from fpcal_bayes.report.campaign.words import since_content, standing, verdict
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
     goal = goal_of(options, cell)
-    _warm_up(cell)
+    try:
+        warm_up_inverse(cell)
+    except InputError:
+        # A cell whose joints cannot be solved for a pose has a report too, without tasks.
+        warm_up(cell)
     with console(options).status("working out the report"):
         facts = write_campaign_report(
             options.campaign,
@@ -38,16 +42,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     return 1 if any(reason.kind == "not-converged" for reason in facts.trust.reasons) else 0
 
 
-def _warm_up(cell: Cell) -> None:
-    """Load the kernels; a cell whose joints cannot be solved for a pose has a report too, without tasks."""
-    try:
-        warm_up_inverse(cell)
-    except InputError:
-        warm_up(cell)
-
-
 def _command(options: argparse.Namespace) -> str:
-    """The command, with the names of the files but not their folders."""
     words = ["fpcal", "report", Path(options.campaign).name, "-o", options.output.name]
     for name in ("posterior", "verification"):
         if getattr(options, name) is not None:

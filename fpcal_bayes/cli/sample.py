@@ -12,7 +12,7 @@ from fpcal_bayes.core.files import exclusive, make_folder, require_suffix
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.kernels import warm_up
 from fpcal_bayes.infer.posterior.checkpoint import BlockStore
-from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, write_netcdf
+from fpcal_bayes.infer.posterior.netcdf import content, data_tree, slip_probabilities, summarise, write_netcdf
 from fpcal_bayes.infer.posterior.sample import identity, sample
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.report.posterior import posterior_table
@@ -44,7 +44,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _sample(options: argparse.Namespace, result: Identification, store: BlockStore) -> int:
-    """Draw, and write what was drawn."""
     if not options.resume:
         store.clear()
     with Console(stderr=True, quiet=options.quiet or not sys.stderr.isatty()).status("sampling") as status:
@@ -62,7 +61,7 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
     write_result(options.json, "sample", content(posterior))
     out = console(options)
     title = f"{options.file}, session {','.join(result.problem.sweeps.sessions)}: posterior"
-    out.print(posterior_table(posterior, title))
+    out.print(posterior_table(summarise(posterior), posterior.identification.free, title))
     diagnostics = posterior.diagnostics
     out.say(
         f"sampler: {posterior.log_density.size} draws in {posterior.seconds:.1f} s, acceptance "

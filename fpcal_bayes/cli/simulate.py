@@ -46,7 +46,6 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _check_options(options: argparse.Namespace) -> None:
-    """Refuse options that would have no effect."""
     if options.path is not None and not options.traces:
         raise InputError("--path: is taken with --traces only")
     if options.traces and options.sigma_nm is not None:
@@ -63,7 +62,6 @@ def _machine(cell: Cell) -> str:
 
 
 def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps, protocol: str) -> int:
-    """Changes of length with Gaussian noise."""
     warm_up(cell)
     sigma_nm = _SIGMA_NM if options.sigma_nm is None else options.sigma_nm
     sweeps = simulate_um(cell, truth, plan, sigma=sigma_nm * 1e-3, seed=options.seed)
@@ -78,7 +76,6 @@ def _measure(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps
 
 
 def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps) -> int:
-    """Traces of sweeps, with an index."""
     check_recordable(plan)
     warm_up(cell)
     index = record_sweeps(cell, truth, plan, seed=options.seed, scans=plan.signed)
@@ -92,7 +89,6 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
 
 
 def _record_path(options: argparse.Namespace, cell: Cell, truth: Truth) -> int:
-    """The trace of one path."""
     require_suffix(options.output, ".csv")
     path = read_joint_path(options.path, cell)
     warm_up(cell)

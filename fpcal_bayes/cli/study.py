@@ -37,6 +37,7 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
     warm_up_inverse(cell)
     os.environ.update(_ONE_THREAD)
     began = time.monotonic()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     hidden = options.quiet or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), disable=hidden, transient=True) as bar:
         task = bar.add_task(f"study {study.name}", total=options.replicates)
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
             study,
             options.output,
             options.replicates,
-            workers=options.workers or _cores(),
+            workers=options.workers or cores or 1,
             anew=options.anew,
             progress=lambda done: bar.update(task, completed=done),
         )
@@ -73,13 +74,7 @@ def run(options: argparse.Namespace, stated: Cell) -> int:
     return 0
 
 
-def _cores() -> int:
-    """How many cores this process may use; where the system does not tell, all."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _study_of(options: argparse.Namespace, cell: Cell) -> Study:
-    """The study that the options name."""
     sigma = 1e-3 * options.sigma_nm
     if options.study == "coverage":
         return Coverage(cell=cell, seed=options.seed, plan=_sweeps_of(options, cell), sigma=sigma)
@@ -90,7 +85,6 @@ def _study_of(options: argparse.Namespace, cell: Cell) -> Study:
 
 
 def _sweeps_of(options: argparse.Namespace, cell: Cell) -> Sweeps:
-    """The sweeps that ``--protocol`` names, as a plan of one session."""
     if options.protocol in PROTOCOLS:
         return protocol_by_name(options.protocol, cell)
     first = read_sweeps(options.protocol, cell, plan=True).of_session(None)

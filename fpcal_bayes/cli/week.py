@@ -4,7 +4,6 @@ import argparse
 import io
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from fpcal_bayes.cli.common import Output, console, warn
 from fpcal_bayes.core.files import exclusive, make_folder, write_json, write_text
@@ -12,7 +11,7 @@ from fpcal_bayes.decision.policy import valid_until
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.infer.fit.kernels import warm_up_inverse
 from fpcal_bayes.infer.posterior.draws import Posterior
-from fpcal_bayes.infer.posterior.netcdf import data_tree, write_netcdf
+from fpcal_bayes.infer.posterior.netcdf import data_tree, summarise, write_netcdf
 from fpcal_bayes.infer.posterior.sample import sample
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
 from fpcal_bayes.io.traces import write_path_trace
@@ -79,8 +78,11 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     week = Week(cell, truth, sweeps, results)
     command = f"fpcal week --sigma-nm {options.sigma_nm:g} --seed {options.seed}"
     _write_data(options, week, followed, command)
-    _write_paths_and_figures(options.output, week, followed, checks, renewed)
     folder = options.output
+    make_folder(folder / "circles")
+    for circle in [*checks, *renewed]:
+        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, cell)
+    save_figure(draw_courses(followed.courses), folder / "courses.svg")
     if posterior is not None:
         write_netcdf(data_tree(posterior, seed=options.seed, command=command), folder / "posterior.nc")
     if options.page:
@@ -105,7 +107,6 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
 
 
 def _write_data(options: argparse.Namespace, week: Week, followed: Followed, command: str) -> None:
-    """Both campaigns, and an estimate JSON a session."""
     folder, cell = options.output, week.cell
 
     def save(file: str, sweeps: Sweeps, lived: Track) -> None:
@@ -125,17 +126,7 @@ def _write_data(options: argparse.Namespace, week: Week, followed: Followed, com
         write_json(folder / f"{name}.json", {"schema": SCHEMA, "command": "identify", **found.content()})
 
 
-def _write_paths_and_figures(
-    folder: Path, week: Week, followed: Followed, checks: list[Circle], renewed: list[Circle]
-) -> None:
-    make_folder(folder / "circles")
-    for circle in [*checks, *renewed]:
-        write_path_trace(folder / "circles" / f"{circle.name}.csv", circle.trace, week.cell)
-    save_figure(draw_courses(followed.courses), folder / "courses.svg")
-
-
 def _print_week(week: Week, out: Output, *, timed: bool) -> None:
-    """Print each session's parameters beside the truth, as the paper's tables have them."""
     for session in SESSIONS:
         result = week.identifications[session.name]
         truth = week.truth.at(24.0 * session.day)
@@ -150,7 +141,6 @@ def _print_week(week: Week, out: Output, *, timed: bool) -> None:
 
 
 def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circle], out: Output) -> None:
-    """Print the circles, and what each way through the week held and cost."""
     tolerance = followed.goal.tolerance_um
     out.print(circle_table("Circle with the estimate of day 0 (Fig 13)", checks, tolerance))
     out.print(circle_table("Circle at each identification (Fig 14)", renewed, tolerance))
@@ -162,10 +152,9 @@ def _print_courses(followed: Followed, checks: list[Circle], renewed: list[Circl
 
 
 def _print_posterior(posterior: Posterior | None, out: Output) -> None:
-    """Print the posterior of day 0, or what it fails by."""
     if posterior is None:
         out.print("Posterior of day 0: not sampled, since its maximum was not found")
         return
-    out.print(posterior_table(posterior, "Posterior of day 0"))
+    out.print(posterior_table(summarise(posterior), posterior.identification.free, "Posterior of day 0"))
     for failure in posterior.failures:
         out.say(f"not converged: {failure}")

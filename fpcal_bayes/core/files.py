@@ -41,8 +41,6 @@ _OWN_WORDS = re.compile(r"(?:^|/)fpcal$|^fpcal_bayes$|(?:from|import) fpcal_baye
 
 #: Key of a JSON file under which the hash of all the rest stands.
 CONTENT_HASH = "content_sha256"
-#: Lists of numbers stand on one line; no text in JSON holds a line end.
-_NUMBERS = re.compile(r"\[\n[-+0-9.eE,\s]+\]")
 
 
 def require_readable(path: Path) -> None:
@@ -113,9 +111,9 @@ def make_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path`; on success it takes the place of `path`, unless another program holds that.
+    """Give a temporary name that on success, on disk, takes the place of `path`, unless another program holds that.
 
-    Content reaches the disk before the rename. Links are followed; a device or a stream is written, never replaced.
+    Links are followed; a device or a stream is written, never replaced.
     """
     target = require_writable(path)
     try:
@@ -276,8 +274,20 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` and its hash as JSON; NaN and infinity are refused, since JSON has neither."""
-    text = json.dumps(content | {CONTENT_HASH: content_sha256(content)}, indent=1, allow_nan=False)
-    write_text(path, _NUMBERS.sub(lambda found: " ".join(found[0].split()), text) + "\n")
+    write_text(path, _laid_out(content | {CONTENT_HASH: content_sha256(content)}) + "\n")
+
+
+def _laid_out(value: Any, line: str = "\n") -> str:
+    """A value as JSON, a line per entry, but lists of numbers on one; `line` ends a line and indents the next."""
+    inner = f"{line} "
+    if isinstance(value, dict) and value:
+        entries = (f"{inner}{json.dumps(key)}: {_laid_out(each, inner)}" for key, each in value.items())
+        return f"{{{','.join(entries)}{line}}}"
+    if isinstance(value, list | tuple) and value:
+        if all(issubclass(kind, int | float) and kind is not bool for kind in set(map(type, value))):
+            return f"[ {json.dumps(value, allow_nan=False)[1:-1]} ]"
+        return f"[{','.join(inner + _laid_out(each, inner) for each in value)}{line}]"
+    return json.dumps(value, allow_nan=False)
 
 
 def read_text(path: Path) -> str:

@@ -21,15 +21,13 @@ def covariance_root(covariance: Floats, scale: Floats | None = None, *, eigh: Ei
         own = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
         scale = np.where(own > 0, own, 1.0)
     values, vectors = eigh(covariance / np.outer(scale, scale))
-    root: Floats = scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
-    return root
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None)))
 
 
 def symmetric_root(covariance: Floats, *, least: float = 0.0, eigh: Eigh = np.linalg.eigh) -> Floats:
     """The symmetric matrix whose square is `covariance` (n, n), eigenvalues raised to `least`; only it is smooth."""
     values, vectors = eigh(covariance)
-    root: Floats = (vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T
-    return root
+    return np.asarray((vectors * np.sqrt(np.clip(values, least, None))) @ vectors.T)
 
 
 def posterior_triangle(jacobian: Floats) -> Floats:
@@ -60,6 +58,11 @@ def quantile_band(values: Floats, share: ArrayLike, axis: int | None = None) -> 
 def chi2_tail(value: float, dof: float) -> float:
     """Probability that a chi-square variable with `dof` degrees of freedom exceeds `value`."""
     return float(special.gammaincc(dof / 2.0, value / 2.0))
+
+
+def finite(value: float) -> float | None:
+    """A number as JSON has it: None in place of one that is not finite."""
+    return float(value) if np.isfinite(value) else None
 
 
 def plain(square: float, places: int = 1) -> str:

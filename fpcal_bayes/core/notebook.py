@@ -14,7 +14,6 @@ class Result:
     """A result that tells, tabulates, draws and writes itself, by `fpcal_bayes.report.notebook`, loaded when asked."""
 
     def _view(self) -> Any:
-        """All that is shown of it."""
         return _load("shown")(self)
 
     def summary(self) -> str:

@@ -21,6 +21,8 @@ Purpose = Literal["extrinsics", "robot", "both"]
 #: Sweeps for a state at the time of the session, at most so many, the most useful first.
 Chooser = Callable[[Forecaster, State, int], Sweeps]
 
+#: So many sessions in a row are looked ahead where one is not enough.
+_IN_A_ROW = 5
 #: By which the least tolerance that can be met is rounded up.
 _ROUNDING = 1.002
 
@@ -130,7 +132,7 @@ def decide(
 
     Nothing is measured before the probability of being out of tolerance passes the level. Then, of the sessions with
     few sweeps that bring it below, the one that costs the fewest minutes an hour held; if none does, a full one; if
-    that does not either, the first of two sessions with few sweeps that do.
+    that does not either, the first of several sessions in a row with few sweeps that do.
 
     The forecast is for the estimate that the controller holds, and `state` predicted for now. `calibration` is the plan
     of a full one; `calibration_due` says why it is due whatever the error, or is None. With `measure` something is
@@ -168,13 +170,12 @@ def decide(
     full = session_of(forecast, model, state, costs, calibration)
     if full.outlook.exceeds(goal.tolerance_um) > goal.level:
         if sessions and not measure:
-            # What remains of a machine's error motions after one session may need another.
-            first, count = sessions[-1], counted(costs.most_sweeps, "sweep")
-            again = choose(forecast.following(first.state.mean), first.state, costs.most_sweeps)
-            second = session_of(forecast, model, first.state, costs, again)
-            if second.outlook.exceeds(goal.tolerance_um) <= goal.level:
-                reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, two in a row do"
-                return made("extrinsic", 0.0, first, first.outlook, reason)
+            # What remains of a machine's error motions after one session may need others.
+            row = _in_a_row(forecast, model, costs, choose, sessions[-1])
+            if row[-1].outlook.exceeds(goal.tolerance_um) <= goal.level:
+                count = counted(costs.most_sweeps, "sweep")
+                reason = f"no session of up to {count} brings {passes} below {goal.level:.0%}, {len(row)} in a row do"
+                return made("extrinsic", 0.0, row[0], row[0].outlook, reason)
         every = [full, *sessions]
         best = min(every, key=lambda s: s.outlook.attainable(goal.level))
         # Rounded up, and a little more: the forecast for that tolerance leaves out other negligible directions.
@@ -205,6 +206,17 @@ def session_of(forecast: Forecaster, model: CavityModel, state: State, costs: Co
     updated = forecast.following(after.mean)
     hours = updated.hold_hours(after, costs.horizon_h)
     return _Session(plan, costs.minutes(len(plan)), after, updated.outlook(after), hours)
+
+
+def _in_a_row(
+    forecast: Forecaster, model: CavityModel, costs: Costs, choose: Chooser, first: _Session
+) -> list[_Session]:
+    """Sessions that follow one another without a pause, from the first one until the tolerance is expected to hold."""
+    found, goal = [first], forecast.goal
+    while len(found) < _IN_A_ROW and found[-1].outlook.exceeds(goal.tolerance_um) > goal.level:
+        state = forecast.ahead(found[-1].state, found[-1].minutes / 60.0)
+        found.append(session_of(forecast, model, state, costs, choose(forecast, state, costs.most_sweeps)))
+    return found
 
 
 def _if_it_lasts(

@@ -68,7 +68,7 @@ def is_diagnosis(
 ) -> bool:
     """Whether the session of `outcome` could show a change of the robot, `before` being the outcome before it."""
     rows = sweeps.take(sweeps.kind != "path")
-    if not len(rows):
+    if not len(rows) or not outcome.converged:
         return False
     at, hours = watched(drift, limits), outcome.time_h - before.time_h
     most = most_power(drift, outcome.predicted, hours, limits)[at]

@@ -283,6 +283,20 @@ class Policy:
         )
 
 
+#: What `last_forecast` gave last, and for what.
+_forecasts: list[tuple[Track, Forecaster]] = []
+
+
+def last_forecast(track: Track, goal: Goal) -> Forecaster:
+    """The forecast for the estimate after the last session; a cell that holds asks for the same again and again."""
+    for known, found in _forecasts:
+        if known.drift is track.drift and known.last is track.last and found.goal == goal:
+            return found
+    model = CavityModel.of(track.cell, track.drift.parameters)
+    _forecasts[:] = [(track, Forecaster.of(track.drift, model, goal, track.last.state.mean))]
+    return _forecasts[0][1]
+
+
 def _standing(
     track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: float
 ) -> tuple[Policy, Forecaster, State, Floats]:
@@ -293,11 +307,11 @@ def _standing(
             f"now is {now_h:g} h, before the last session {last.session!r} at {last.time_h:g} h: expected a time after"
         )
     model = CavityModel.of(track.cell, track.drift.parameters)
-    forecast = Forecaster.of(track.drift, model, goal, last.state.mean)
+    forecast = last_forecast(track, goal)
     state = forecast.ahead(last.state, now_h - last.time_h)
     # A robot that moved by itself is known as before its first calibration only.
     values, covariance = track.drift.values(state.mean), track.drift.covariance(state.covariance)
-    known = normal_draws(values, covariance) if track.trust.usable else prior_draws(track.cell)[1]
+    known = normal_draws(values, covariance) if track.lasting_trust.usable else prior_draws(track.cell)[1]
     calibration, visible = motions_alone(sweeps.of_session(track.outcomes[0].session)), SweepLimits()
     if tilts(model, values, np.zeros((1, len(track.cell.joints))))[0] > visible.tilt:
         # Fringes were seen wherever the calibration stood.
@@ -313,8 +327,8 @@ def suggest_sweeps(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h
 
     As `decide_track`; `InputError` too where the track is not to be used.
     """
-    if not track.trust.usable:
-        raise InputError(f"the estimate is not to be used: {track.trust.against}")
+    if not track.lasting_trust.usable:
+        raise InputError(f"the estimate is not to be used: {track.lasting_trust.against}")
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     chosen = policy.choose(forecast, state, n)
     require_within_envelope(policy.model, known, chosen.q_start, chosen.q_end, file="suggested sweeps")
@@ -330,7 +344,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     """
     policy, forecast, state, known = _standing(track, sweeps, goal, costs, now_h)
     due = track.calibration_due
-    reason = f"the robot itself moved before session {due}" if due is not None else track.trust.against or None
+    reason = f"the robot itself moved before session {due}" if due is not None else track.lasting_trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     decision = policy.decide(forecast, state, reason, diagnosed)
     if decision.sweeps is not None:
@@ -342,8 +356,7 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
 def valid_until(track: Track, goal: Goal) -> float:
     """Hours since the campaign began until which the last estimate holds the tasks; a week ahead at most."""
     state = track.last.state
-    forecast = Forecaster.of(track.drift, CavityModel.of(track.cell, track.drift.parameters), goal, state.mean)
-    return state.time_h + forecast.hold_hours(state, HOURS_PER_WEEK)
+    return state.time_h + last_forecast(track, goal).hold_hours(state, HOURS_PER_WEEK)
 
 
 def _plain(sweeps: Sweeps) -> Sweeps:

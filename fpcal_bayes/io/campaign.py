@@ -38,10 +38,7 @@ _DOUBTFUL_NUMBERS = {"recording": "", "dl_um": "um", "sigma_um": "um", "signed":
 def write_campaign(
     path: str | Path, campaign: Campaign, cell: Cell, *, asked: Mapping[str, Column] | None = None
 ) -> None:
-    """Write a campaign to an HDF5 file, whole or not at all; equal content gives equal bytes.
-
-    `asked` are columns that say how a plan is to be measured. `InputError` if a reader would refuse the sweeps.
-    """
+    """Write a campaign to HDF5, whole or not at all, equal content as equal bytes; `asked` as in `to_columns`."""
     path = Path(path)
     _require_cell(path, campaign.cell_name, campaign.cell_sha256, campaign.opd, cell)
     table = to_columns(campaign.sweeps, cell, path, asked)
@@ -72,10 +69,7 @@ def write_campaign(
 
 
 def read_campaign(path: str | Path, cell: Cell, *, plan: bool = False, whole: bool = False) -> Campaign:
-    """Read a campaign of a cell, whose path model may differ, from an HDF5 file; nothing outside it is opened.
-
-    `plan` accepts sweeps without measurement too; `whole` keeps a sweep with `readings` whole, which else becomes rows.
-    """
+    """Read a campaign of a cell, whose path model may differ, from HDF5; `plan`, `whole` as in `read_sweeps`."""
     path = Path(path)
     with reading(path) as reader:
         root = reader.root
@@ -136,13 +130,6 @@ def _truth(reader: Reader) -> TruthRecord:
     return TruthRecord(tuple(names), tuple(units), reader.numbers(group, "time_h"), reader.numbers(group, "values", 2))
 
 
-def _one_text(reader: Reader, group: Any, name: str) -> str:
-    texts = reader.texts(group, name)
-    if len(texts) != 1:
-        raise InputError(f"{reader.path}: {group.name}/{name}: expected one text, found {len(texts)}")
-    return str(texts[0])
-
-
 def put_track(group: Any, record: TrackRecord) -> None:
     """Store a record in an HDF5 group."""
     put_text(group, "cell_sha256", record.cell_sha256)
@@ -171,14 +158,15 @@ def _whole(packed: Floats, size: int) -> Floats:
 
 
 def _track_sha256(record: TrackRecord) -> str:
-    """Hash of all that a record holds."""
     arrays = {name: hashlib.sha256(np.ascontiguousarray(getattr(record, name))).hexdigest() for name in _TRACK_ARRAYS}
     return content_sha256([record.cell_sha256, record.settings_sha256, list(record.names), record.summary, arrays])
 
 
 def get_track(reader: Reader, group: Any) -> TrackRecord:
     """Read a record from an HDF5 group; `InputError` if anything in it is not as `put_track` writes it."""
-    summary = _one_text(reader, group, "json")
+    texts = reader.texts(group, "json")
+    if len(texts) != 1:
+        raise InputError(f"{reader.path}: {group.name}/json: expected one text, found {len(texts)}")
     arrays = {name: reader.numbers(group, name, ndim) for name, ndim in _TRACK_ARRAYS.items()}
     sessions, states = arrays["mean"].shape
     if arrays["covariance"].shape == (sessions, states * (states + 1) // 2):
@@ -191,7 +179,7 @@ def get_track(reader: Reader, group: Any) -> TrackRecord:
         cell_sha256=reader.text_attribute(group, "cell_sha256"),
         settings_sha256=reader.text_attribute(group, "settings_sha256"),
         names=tuple(reader.texts(group, "names").tolist()),
-        summary=summary,
+        summary=str(texts[0]),
         **arrays,
     )
     # Older programs wrote none.

@@ -127,8 +127,6 @@ _CHECKED = "handedness_checked"
 
 
 class _Reader(Tables):
-    """Turns the tables of one file into a cell."""
-
     def cell(self, table: dict[str, Any]) -> Cell:
         self.keys(
             table,

@@ -19,10 +19,7 @@ _BEAM_KEYS = ("name", "shares", "target", "opd", "optical_axis", "wavelength_nm"
 def read_beams(
     reader: Tables, tables: object, first: Mapping[str, Any], extrinsic: dict[str, Any] | None
 ) -> tuple[list[Beam], list[tuple[str, dict[str, Any], str]]]:
-    """The beams of a cell, and for each the place of its table of parameters, that table, and the names' suffix.
-
-    first: what a beam has that states nothing else. extrinsic: the table [extrinsic] of the first beam, or None.
-    """
+    """The beams of a cell, by default as `first`; place of each table of parameters, that table, names' suffix."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise reader.error("beam", f"expected one [[beam]] table for each beam, found {literal(tables)}")
     made: dict[str, Beam] = {}

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,9 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 #: Digits written: 1e-9 um of a cavity length and 1e-12 of an angle survive, the noise of deg to rad and back does not.
 _DIGITS = 13
+
+#: Fields of fewer characters repeat in many rows.
+_SHORT = 9
 
 #: Samples of one file of numbers; a longer one is no sweep.
 MAX_SAMPLES = 20_000_000
@@ -77,26 +80,45 @@ class Records:
 
 def read_records(path: Path, expected: str = "", text: str | None = None) -> Records:
     """The records of a CSV file, or of its `text`; `InputError`, with what was `expected`, where no line holds text."""
+    return next(read_blocks(path, expected, text, sys.maxsize))
+
+
+def read_blocks(path: Path, expected: str, text: str | None, most: int) -> Iterator[Records]:
+    """The records of a CSV file as `read_records`, at most so many at a time, since texts of all take much memory."""
     text = read_text(path) if text is None else text
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    records, lines = [], []
+    # Lines are decoded as they are read: a text stream in memory takes four bytes a character.
+    reader = csv.reader(io.TextIOWrapper(io.BytesIO(text.encode()), encoding="utf-8", newline=""), strict=True)
+    header: list[str] = []
+    header_row, known = 1, dict[str, str]()
+    texts: list[list[str]] = []
+    lines: list[int] = []
+
+    def block() -> Records:
+        return Records(path, header, header_row, texts, np.array(lines, dtype=np.int64))
+
     try:
         for record in reader:
-            if len(record) > 1 or (record and record[0].strip()):
-                # Most fields of many rows repeat: each text is held once.
-                records.append(list(map(sys.intern, record)))
-                lines.append(reader.line_num)
+            if not (len(record) > 1 or (record and record[0].strip())):
+                continue
+            if not header:
+                header, header_row = record, reader.line_num
+                if len(header) == 1 and re.search("[;\t]", header[0]):
+                    raise located(path, "expected fields separated by commas", row=header_row)
+                continue
+            # Nothing can be cut off from a 0 or a 1; any other last field may be a part of what was written.
+            if not lines and header[-1] != "signed":
+                require_line_end(path, text)
+            if len(texts) == most:
+                yield block()
+                texts, lines = [], []
+            # Most short fields of many rows repeat: each is held once.
+            texts.append([known.setdefault(field, field) if len(field) < _SHORT else field for field in record])
+            lines.append(reader.line_num)
     except csv.Error as error:
         raise located(path, f"not a line of CSV ({error})", row=max(reader.line_num, 1)) from error
-    if expected and not records:
+    if expected and not header:
         raise InputError(f"{path}: the file holds no text, expected {expected}")
-    # Nothing can be cut off from a 0 or a 1; any other last field may be a part of what was written.
-    if len(records) > 1 and records[0][-1] != "signed":
-        require_line_end(path, text)
-    header, header_row = (records[0], lines[0]) if records else ([], 1)
-    if len(header) == 1 and re.search("[;\t]", header[0]):
-        raise located(path, "expected fields separated by commas", row=header_row)
-    return Records(path, header, header_row, records[1:], np.array(lines[1:], dtype=np.int64))
+    yield block()
 
 
 def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:

@@ -172,18 +172,15 @@ class _Reader(Tables):
             raise self.error("covariance.matrix", "expected a symmetric matrix of finite numbers")
         matrix = (matrix + matrix.T) / 2
         variances = np.diag(matrix)
-        if (variances < _SMALLEST).any() or _lowest_eigenvalue(
-            matrix / np.sqrt(np.outer(variances, variances))
-        ) < -1e-6:
+        good = bool((variances >= _SMALLEST).all())
+        if good:
+            correlation = matrix / np.sqrt(np.outer(variances, variances))
+            # Eigenvalues are asked for only where every entry can be a correlation.
+            good = bool(np.abs(correlation).max(initial=0.0) <= 1 + 1e-6)
+            good = good and bool(np.linalg.eigvalsh(correlation)[:1].min(initial=0.0) >= -1e-6)
+        if not good:
             raise self.error("covariance.matrix", "expected a positive semidefinite matrix")
         full, chosen = np.zeros((len(parameters), len(parameters))), parameters.positions(names)
         scales = parameters.scales[chosen]
         full[np.ix_(chosen, chosen)] = matrix * np.outer(scales, scales)
         return full
-
-
-def _lowest_eigenvalue(correlation: Floats) -> float:
-    """Lowest eigenvalue of a correlation matrix; minus infinity where an entry cannot be a correlation."""
-    if np.abs(correlation).max(initial=0.0) > 1 + 1e-6:
-        return -np.inf
-    return float(np.linalg.eigvalsh(correlation)[:1].min(initial=0.0))

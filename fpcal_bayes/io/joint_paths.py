@@ -18,10 +18,7 @@ PATH_COLUMNS = ("x_um", "y_um", "z_um", "rx_deg", "ry_deg", "rz_deg")
 
 
 def read_joint_path(path: str | Path, cell: Cell) -> Floats:
-    """Joint vectors (n, n_joints) in um and rad from a CSV with the columns ``q1_um`` .. ``q6_deg``.
-
-    `InputError` if the status of a line is not ``ok``: a path with a gap cannot be driven.
-    """
+    """Joint vectors (n, n_joints) in um and rad from a CSV with the columns ``q1_um`` .. ``q6_deg``, each status ok."""
     path = Path(path)
     records = read_records(path)
     wanted = cell.joint_columns
@@ -40,10 +37,7 @@ def read_joint_path(path: str | Path, cell: Cell) -> Floats:
 def write_joints(
     path: str | Path, cell: Cell, q: Floats, status: NDArray[np.str_], predicted_sd: Floats, *, task: str
 ) -> None:
-    """Write a joint path (n_points, n_joints), whole or not at all, as ``.csv`` or ``.mat``.
-
-    Joints are left empty, or NaN, where the status is not ``ok``; `predicted_sd` is in um, NaN where there is none.
-    """
+    """Write a joint path (n_points, n_joints), empty or NaN where not ok, as CSV or MATLAB; `predicted_sd` is in um."""
     path = Path(path)
     require_suffix(path, ".csv", ".mat")
     shown = np.where((status == "ok")[:, None], q, np.nan) / cell.joint_scales

@@ -102,7 +102,6 @@ def _write(path: Path, poses: Sequence[_Pose], cell: Cell) -> None:
 
 
 def _axes(cell: Cell) -> dict[tuple[str, str], int]:
-    """Joint by controller and channel."""
     axes: dict[tuple[str, str], int] = {}
     for j, joint in enumerate(cell.joints):
         if joint.controller is None:
@@ -119,10 +118,7 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
 
 
 def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time_h: float = 0.0) -> Sweeps:
-    """Sweeps of what controllers logged, CSV or MATLAB; measured where the log holds lengths, else a plan.
-
-    `session` and `time_h`, with clock times that of the first row, hold where the log does not say.
-    """
+    """Sweeps of a log, a plan where it holds no lengths; `session`, and `time_h` of its first row, if it is silent."""
     path = Path(path)
     table, rows = _read(path)
     joints, n = _joints_of(path, table, rows, cell), len(rows)
@@ -162,7 +158,6 @@ def read_moves(path: str | Path, cell: Cell, *, session: str = "session-1", time
 
 
 def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
-    """Columns, and the row of each line."""
     require_suffix(path, ".csv", ".mat")
     table: dict[str, Any] = {}
     if path.suffix.lower() == ".mat":

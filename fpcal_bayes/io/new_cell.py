@@ -28,10 +28,9 @@ _GAP = """\
 
 
 def read_dh_table(path: str | Path) -> tuple[tuple[JointKind, ...], Floats]:
-    """Kinds and links (beta, alpha, d, theta, r in deg and um, shape (n, 5)) from modified DH parameters.
+    """Kinds and links (beta, alpha, d, theta, r in deg and um, shape (n, 5)) from a CSV of modified DH parameters.
 
-    path: CSV with the columns ``kind,alpha_deg,a_um,theta_deg,d_um`` (Craig's alpha and a of the link before, theta and
-    d of the joint, without the joint's own value), a row a joint from base to tool; ``beta_deg`` may follow.
+    Craig's alpha and a of the link before, theta and d of the joint without its value; ``beta_deg`` may follow.
     """
     records = read_records(Path(path))
     texts = [[text.strip() for text in row] for row in records.texts]

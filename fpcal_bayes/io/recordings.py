@@ -34,11 +34,7 @@ _MAT_SUFFIX = ".mat"
 
 
 def read_recordings(path: str | Path, cell: Cell, columns: Mapping[str, str] | None = None) -> TraceIndex:
-    """Read recorded sweeps with their traces and scans.
-
-    path: A CSV, whose traces lie in files named relative to it; or an HDF5 or MATLAB file that holds everything.
-    columns: what the files of traces call the columns that they call otherwise.
-    """
+    """Read recorded sweeps from a CSV that names its traces, HDF5 or MATLAB; `columns` as in `read_trace`."""
     cell.require_one_beam("a file of recordings")
     path = Path(path)
     require_readable(path)
@@ -54,10 +50,7 @@ def read_recordings(path: str | Path, cell: Cell, columns: Mapping[str, str] | N
 
 
 def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
-    """Write recorded sweeps in the format that the suffix names: ``.csv``, ``.h5`` or ``.hdf5``.
-
-    A CSV gets a folder for its traces and scans beside it: ``INDEX_traces`` for ``INDEX.csv``.
-    """
+    """Write recorded sweeps as ``.csv``, with a folder ``INDEX_traces`` beside it, ``.h5`` or ``.hdf5``."""
     path = Path(path)
     check_index(index, cell)
     require_suffix(path, ".csv", *HDF5_SUFFIXES)
@@ -66,7 +59,6 @@ def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
 
 
 def _read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> TraceIndex:
-    """Read an index and the files that it names, which lie in the index's folder; `columns` as in `read_trace`."""
     records = read_records(path, "a header and sweeps")
     for name in MEASUREMENT:
         if name in records.header:
@@ -102,7 +94,6 @@ def _read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> Trace
 
 
 def _write_csv_index(path: Path, index: TraceIndex, cell: Cell) -> None:
-    """Write an index, and its traces and scans to the folder ``<name>_traces`` beside it."""
     folder = path.parent / f"{path.stem}_traces"
     make_folder(folder)
     names: dict[str, list[str]] = {"trace": [], "scan_before": [], "scan_after": []}

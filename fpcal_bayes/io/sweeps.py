@@ -7,11 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import exclusive, require_readable, require_suffix
+from fpcal_bayes.core.typing import Ints
 from fpcal_bayes.io.campaign import read_campaign, write_campaign
-from fpcal_bayes.io.columns import check_names, from_columns, parsed, required_columns, to_columns
-from fpcal_bayes.io.csv import read_records, table_text, write_table
+from fpcal_bayes.io.columns import Column, check_names, from_columns, parsed, required_columns, to_columns
+from fpcal_bayes.io.csv import Records, read_blocks, table_text, write_table
 from fpcal_bayes.io.hdf5 import is_hdf5
 from fpcal_bayes.measure.campaign import Campaign
 from fpcal_bayes.measure.sweeps import Sweeps, join
@@ -20,6 +23,8 @@ from fpcal_bayes.model.cell.cell import Cell
 HDF5_SUFFIXES = (".h5", ".hdf5")
 #: Characters of packed sweeps, and of their CSV.
 _MOST_PACKED, _MOST_UNPACKED = 75_000, 20_000_000
+#: Rows of a CSV file whose texts are held at once.
+_ROWS_AT_ONCE = 5000
 
 
 def is_campaign_file(path: str | Path) -> bool:
@@ -72,10 +77,9 @@ def write_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, **beside: Any) ->
 
 
 def append_sweeps(path: str | Path, sweeps: Sweeps, cell: Cell, check: Callable[[Sweeps], object] = len) -> Sweeps:
-    """Add measured sessions to a file of sweeps, under the lock that every writer of it takes; all that it holds now.
+    """Add measured sessions to a file of sweeps, under the lock of its writers; all that it holds now.
 
-    `check` is called with all sweeps before anything is written; where it or this raises `InputError` the file is as it
-    was. Other content of a campaign is kept.
+    `check` sees all sweeps first: where it raises `InputError` the file stays. Other content of a campaign is kept.
     """
     path = Path(path)
     if not sweeps.measured:
@@ -100,14 +104,24 @@ def read_csv(
 ) -> Sweeps:
     """Read sweeps from a CSV file, or from its `text`; their `rows` are lines of the file, the header being line 1."""
     path = Path(path)
-    records = read_records(path, "a header and sweeps", text)
+    tables: list[dict[str, Column]] = []
+    rows: list[Ints] = []
+    for records in read_blocks(path, "a header and sweeps", text, _ROWS_AT_ONCE):
+        if not tables:
+            _check_header(records, cell, plan=plan)
+        tables.append(parsed(records))
+        rows.append(records.rows)
+    table = {name: np.concatenate([part[name] for part in tables]) for name in tables[0]}
+    return from_columns(table, cell, str(path), np.concatenate(rows), plan=plan, whole=whole)
+
+
+def _check_header(records: Records, cell: Cell, *, plan: bool) -> None:
     header, row = records.header, records.header_row
-    check_names(header, cell, path, plan=plan, row=row)
+    check_names(header, cell, records.path, plan=plan, row=row)
     required = list(required_columns(cell))
     if not plan and header[: len(required)] != required:
         place = next(i for i, name in enumerate(required) if header[i] != name)
-        raise located(path, f"expected the column {required[place]}, found {header[place]}", row=row)
-    return from_columns(parsed(records), cell, str(path), records.rows, plan=plan, whole=whole)
+        raise located(records.path, f"expected the column {required[place]}, found {header[place]}", row=row)
 
 
 def packed(sweeps: Sweeps, cell: Cell) -> str | None:

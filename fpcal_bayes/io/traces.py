@@ -31,10 +31,9 @@ from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 
 def read_trace(path: str | Path, scale: float, columns: Mapping[str, str] | None = None) -> Trace:
-    """A trace from a CSV file with the columns ``t_s,joint,irradiance_v``, or from a file of another program.
+    """A trace from a CSV file ``t_s,joint,irradiance_v``, or of another program, whose names `columns` tells.
 
-    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg; `columns` says what the file
-    calls the columns that it calls otherwise.
+    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg.
     """
     path = Path(path)
     other = is_other(path, ",".join(TRACE_COLUMNS))
@@ -64,10 +63,7 @@ def write_scan(path: str | Path, scan: WavelengthScan) -> None:
 
 
 def unscaled(values: Floats, scale: float) -> Floats:
-    """Numbers x with x * scale equal to `values` to the last bit wherever such numbers exist.
-
-    A quotient alone is off by a bit now and then, and a file read back would differ from what was written.
-    """
+    """Numbers x with x * scale equal to `values` to the last bit, as no quotient is, wherever such numbers exist."""
     quotient = values / scale
     for towards in (-np.inf, np.inf):
         off = quotient * scale != values

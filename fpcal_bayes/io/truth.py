@@ -10,10 +10,9 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth from a TOML file, in um, deg or ppm.
+    """Read a truth from a TOML file, in um, deg or ppm; what it does not name is nominal.
 
-    It has a table ``[parameters]`` of values by name, which hold at all times, or several ``[[epoch]]``, each with
-    ``time_h`` and a table ``[epoch.parameters]``; what a table does not name is nominal.
+    It has a table ``[parameters]``, or several ``[[epoch]]``, each with ``time_h`` and a table ``[epoch.parameters]``.
     """
     return read_toml(Path(path), lambda table: _truth(Tables(path, shown), table, cell))
 
@@ -27,7 +26,6 @@ def _truth(tables: Tables, table: dict[str, Any], cell: Cell) -> Truth:
 
 
 def _epochs(tables: Tables, table: dict[str, Any], cell: Cell) -> list[tuple[float, dict[str, float]]]:
-    """Time in hours and values of each epoch."""
     epochs: list[tuple[float, dict[str, float]]] = []
     if not isinstance(table["epoch"], list) or not table["epoch"]:
         raise tables.error("epoch", "expected one or more tables [[epoch]]")

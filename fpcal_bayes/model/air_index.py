@@ -41,8 +41,7 @@ def ciddor(wavelength: ArrayLike, temperature_c: ArrayLike, pressure_hpa: ArrayL
     dry_standard = 101325.0 / (_compressibility(15.0, 101325.0, 0.0) * _GAS_CONSTANT * (15.0 + _ZERO_CELSIUS))
     wet_standard = 1333.0 / (_compressibility(20.0, 1333.0, 1.0) * _GAS_CONSTANT * (20.0 + _ZERO_CELSIUS))
     # Molar masses are the same above and below the fraction line, so moles stand for densities.
-    index: Floats = 1.0 + moles * ((1.0 - vapour) * dry / dry_standard + vapour * wet / wet_standard)
-    return index
+    return np.asarray(1.0 + moles * ((1.0 - vapour) * dry / dry_standard + vapour * wet / wet_standard))
 
 
 def air_index(
@@ -66,8 +65,7 @@ def _vapour_fraction(celsius: Floats, pressure: Floats, humidity: Floats) -> Flo
     over_ice = 10.0 ** (12.537 - 2663.5 / kelvin)
     saturation = np.where(celsius >= 0.0, over_water, over_ice)
     enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * celsius**2
-    fraction: Floats = enhancement * humidity * saturation / pressure
-    return fraction
+    return np.asarray(enhancement * humidity * saturation / pressure)
 
 
 def _compressibility(celsius: ArrayLike, pressure: ArrayLike, vapour: ArrayLike) -> Floats:
@@ -76,5 +74,4 @@ def _compressibility(celsius: ArrayLike, pressure: ArrayLike, vapour: ArrayLike)
     ratio = np.asarray(pressure, dtype=float) / (t + _ZERO_CELSIUS)
     linear = 1.58123e-6 - 2.9331e-8 * t + 1.1043e-10 * t**2
     linear = linear + (5.707e-6 - 2.051e-8 * t) * x + (1.9898e-4 - 2.376e-6 * t) * x**2
-    result: Floats = 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * x**2)
-    return result
+    return np.asarray(1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * x**2))

@@ -26,6 +26,7 @@ from fpcal_bayes.model.kernels.lengths import (
     few_vector_lengths,
 )
 from fpcal_bayes.model.kernels.point import batch_points, point_columns
+from fpcal_bayes.model.kernels.pull import joint_pulls
 from fpcal_bayes.model.parameters import ParameterSet
 
 
@@ -138,11 +139,11 @@ class CavityModel:
         return replace(self, side=1 if ahead.all() else 0 if ahead.any() else -1)
 
     @cached_property
-    def _turns_as_told(self) -> bool:
-        """Whether no revolute joint has a gain or a runout."""
-        links = STRIDE * np.flatnonzero(self.cell.revolute)[:, None]
-        own = links + np.arange(GAIN, STRIDE)
-        return not self.held[own].any() and not np.isin(own, self.free.slots).any()
+    def _as_told(self) -> Bools:
+        """Whether each joint moves as it is told, without gain or runout, shape (n_joints,)."""
+        own = STRIDE * np.arange(len(self.cell.joints))[:, None] + np.arange(GAIN, STRIDE)
+        told: Bools = ~((self.held[own] != 0) | np.isin(own, self.free.slots)).any(axis=1)
+        return told
 
     @cached_property
     def _columns(self) -> Ints:
@@ -209,7 +210,8 @@ class CavityModel:
                 result[:, at] = view.predict(many[:, own], part)
         elif self.cell.target == "plane-mirror":
             # Vectors fill the lanes of the kernel; where these are few, many groups of poses do.
-            groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and self._turns_as_told
+            turns_as_told = bool(self._as_told[self.cell.revolute].all())
+            groups_fill = len(many) < LANES // 4 and len(rows.poses.group_q) > LANES and turns_as_told
             result = (few_vector_lengths if groups_fill else batch_lengths)(self._question(many, rows))
         else:
             result, _ = self._differentiated(many, rows, self._columns[:0])
@@ -260,6 +262,22 @@ class CavityModel:
         climb = np.where(self.cell.revolute, runout_sin * np.cos(turned) - runout_cos * np.sin(turned), 0.0)
         return np.asarray((moved + climb * along) * (1.0 + gain))
 
+    def joint_pulls(self, values: Floats, q: Floats, pulls: Floats, beam: int, steps: Floats) -> Floats:
+        """Derivatives by the joints of the derivative of a beam's length along directions `pulls` of the parameters.
+
+        `values` (n_vectors, n), `q` (n_poses, n_joints) and `pulls` (n_vectors, n_poses, n); summed over the vectors,
+        shape (n_poses, n_joints). Where turns are not as told, or the target is a point, by differences of `steps`.
+        """
+        if self.cell.further:
+            view, own = self.views[beam]
+            return view.joint_pulls(values[:, own], q, np.ascontiguousarray(pulls[..., own]), 0, steps)
+        if self.cell.target == "plane-mirror" and self._as_told.all():
+            return joint_pulls(self._question(self._vectors(values), self.pose_rows(q)), self._columns, pulls)
+        further = q[:, None] + np.vstack([np.zeros(len(steps)), np.diag(steps)])
+        _, jacobian = self.predict_with_jacobian(values, self.pose_rows(further.reshape(-1, len(steps))))
+        seen = (jacobian.reshape(*pulls.shape[:2], -1, pulls.shape[2]) @ pulls[..., None]).sum(axis=0)[..., 0]
+        return np.asarray((seen[:, 1:] - seen[:, :1]) / steps)
+
     def mirrors(self, values: Floats, q: Floats) -> tuple[Floats, Floats]:
         """Normals and origins of the first beam's mirror at poses (n_poses, n_joints), columns three and four of wTt.
 
@@ -284,15 +302,5 @@ class CavityModel:
     def _question(self, values: Floats, rows: Rows) -> Question:
         cell, poses = self.cell, rows.poses
         groups = poses.group_q, poses.group_cos, poses.group_sin, poses.group_start, poses.prismatic_q
-        axis_is_z = cell.optical_axis == "z"
-        return (
-            self.held,
-            self.free.slots,
-            values,
-            self._path,
-            axis_is_z,
-            cell.revolute,
-            groups,
-            rows.starts,
-            rows.ends,
-        )
+        asked = self.held, self.free.slots, values, self._path, cell.optical_axis == "z", cell.revolute
+        return *asked, groups, rows.starts, rows.ends

@@ -82,10 +82,7 @@ def mirror_pose(cell: Cell, vector: Matrix, q: Matrix) -> Matrix:
 
 
 def optical_axis(cell: Cell, vector: Matrix) -> Matrix:
-    """Unit vector of the light that leaves the fibre, in the world frame, (3,), or of vectors (n, size), (n, 3).
-
-    Minus the second column of (13); the paper names the third, Zf, which stands across the mirror normal.
-    """
+    """Unit vector (3,) of the light in the world, or of vectors (n, size), (n, 3): minus the second column of (13)."""
     beta, theta = vector[..., -6], vector[..., -5]
     if cell.optical_axis == "z":
         return np.stack([0.0 * beta, -np.sin(beta), np.cos(beta)], axis=-1)

@@ -91,8 +91,7 @@ def safe_ranges(model: CavityModel, draws: Floats, low: Floats, high: Floats) ->
         found = margin(model, few, _poses(q), rows=_ROWS)
         near = 1.0 - found.least_gap / envelope.least_gap if found.known else np.full(len(q), -np.inf)
         tilted, aside = found.most_tilt / envelope.max_tilt, found.most_aside / envelope.mirror_radius
-        over: Floats = np.maximum(near, np.maximum(tilted, aside) - 1.0)
-        return over
+        return np.asarray(np.maximum(near, np.maximum(tilted, aside) - 1.0))
 
     if excess(at[None])[0] > 0:
         raise InputError(f"cell {cell.name!r} at joint zero: {breaches(model, draws, _poses(at[None]), rows=_ROWS)[0]}")
@@ -134,10 +133,7 @@ def require_within_envelope(
     rows: Sequence[int] | None = None,
     exact: bool = False,
 ) -> None:
-    """Refuse sweeps (n_rows, n_joints), driven in their order, that may leave the cell's envelope on the way.
-
-    `draws` and `exact` are as in `margin`; `rows` are lines of the file.
-    """
+    """Refuse sweeps (n_rows, n_joints), at lines `rows`, that may leave the envelope; others as in `margin`."""
     cell = model.cell
     if cell.envelope is None or not len(q_start):
         return

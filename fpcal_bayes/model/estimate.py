@@ -55,12 +55,9 @@ class Estimate(Result):
         vector[self.parameters.slots] = self.values
         return vector
 
-    def shown(self) -> dict[str, dict[str, float]]:
-        """Value and standard deviation of each parameter in the units a person reads."""
-        values, sds = self.parameters.to_shown(self.values), self.parameters.to_shown(self.sd)
-        return {
-            p.name: {"value": float(v), "sd": float(s)} for p, v, s in zip(self.parameters, values, sds, strict=True)
-        }
+    def shown(self) -> dict[str, dict[str, Any]]:
+        """What is known of each parameter, by name."""
+        return {name: self[name] for name in self.parameters.names}
 
     def block(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Values (n,) and covariance (n, n) of some parameters, in um and rad."""
@@ -74,7 +71,7 @@ class Estimate(Result):
         scales = self.parameters.scales[uncertain]
         matrix = self.covariance[np.ix_(uncertain, uncertain)] / np.outer(scales, scales)
         return {
-            "parameters": {name: self[name] for name in self.parameters.names},
+            "parameters": self.shown(),
             "covariance": {"names": [self.parameters.names[i] for i in uncertain], "matrix": matrix.tolist()},
             "cell": describe(self.cell),
             "data": self.data,

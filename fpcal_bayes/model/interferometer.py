@@ -49,11 +49,9 @@ def mirror_coupling(
 ) -> Complexes:
     """Amplitude of the fibre mode after one reflection at a plane mirror, without the mirror's reflectivity and phase.
 
-    distance: from the fibre end to the mirror plane, perpendicular to it, in um.
-    tilt: angle between the mirror's normal and the fibre's axis, in rad.
-    Minus the phase over twice the wave number is the length that an interferometer sees. As the mirror tilts it follows
-    `distance`, whatever the mode's radius: the field that comes back and the one that the fibre takes overlap around
-    the foot of the perpendicular. As the mirror moves away the Gouy phase adds 8e-6 of the motion.
+    `distance` is perpendicular to the mirror, in um. Minus the phase over twice the wave number is the length that an
+    interferometer sees: it follows `distance` as the mirror tilts, whatever the mode's radius, since the two fields
+    overlap around the foot of the perpendicular; as the mirror moves away the Gouy phase adds 8e-6 of the motion.
     """
     away, angle = np.asarray(distance, dtype=float), np.asarray(tilt, dtype=float)
     # Seen from the image of the fibre, twice the distance away along the normal and turned by twice the tilt.
@@ -100,10 +98,7 @@ def reflected(
     wavelength: ArrayLike | None = None,
     index: ArrayLike = 1.0,
 ) -> Floats:
-    """Share of the light that comes back at a cavity `length` (um); all arguments broadcast.
-
-    Only the coupling depends on `distance` and `tilt`; `wavelength` is in vacuum, by default the cell's.
-    """
+    """Share of the light that comes back at a cavity `length` (um); `wavelength` in vacuum; all arguments broadcast."""
     light = optics.wavelength if wavelength is None else np.asarray(wavelength, dtype=float)
     phase = 4.0 * np.pi * np.asarray(index) * np.asarray(length, dtype=float) / light
     if optics.beams == "two-beam":

@@ -86,10 +86,8 @@ class FewJoints:
         return self._twists(self._poses(q), targets)
 
     def _poses(self, q: Floats) -> Floats:
-        """Tool frames of joints `q`, shape (n_poses, 4, 4)."""
         vectors, joints = (np.ascontiguousarray(a, dtype=float)[None] for a in (self.vector, q))
-        poses: Floats = batch_tool_poses(vectors, self.cell.revolute, joints)[0]
-        return poses
+        return np.asarray(batch_tool_poses(vectors, self.cell.revolute, joints)[0])
 
     def _twists(self, start: Floats, end: Floats) -> Floats:
         """Shift and turn from tool frames to others (n, 4, 4), in um and rad times `LEVER`; shape (n, 6)."""

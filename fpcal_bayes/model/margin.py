@@ -63,8 +63,7 @@ def normal_draws(mean: Floats, covariance: Floats, n: int = N_DRAWS, seed: int =
     """Draws of a normal distribution whose covariance may be singular, shape (n, len(mean))."""
     values, vectors = np.linalg.eigh(covariance)
     spread = np.random.default_rng(seed).standard_normal((n, len(values))) * np.sqrt(np.clip(values, 0.0, None))
-    draws: Floats = mean + spread @ vectors.T
-    return draws
+    return np.asarray(mean + spread @ vectors.T)
 
 
 @dataclass(frozen=True)
@@ -206,8 +205,7 @@ def _far(samples: Floats, z: float, extra_sd: float = 0.0) -> Floats:
     square = away * away
     skew, kurtosis = (square * away).mean(axis=0), (square * square).mean(axis=0) - 3.0 * (sd / both) ** 4
     reach = z + (z**2 - 1) * skew / 6 + (z**3 - 3 * z) * kurtosis / 24 - (2 * z**3 - 5 * z) * skew**2 / 36
-    end: Floats = mean + both * np.maximum(reach, z)
-    return end
+    return np.asarray(mean + both * np.maximum(reach, z))
 
 
 def require_envelope(cell: Cell) -> Envelope:
@@ -256,5 +254,4 @@ def _rates(model: CavityModel, draws: Floats, path: JointPath, sigmas: float) ->
     lengths = model.predict(draws, model.rows(path.q[path.step[:, 0]], path.q[path.step[:, 1]]))
     change = np.maximum(_far(lengths, sigmas), _far(-lengths, sigmas))
     seconds = np.where(path.seconds > 0, path.seconds, np.inf)
-    rate: Floats = change / seconds / (model.cell.wavelength / 2.0)
-    return rate
+    return np.asarray(change / seconds / (model.cell.wavelength / 2.0))

@@ -60,6 +60,11 @@ class Parameter:
         return internal / self.scale
 
 
+def _of_each(name: str) -> "cached_property[NDArray[np.float64]]":
+    """A property of a set: what each of its parameters has under a name, shape (n,)."""
+    return cached_property(lambda own: np.array([getattr(p, name) for p in own], dtype=float))
+
+
 class ParameterSet:
     """An ordered set of parameters with distinct names, found by position or by name."""
 
@@ -112,20 +117,10 @@ class ParameterSet:
         """Positions in the model vector, shape (n,)."""
         return np.array([p.slot for p in self._parameters], dtype=np.int64)
 
-    @cached_property
-    def nominal(self) -> NDArray[np.float64]:
-        """Nominal values in internal units, shape (n,)."""
-        return np.array([p.nominal for p in self._parameters])
-
-    @cached_property
-    def prior_sd(self) -> NDArray[np.float64]:
-        """Prior standard deviations in internal units, shape (n,)."""
-        return np.array([p.prior_sd for p in self._parameters])
-
-    @cached_property
-    def scales(self) -> NDArray[np.float64]:
-        """Internal units per shown unit, shape (n,)."""
-        return np.array([p.scale for p in self._parameters])
+    # nominal values and prior standard deviations in internal units, and internal units per shown one, shape (n,) each
+    nominal = _of_each("nominal")
+    prior_sd = _of_each("prior_sd")
+    scales = _of_each("scale")
 
     def to_shown(self, internal: ArrayLike) -> NDArray[np.float64]:
         """Convert values (..., n) from internal units to those a person reads."""

@@ -69,10 +69,7 @@ def flat_content(estimate: Estimate) -> dict[str, Any]:
 
 
 def _compensation(estimate: Estimate) -> dict[str, Any]:
-    """Of a machine: a table per joint of its error motions, one row per weight, and what their effects need.
-
-    Columns of a table: kind and order as in `weight_rows`, stated size in um or rad, posterior mean in units of it.
-    """
+    """Error motions by joint, a row per weight: kind and order, stated size in um or rad, posterior mean in it."""
     known = estimate.mechanics
     if known is None:
         return {"compensation": 0}

@@ -46,10 +46,7 @@ class Placement:
         return cls(fibre, _inverse(point), aligned)
 
     def moved(self, offsets: Floats) -> Floats:
-        """Poses fX (n, 4, 4) away from the aligned one by `offsets` (n, 6): um along Xf, Yf, Zf, then turns in rad.
-
-        They turn about the fibre frame's X, then Y, then Z axis through the reflection point.
-        """
+        """Poses fX (n, 4, 4) by `offsets` (n, 6) away: um along Xf, Yf, Zf, turns in rad about Xf, then Yf, then Zf."""
         poses = np.zeros((len(offsets), 4, 4))
         poses[:, :3, :3] = turns(offsets[:, 3:]) @ self.aligned[:3, :3]
         poses[:, :3, 3] = self.aligned[:3, 3] + offsets[:, :3]

@@ -42,10 +42,7 @@ def judged_at(estimate: Estimate, now_h: float | None) -> Estimate:
 
 
 def stale_text(estimate: Estimate, now_h: float | None) -> str | None:
-    """One sentence if an estimate is used after its horizon, else None.
-
-    Where the time is not known only an estimate that never held its tasks is spoken of.
-    """
+    """A sentence on an estimate used after its horizon, or None; without a time on one that never held its tasks."""
     until = estimate.valid_until_h
     if until is None:
         return None

@@ -21,11 +21,12 @@ from fpcal_bayes.infer.posterior.draws import Posterior
 from fpcal_bayes.infer.tasks.prediction import TaskPrediction
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.trust import Trust
+from fpcal_bayes.report.campaign.figures import prior_posterior_figure
 from fpcal_bayes.report.fit import fit_lines, parameter_table
 from fpcal_bayes.report.observe import headline
 from fpcal_bayes.report.observe import parameter_table as observed_table
 from fpcal_bayes.report.pages import BLUE, GREY, VERMILION
-from fpcal_bayes.report.posterior import posterior_table, prior_posterior_figure
+from fpcal_bayes.report.posterior import posterior_table
 from fpcal_bayes.report.table import Table
 from fpcal_bayes.report.tasks import prediction_content, prediction_table
 from fpcal_bayes.report.track import session_table, verdict_lines
@@ -107,19 +108,20 @@ def _(result: Observability) -> Shown:
 
 @shown.register
 def _(result: Posterior) -> Shown:
+    found, free = summarise(result), result.identification.free
+
     def columns() -> dict[str, Any]:
-        found, free = summarise(result), result.identification.free
         told = ("mean", "sd", "q05", "q25", "q50", "q75", "q95", "ess_bulk", "ess_tail", "rhat")
         numbers = {key: [each[key] for each in found.values()] for key in told}
         return {"parameter": list(found), "unit": [free[name].unit for name in found]} | numbers
 
     def draw() -> Figure:
-        tree, free = arviz_tree(result), result.identification.free
+        tree = arviz_tree(result)
         names = [f"{parameter.name} [{parameter.unit}]" for parameter in free]
         of = {kind: [tree[kind][name].to_numpy().ravel() for name in free.names] for kind in ("posterior", "prior")}
         return prior_posterior_figure(names, np.array(of["posterior"]).T, np.array(of["prior"]).T)
 
-    return Shown(posterior_table(result, repr(result)), columns, draw, result.trust)
+    return Shown(posterior_table(found, free, repr(result)), columns, draw, result.trust)
 
 
 @shown.register

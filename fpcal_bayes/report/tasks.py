@@ -124,7 +124,7 @@ def freedom_table(predictions: list[TaskPrediction]) -> Table:
     """One line per task: upper edge of the peak to peak of each degree of freedom since the start."""
     heads = ["task", "along the beam [nm]", "x [nm]", "z [nm]", "rx [deg]", "ry, spin [deg]", "rz [deg]"]
     table = plain_table(
-        f"Peak to peak by degree of freedom, at most so much with {100 * (0.5 + BAND / 2):.1f} %", heads, words=(0,)
+        f"Peak to peak by degree of freedom, not exceeded with {100 * (0.5 + BAND / 2):.1f} %", heads, words=(0,)
     )
     for prediction in predictions:
         if not prediction.trust.usable:
@@ -137,7 +137,7 @@ def freedom_table(predictions: list[TaskPrediction]) -> Table:
 
 def not_evaluated_line(cell: Cell) -> str:
     """What no prediction speaks of, and which way the axes go."""
-    seen = "" if cell.handedness_checked else "; which way x and the turns go is not checked (handedness_checked)"
+    seen = "" if cell.handedness_checked else "; which way x and the turns go is not checked: fpcal doctor says how to"
     return f"not evaluated: {', '.join(NOT_EVALUATED)}{seen}"
 
 

@@ -70,8 +70,7 @@ class Machine:
         own = np.where(cell.revolute, 1e-6, 1e-3)
 
         def drawn(values: list[float]) -> Floats:
-            sized: Floats = np.array(values) * own * np.exp(rng.uniform(-1, 1, n) * np.log(settings.spread))
-            return sized
+            return np.asarray(np.array(values) * own * np.exp(rng.uniform(-1, 1, n) * np.log(settings.spread)))
 
         periods = np.array([np.nan if j.encoder_period is None else j.encoder_period for j in sizes.joints])
         periods = periods * cell.joint_scales
@@ -118,8 +117,7 @@ class Machine:
         spot = fibre_at + along * length[:, None] - origin
         spot = spot - normal * (spot * normal).sum(axis=1, keepdims=True)
         sag = (spot**2).sum(axis=1) / (2.0 * self.settings.mirror_radius_m * 1e6)
-        result: Floats = (np.abs(length) - sag) * scale
-        return result
+        return np.asarray((np.abs(length) - sag) * scale)
 
     def reach(self, poses: Floats, side: Floats) -> Floats:
         """Own-axis errors with which joints reach poses in their order, shape (n, n_joints); one at rest keeps its."""
@@ -136,8 +134,7 @@ class Machine:
 
     def periodic(self, q: Floats) -> Floats:
         """The encoders' periodic errors at poses (n, n_joints), same shape."""
-        error: Floats = self.encoder * np.sin(2 * np.pi * q / self.period + self.phase)
-        return error
+        return np.asarray(self.encoder * np.sin(2 * np.pi * q / self.period + self.phase))
 
     def reached(self, drive: Drive) -> tuple[Floats, Floats]:
         """Own-axis errors at the start and the end of rows, without the encoders' part, shape (n, n_joints) each."""
@@ -163,18 +160,14 @@ class Machine:
         poses = np.vstack([start, q])
         side = np.asarray(self.rng.choice([-1.0, 1.0], len(start)), dtype=np.float64)
         lengths = self.lengths(poses, self.reach(poses, side), np.full(len(poses), minutes))
-        changed: Floats = lengths[1:] - lengths[0]
-        return changed
+        return np.asarray(lengths[1:] - lengths[0])
 
     def tools(self, q: Floats, reached: Floats) -> tuple[Floats, Floats]:
         """Orientation (n, 3, 3) and origin (n, 3) of the tool, as in `lengths`."""
         return _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
-        """What error motions, reversal and encoders add to the cavity length at one pose (n_joints,), in um.
-
-        approach: signs of the motion by which each joint came there, 0 where it has not moved yet.
-        """
+        """What error motions, reversal and encoders add to L at a pose (n_joints,), in um; `approach`: a sign each."""
         side, now = np.where(approach != 0, approach, self.side), np.zeros(1)
         still = replace(self, motions=[[np.zeros_like] * 6] * len(q))
         errors = self.half_reversal * side + self.periodic(q)
@@ -200,7 +193,6 @@ class Machine:
 
 
 def _beam(cell: Cell, beta_wf: float, theta_wf: float) -> Floats:
-    """Direction of the light."""
     if cell.optical_axis == "z":
         return np.array([0.0, -np.sin(beta_wf), np.cos(beta_wf)])
     return np.array([np.sin(theta_wf), -np.cos(theta_wf) * np.cos(beta_wf), -np.cos(theta_wf) * np.sin(beta_wf)])
@@ -274,11 +266,9 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
         if endless:
             wave = np.cos(order * q[:, None] + phase) @ (weight / order)
             bump = np.abs(np.sin(q - np.pi * kink)) if shape == "radial" else np.abs(np.sin((q - np.pi * kink) / 2.0))
-            turned: Floats = wave + 0.2 * kinked * bump
-            return turned
+            return np.asarray(wave + 0.2 * kinked * bump)
         x = (2.0 * q - low - high) / (high - low)
-        bent: Floats = np.cos(rate * x[:, None] + phase) @ weight + 0.3 * kinked * np.abs(x - kink) + slope * x
-        return bent
+        return np.asarray(np.cos(rate * x[:, None] + phase) @ weight + 0.3 * kinked * np.abs(x - kink) + slope * x)
 
     grid = np.linspace(low, high, _GRID)
     values = raw(grid)
@@ -289,8 +279,7 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
     middle = float(values.mean())
 
     def function(q: Floats) -> Floats:
-        result: Floats = factor * (raw(q) - (np.polyval(line, q) if shape == "bent" else middle))
-        return result
+        return np.asarray(factor * (raw(q) - (np.polyval(line, q) if shape == "bent" else middle)))
 
     return function
 
@@ -300,8 +289,7 @@ def _turn(axis: Floats, angle: Floats) -> Floats:
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    turned: Floats = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
-    return turned
+    return np.asarray(np.eye(3) + s * cross + (1 - c) * (cross @ cross))
 
 
 def _chain(
@@ -344,7 +332,6 @@ def _axes(base: Floats) -> Floats:
 
 
 def _nominal_bases(cell: Cell) -> list[Floats]:
-    """Base frames of the joints in the world, at joint zero of the nominal cell."""
     vector, made, turn, (ex, ey, ez) = cell.parameters.nominal, [], np.eye(3), np.eye(3)
     for i in range(len(cell.joints)):
         beta, alpha, _, theta, *_ = vector[_STRIDE * i : _STRIDE * (i + 1)]

@@ -127,10 +127,7 @@ class SimulatedOptics:
         return float(air_index(self.cell.wavelength, s.temperature_c, s.pressure_hpa, s.humidity_pct))
 
     def views(self, q: Floats, time_h: Floats, of: Ints, reached: Reached | None = None) -> Views:
-        """How the mirror stands at joint vectors `q` (n, n_joints), the truth taken at time ``time_h[of]``.
-
-        A machine shows its cavity length where it is told how it has `reached` them.
-        """
+        """How the mirror stands at joints `q` (n, n_joints), which a machine has `reached`, at time ``time_h[of]``."""
         result = np.empty((3, len(q)))
         times, epoch = np.unique(np.clip(time_h, self.truth.times_h[0], self.truth.times_h[-1]), return_inverse=True)
         for i, values in enumerate(self.truth.at(times)):

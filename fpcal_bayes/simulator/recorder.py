@@ -50,10 +50,8 @@ def record_sweeps(
     seed: int = 0,
     scans: NDArray[np.bool_] | bool = True,
 ) -> TraceIndex:
-    """Record sweeps on the simulated cell; one with mechanics is a machine that is drawn by `seed`.
+    """Record a plan on the simulated cell, a machine drawn by `seed` where it has mechanics; traces hold commands.
 
-    sweeps: a plan of sweeps of one joint each, and of absolute lengths. Joints reach either end with the cell's
-    repeatability; traces hold the positions that the controller believes.
     scans: which sweeps have a wavelength scan before and after, shape (n,); absolute lengths have one in any case.
     """
     settings = RecorderSettings() if settings is None else settings
@@ -130,11 +128,10 @@ def record_path(
     seed: int = 0,
     machine_seed: int | None = None,
 ) -> PathTrace:
-    """Record a path of all joints, between two reference scans of the joint that changes the cavity length most.
+    """Record a path of all joints, between two reference scans, out and back, of the joint that changes L most.
 
-    A reference scan goes through a few fringes and back to where it began. Where `settings.quadrature` is set the rig
-    fits the first one with the nominal geometry, and moves that joint to the nearest point at half fringe height along
-    the whole path. The second one shows how gain and offset drifted meanwhile.
+    Where `settings.quadrature` is set the first one is fitted with the nominal geometry, and that joint moved to the
+    nearest point at half fringe height along the whole path; the second shows how gain and offset drifted.
     """
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] != len(cell.joints) or len(path) < 2 or not np.isfinite(path).all():

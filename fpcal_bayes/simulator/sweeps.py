@@ -35,10 +35,7 @@ def require_drivable(cell: Cell, truth: Truth, sweeps: Sweeps) -> None:
 def noise_free(
     cell: Cell, truth: Truth, sweeps: Sweeps, q_start: Floats | None = None, q_end: Floats | None = None
 ) -> Floats:
-    """Changes of cavity length that the truth makes, each at the time of its row, with its sign, in um, shape (n,).
-
-    q_start, q_end: joint vectors reached, shape (n, n_joints), in um and rad; by default those commanded.
-    """
+    """True changes of cavity length in um, (n,), at each row's time, between joints reached, by default commanded."""
     model = CavityModel.of(cell, truth.parameters)
     q_start = sweeps.q_start if q_start is None else q_start
     q_end = sweeps.q_end if q_end is None else q_end

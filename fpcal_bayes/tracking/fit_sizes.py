@@ -53,7 +53,7 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
     # What a session may be: calm, a jump of all parameters, of each alone.
     jumps = np.vstack([np.zeros_like(step), step, np.diag(step)[:n]])
     odds = np.log([1.0 - _STEP, 0.5 * _STEP, *[0.5 * _STEP / n] * n])
-    # What moves a state is linear in the squares of the paces.
+    # What moves a state is linear in the squares of the paces, and of the parameters alone.
     drifts = [followed_drift(replace(drift, pace=pace), model, outcomes[0]) for pace in ((0, 0), (1, 0), (0, 1))]
     total, diagonal = np.zeros(len(paces)), np.arange(drift.n_states)
     mean = np.tile(outcomes[first].state.mean, (len(paces), 1))
@@ -61,17 +61,20 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
     for (before, now), part in zip(pairwise(outcomes[first:]), parts[first + 1 :], strict=False):
         kelvin = kelvin_between(before.state.temperature_c, mean_temperature(part))
         still, robot, mirror = (each.transition(now.time_h - before.time_h, kelvin) for each in drifts)
-        noise = np.tensordot(paces**2, [robot.noise - still.noise, mirror.noise - still.noise], 1) + still.noise
+        noise = np.tensordot(paces**2, [(each.noise - still.noise)[:n, :n] for each in (robot, mirror)], 1)
         mean, moved = mean @ still.matrix.T + still.shift, (still.matrix != np.eye(drift.n_states)).any()
-        spread = (still.matrix @ spread @ still.matrix.T if moved else spread) + noise
+        if moved:
+            spread = still.matrix @ spread @ still.matrix.T + still.noise
+        spread[:, :n, :n] += noise
         used, _ = with_signs(drift, model, now.predicted, part.take(part.kind != "path"))
-        if not len(used):
+        if not len(used) or not now.converged:
             continue
         at = now.state.mean
         misfit, jacobian = SweepMeasurement.of(drift, model, used, at).linearise(at)
         rows, seen = equivalent_rows(misfit + jacobian @ at, jacobian)
         left = rows - mean @ seen.T
-        expected = seen @ spread @ seen.T + np.eye(len(seen))
+        cross = seen @ spread
+        expected = cross @ seen.T + np.eye(len(seen))
         likely = np.empty((len(paces), n + 2))
         for column, covariance in ((1, expected + (seen * step) @ seen.T), (0, expected)):
             weighed = np.linalg.solve(covariance, left[..., None])[..., 0]
@@ -80,11 +83,12 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
         alone = 0.5 * (step * (weighed @ seen) ** 2 / (1.0 + size) - np.log1p(size))
         likely[:, 2:] = likely[:, :1] + alone[:, :n]
         total += special.logsumexp(odds + likely, axis=1)
-        spread[:, diagonal, diagonal] += jumps[(odds + likely).argmax(axis=1)]
-        cross = seen @ spread
+        jumped = jumps[(odds + likely).argmax(axis=1)]
+        spread[:, diagonal, diagonal] += jumped
+        cross += seen * jumped[:, None]
         gain = np.linalg.solve(cross @ seen.T + np.eye(len(seen)), cross)
         mean = mean + np.einsum("gij,gi->gj", gain, left)
-        spread = spread - np.swapaxes(cross, 1, 2) @ gain
+        spread -= np.swapaxes(cross, 1, 2) @ gain
     return total
 
 

@@ -5,7 +5,7 @@ the states: w = basis z + rest, z of unit prior variance at the sizes that the c
 a row, and what is new in each session (its drift, a first approach, slow readings), counts as noise.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +36,8 @@ _NEGLIGIBLE = 0.7e-3
 _MOST_STATES = 56
 #: Draws of a state that travel with an estimate.
 _DRAWS = 400
+#: So many sets of rows are remembered, of at most so many rows each: those of past sessions are asked for each time.
+_REMEMBERED, _FEW = 256, 64
 
 
 @dataclass(frozen=True)
@@ -98,16 +100,31 @@ class MotionStates:
         """Weights, in units of their stated sizes, by states, shape (n_weights, n_states)."""
         return self.sizes[:, None] * self.directions
 
+    @cached_property
+    def _made(self) -> dict[tuple[bytes, ...], tuple[MarginalWhitening, Floats]]:
+        """What `rows` gave last."""
+        return {}
+
     def rows(self, model: CavityModel, sweeps: Sweeps, values: Floats) -> tuple[MarginalWhitening, Floats]:
         """Whitening of a session's rows, and their derivatives by the states (n_rows, n_states), in um, at `values`."""
+        vector = model.vector(values)
+        columns = (getattr(sweeps, each.name) for each in fields(sweeps) if each.name not in ("file", "rows"))
+        key = (vector.tobytes(), *(column.tobytes() for column in columns))
+        if key in self._made:
+            return self._made[key]
         drive = drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep, self.terms.still)
-        made = design(self.terms, model.vector(values), drive, sweeps.sigma)
+        made = design(self.terms, vector, drive, sweeps.sigma)
         n = made.motion_count
         shared = made.matrix[:, :n] * self.sizes
         felt = shared @ self.directions
         own = made.matrix[:, n:] * self.factors[made.scale[n:]]
         noise = RowNoise.of(sweeps, made).whitening(float(self.factors[-1]), float(self.factors[-2]))
-        return MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
+        made_of = MarginalWhitening.around(noise, np.hstack([own, shared - felt @ self.directions.T])), felt
+        if len(sweeps) <= _FEW:
+            self._made[key] = made_of
+            if len(self._made) > _REMEMBERED:
+                del self._made[next(iter(self._made))]
+        return made_of
 
     def path(
         self, vector: Floats, mean: Floats, task: Task, n_draws: int, compensate: bool

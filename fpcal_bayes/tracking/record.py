@@ -20,7 +20,7 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
-from fpcal_bayes.tracking.measurement import Measurement, SweepMeasurement
+from fpcal_bayes.tracking.measurement import SweepMeasurement
 from fpcal_bayes.tracking.motions import MotionStates
 from fpcal_bayes.tracking.session import SessionOutcome
 from fpcal_bayes.tracking.sessions import session_sha256
@@ -31,8 +31,8 @@ from fpcal_bayes.tracking.tracker import Track, calibration_measurement
 _PLAIN = ("session", "time_h", "utc", "n_sweeps", "nis", "dof", "verdict", "log_likelihood", "converged")
 _ONSET = ("session", "hours", "age", "squared", "dof")
 
-#: The calibration's rows that were found last, for who follows one campaign again and again; they come from a fit.
-_found_rows: dict[tuple[Cell, DriftModel, str], Measurement | None] = {}
+#: The track that was saved or read last, by cell, drift and record, for who follows one campaign again and again.
+_last: dict[tuple[Any, ...], Track] = {}
 
 
 def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None = None) -> str:
@@ -46,20 +46,21 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
 
     Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
     """
-    # With error motions the memory of the tests is large, and kept for the last session alone.
-    first = 0 if track.drift.motions is None else len(track.outcomes) - 1
-    remembered = [outcome.monitor.onsets if i >= first else () for i, outcome in enumerate(track.outcomes)]
-    onsets = [onset for part in remembered for onset in part]
+    if track.drift.motions is not None:
+        # The memory of the tests is large then, and kept for the last session alone.
+        before = [replace(outcome, monitor=replace(outcome.monitor, onsets=())) for outcome in track.outcomes[:-1]]
+        track = replace(track, outcomes=(*before, track.last))
+    onsets = [onset for outcome in track.outcomes for onset in outcome.monitor.onsets]
     n, states = track.drift.n_parameters, track.drift.n_states
     summary = {
-        "sessions": [_summary(outcome, sweeps, part) for outcome, part in zip(track.outcomes, remembered, strict=True)],
+        "sessions": [_summary(outcome, sweeps) for outcome in track.outcomes],
         "status": track.status,
         "solutions": track.solutions,
         "pace": track.drift.pace,
         "from_prior": track.outcomes[0].measurement is not None,
         "trust": track.trust.content(),
     } | _motions_content(track.outcomes[0])
-    return TrackRecord(
+    record = TrackRecord(
         cell_sha256=track.cell.sha256,
         settings_sha256=settings_sha256(track.drift, limits, track.cell.mechanics),
         names=track.drift.parameters.names,
@@ -71,6 +72,18 @@ def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
         onset_information=np.array([onset.information for onset in onsets]).reshape(-1, n, n),
         onset_score=np.array([onset.score for onset in onsets]).reshape(-1, n),
     )
+    _remember(_key(record, track.cell, replace(track.drift, pace=(1.0, 1.0))), track)
+    return record
+
+
+def _key(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Any, ...]:
+    arrays = (value.tobytes() for value in vars(record).values() if isinstance(value, np.ndarray))
+    return cell, drift, record.summary, *arrays
+
+
+def _remember(key: tuple[Any, ...], track: Track) -> None:
+    _last.clear()
+    _last[key] = track
 
 
 def resume(
@@ -89,8 +102,10 @@ def resume(
     if record.settings_sha256 != settings_sha256(drift, limits, cell.mechanics):
         return None, "drift, limits or error motions are no longer the saved track's: all sessions are taken in anew"
     try:
-        track, hashes = _track(record, cell, drift)
-        from_prior = track is not None and bool(json.loads(record.summary)["from_prior"])
+        summary, key = json.loads(record.summary), _key(record, cell, drift)
+        track = _last.get(key) or _track(record, summary, cell, drift)
+        hashes = [] if track is None else [[each["session"], each["sha256"]] for each in summary["sessions"]]
+        from_prior = track is not None and bool(summary["from_prior"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{file}: the saved track cannot be read ({error}); give --anew to replace it") from error
     if track is None:
@@ -106,22 +121,21 @@ def resume(
     nothing_new = kept == len(hashes) == len(parts)
     if track.solutions > 1 and kept <= LOOKS and not nothing_new:
         return None, f"its calibration has {track.solutions} solutions: all of its first sessions are taken in anew"
-    outcomes = track.outcomes[:kept]
     machine = track.drift.motions is not None
     if machine and kept < len(hashes):
         return None, f"{reason}: with all before them"
-    if from_prior and machine:
-        outcomes = (_with_rows(track, parts[0], json.loads(record.summary)["motions"]["rows"]), *outcomes[1:])
-    elif from_prior:
-        key = (cell, drift, hashes[0][1])
-        if key not in _found_rows:
-            _found_rows.clear()
-            _found_rows[key] = calibration_measurement(cell, drift, parts[0])
-        outcomes = (replace(outcomes[0], measurement=_found_rows[key]), *outcomes[1:])
-    return replace(track, outcomes=outcomes, resumed=kept), reason
+    first = track.outcomes[0]
+    if from_prior and first.measurement is None:
+        if machine:
+            first = _with_rows(track, parts[0], summary["motions"]["rows"])
+        else:
+            first = replace(first, measurement=calibration_measurement(cell, drift, parts[0]))
+        track = replace(track, outcomes=(first, *track.outcomes[1:]))
+        _remember(key, track)
+    return replace(track, outcomes=track.outcomes[:kept], resumed=kept), reason
 
 
-def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -> dict[str, Any]:
+def _summary(outcome: SessionOutcome, sweeps: Sweeps) -> dict[str, Any]:
     monitor, temperature = outcome.monitor, outcome.state.temperature_c
     return {
         **{name: getattr(outcome, name) for name in _PLAIN},
@@ -132,7 +146,7 @@ def _summary(outcome: SessionOutcome, sweeps: Sweeps, onsets: Sequence[Onset]) -
         "temperature_c": None if np.isnan(temperature) else temperature,
         "recent": monitor.recent,
         "cusum": [monitor.cusum_extrinsic, monitor.cusum_residual],
-        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in onsets],
+        "onsets": [{name: getattr(onset, name) for name in _ONSET} for onset in monitor.onsets],
     }
 
 
@@ -173,10 +187,9 @@ def _saved_trust(stated: dict[str, Any], *, calibration: bool) -> Trust:
     return trust_of(None)
 
 
-def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | None, list[list[str]]]:
-    summary = json.loads(record.summary)
+def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: DriftModel) -> Track | None:
     if "sessions" in summary and "solutions" not in summary:
-        return None, []
+        return None
     outcomes: list[SessionOutcome] = []
     pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))
     if len(pace) != 2 or not all(0.0 < each < np.inf for each in pace):
@@ -208,7 +221,6 @@ def _track(record: TrackRecord, cell: Cell, drift: DriftModel) -> tuple[Track | 
                 motions=None if outcomes else drift.motions,
             )
         )
-    hashes = [[stated["session"], stated["sha256"]] for stated in summary["sessions"]]
     if len(record.mean) != len(outcomes) or record.mean.shape[1] != drift.n_states:
         raise ValueError("its arrays do not fit its sessions")
-    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"])), hashes
+    return Track(cell, drift, tuple(outcomes), tuple(summary["status"]), 0, int(summary["solutions"]))

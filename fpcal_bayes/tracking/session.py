@@ -45,7 +45,7 @@ class SessionOutcome:
     evidence: tuple[str, ...] = ()  # in words what speaks against it
     warnings: tuple[str, ...] = ()  # sentences about rows that were corrected or left out
     log_likelihood: float = 0.0  # of the rows given all sessions before
-    converged: bool = True  # whether the update came to rest
+    converged: bool = True  # whether the update came to rest; else its rows are left out
     # the rows as they were taken in, signs decided and slips corrected; None if none were, if the outcome is read from
     # a file, or if a calibration cannot be linearised again (see `tracker.calibrate`)
     measurement: Measurement | None = field(default=None, compare=False, repr=False)
@@ -97,20 +97,21 @@ def take_in(
         log_likelihood=judged.taken.innovation.log_likelihood,
         measurement=judged.measurement,
     )
-    if not judged.found:
-        return replace(outcome, state=judged.taken.state, converged=judged.taken.converged)
-    verdict, found, jump = judge.explain(judged.measurement, judged.found)
-    wide = inflate(predicted, jump)
-    taken = update(wide, judged.measurement)
-    return replace(
-        outcome,
-        state=taken.state,
-        jump=jump,
-        monitor=judge.restarted(wide, taken, verdict),
-        verdict=verdict,
-        evidence=tuple(finding.evidence for finding in found),
-        converged=taken.converged,
-    )
+    wide, taken = predicted, judged.taken
+    if judged.found:
+        verdict, found, jump = judge.explain(judged.measurement, judged.found)
+        wide = inflate(predicted, jump)
+        taken = update(wide, judged.measurement)
+        evidence = tuple(finding.evidence for finding in found)
+        after = judge.restarted(wide, taken, verdict)
+        outcome = replace(outcome, jump=jump, verdict=verdict, evidence=evidence, monitor=after)
+    if taken.converged:
+        return replace(outcome, state=taken.state)
+    # What the rows say cannot be told: what was known before them stays.
+    warnings.append(f"{counted(len(used), 'row')} left out: their update did not converge")
+    after = Monitor() if judged.found else monitor
+    nothing = replace(outcome, n_sweeps=0, nis=0.0, dof=0, log_likelihood=0.0, measurement=None)
+    return replace(nothing, state=wide, monitor=after, converged=False, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,15 @@ from fpcal_bayes.tracking.start import linear_start
 
 #: Posterior draws whose moments the filter starts from.
 _DRAWS = 2000
+#: After so many sessions in a row whose updates stalled a full calibration is due.
+_STALLED = 3
 #: A first session that determines a smaller share of the free parameters is no calibration.
 _CALIBRATED = 0.6
+
+
+def _not_converged(stalled: list[str]) -> Reason:
+    sessions = f"the update of session {', '.join(stalled)} did not converge"
+    return Reason("not-converged", f"{sessions}: do not use this estimate before another session is taken in")
 
 
 @dataclass(frozen=True)
@@ -64,8 +72,8 @@ class Track(Result):
 
     @property
     def converged(self) -> bool:
-        """Whether the calibration and every update came to rest."""
-        return all(outcome.converged for outcome in self.outcomes)
+        """Whether the calibration and the last update came to rest."""
+        return self.outcomes[0].converged and self.last.converged
 
     @property
     def calibration_due(self) -> str | None:
@@ -81,19 +89,30 @@ class Track(Result):
     @property
     def trust(self) -> Trust:
         """What is held against the last estimate: the fit of the calibration, updates that stalled, a moved robot."""
+        found, stalled = self.lasting_trust, self._stalled
+        if stalled and len(stalled) < _STALLED:
+            found = found.because(_not_converged(stalled))
+        return found
+
+    @property
+    def lasting_trust(self) -> Trust:
+        """The same without what the next session may lift: up to two last updates that stalled."""
         found = self.outcomes[0].trust
         if self.cell.mechanics is not None and self.outcomes[0].motions is None:
             found = found.because(MECHANICS_LEFT_OUT)
         if self.drift.pace_note is not None:
             found = found.because(Reason("drift", self.drift.pace_note))
-        stalled = [outcome.session for outcome in self.outcomes[1:] if not outcome.converged]
-        if stalled:
-            text = f"the update of session {', '.join(stalled)} did not converge: do not use this estimate"
-            found = found.because(Reason("not-converged", text))
+        if len(self._stalled) >= _STALLED:
+            found = found.because(_not_converged(self._stalled))
         if self.calibration_due is not None:
             text = f"a full calibration is due: the robot itself moved before session {self.calibration_due}"
             found = found.because(Reason("intrinsics-moved", text))
         return found
+
+    @property
+    def _stalled(self) -> list[str]:
+        """Names of the last sessions after the calibration whose updates did not converge, one after the other."""
+        return [o.session for o in takewhile(lambda outcome: not outcome.converged, self.outcomes[:0:-1])][::-1]
 
     def estimate(self, valid_until_h: float | None = None) -> Estimate:
         """The current best estimate: the state after the last session."""

@@ -37,7 +37,8 @@ from fpcal_bayes.analysis.keep import Round  # noqa: E402
 from fpcal_bayes.cli import keep  # noqa: E402
 from fpcal_bayes.cli.main import main as fpcal  # noqa: E402
 from fpcal_bayes.core.errors import InputError  # noqa: E402
-from fpcal_bayes.decision.forecast import Forecaster, Goal  # noqa: E402
+from fpcal_bayes.decision.forecast import Goal  # noqa: E402
+from fpcal_bayes.decision.policy import last_forecast  # noqa: E402
 from fpcal_bayes.infer.tasks.error import task_rows  # noqa: E402
 from fpcal_bayes.infer.tasks.source import PATH_POINTS  # noqa: E402
 from fpcal_bayes.io.cell import load_cell  # noqa: E402
@@ -174,8 +175,7 @@ class Week:
         until = clock.now() + 3600.0 * LOOK_H * max(1.0, min(held_h, MOST_H) // LOOK_H)
         forecast = None
         if found.valid_until_h is not None:
-            model = CavityModel.of(self.cell, track.drift.parameters)
-            forecast = Forecaster.of(track.drift, model, self.goal, last.state.mean)
+            forecast = last_forecast(track, self.goal)
         while self.next_circle < until:
             clock.pass_until(self.next_circle)
             if forecast is not None:

@@ -87,10 +87,11 @@ def _part_descended(
     def criterion_at(sweeps: Sweeps) -> Criterion:
         return judge(join([sweeps, others], "descent"))
 
-    first = criterion_at(space.plan).value(chosen)
+    begun = criterion_at(space.plan)
+    first = begun.value(chosen)
     if not first or not space.sweep_of.size:
         return space.plan
-    last: tuple[bytes, Criterion] = b"", criterion_at(space.plan)
+    last: tuple[bytes, Criterion] = np.clip(space.at(space.plan), 0.0, 1.0).tobytes(), begun
 
     def at(x: Floats) -> Criterion:
         # The slope is asked for where the value was.

@@ -1,7 +1,7 @@
 """The design problem: candidate rows and task derivatives over draws, what a choice leaves, how good that is."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,8 @@ class Design:
     task_of_point: Ints
     # upper triangular root of the information before any candidate, shape (n_draws, n, n); None: the identity
     base: Floats | None = None
+    # what the last sets chosen leave: the slope of a criterion asks for it where its value did
+    _left: dict[tuple[int, ...], tuple[Floats, Floats]] = field(default_factory=dict, compare=False)
 
     @classmethod
     def of(
@@ -81,13 +83,17 @@ class Design:
 
         Beside it the covariance times the derivatives of that point, shape (n_draws, n_tasks, n).
         """
-        n_draws, n, n_tasks = len(self.rows), self.n_parameters, len(self.names)
-        variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
-        rows = self.rows[:, list(chosen)].reshape(n_draws, -1, n)
-        if rows.shape[1] < _FEW * n:
-            return self._worst_points_of_few(rows)
-        worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
-        return variance, directions
+        n_draws, n, n_tasks, key = len(self.rows), self.n_parameters, len(self.names), tuple(chosen)
+        if key not in self._left:
+            variance, directions = np.empty((n_draws, n_tasks)), np.empty((n_draws, n_tasks, n))
+            rows = self.rows[:, list(key)].reshape(n_draws, -1, n)
+            if rows.shape[1] < _FEW * n:
+                variance, directions = self._worst_points_of_few(rows)
+            else:
+                worst_points(self.information, rows, self.tasks, self.task_start, variance, directions)
+            self._left.clear()
+            self._left[key] = variance, directions
+        return self._left[key]
 
     def _worst_points_of_few(self, rows: Floats) -> tuple[Floats, Floats]:
         """As `worst_points` after few rows (n_draws, n_rows, n), by a system of their number (Woodbury)."""

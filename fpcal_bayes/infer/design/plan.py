@@ -9,7 +9,14 @@ from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.design.candidates import SweepLimits, candidate_sweeps
 from fpcal_bayes.infer.design.descend import descend
-from fpcal_bayes.infer.design.exchange import ChosenSweeps, chosen_sweeps, greedy, most_useful_first, reference_of
+from fpcal_bayes.infer.design.exchange import (
+    ChosenSweeps,
+    chosen_sweeps,
+    exchange,
+    greedy,
+    most_useful_first,
+    reference_of,
+)
 from fpcal_bayes.infer.design.information import Criterion, Design
 from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
@@ -18,10 +25,11 @@ from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_within_envelope
 from fpcal_bayes.model.estimate import Estimate
 
-#: Least candidates of a start; steps of its descent and of that after an exchange; by how much more draws these count.
-_FEW, _STARTED, _TRIED, _WIDER = 300, 20, 12, 4
-#: An exchange must make the criterion smaller by this share; exchanges of a short search.
-_LEAST_GAIN, _SHORT_TRIALS = 1e-3, 4
+#: Least candidates of a start; how often each place of it is looked at; steps of its descent; by how much more draws
+#: the plans that were found are judged and joined on.
+_FEW, _PASSES, _STARTED, _WIDER = 300, 2, 20, 3
+#: Plans whose sweeps are crossed, and starts and crossings of a short search.
+_PARENTS, _SHORT = 4, (2, 3)
 #: Draws that tell whether a sweep turns round for the sake of lost motion, and what it must gain.
 _TURNED_DRAWS, _TURNED_GAIN = 4, 0.005
 #: Numbers of sweeps on the frontier.
@@ -38,11 +46,11 @@ class PlanSettings:
     readings: int = 2
     sigma: float = 0.005  # standard deviation of a row in um
     n_candidates: int = 2000  # random sweeps to choose from
-    # starts of the search on `share` draws each, exchanges that are tried on four times as many, and steps of the
-    # descent over all draws at the end; without these the search keeps to the candidates
+    # starts of the search and crossings of what these found, on `share` draws each, and steps of the descent over all
+    # draws at the end; without these the search keeps to the candidates
     starts: int = 4
-    share: int = 16
-    trials: int = 12
+    crossings: int = 8
+    share: int = 32
     iterations: int = 60
     several: bool = False  # also move several joints of one controller at once
     seed: int = 0
@@ -120,66 +128,55 @@ class Planner:
         return Criterion(design, self.reference).value(())
 
     def best(self, n: int) -> ChosenSweeps:
-        """The best n sweeps that are found: many starts on few draws each, the best of them on more, then on all."""
+        """The best n sweeps that are found: plans on few draws each, the best of them and all on more, then on all."""
         settings, n_draws = self.settings, len(self.ground.goals.values)
         if not 1 <= n <= len(self.candidates):
             raise InputError(
                 f"{n} sweeps out of {len(self.candidates)} candidates: expected 1 to {len(self.candidates)}"
             )
-        wider = self._part(0, _WIDER * settings.share)
-        work = np.cumsum(
-            [0, settings.starts, _WIDER * settings.trials, settings.iterations / _TRIED * n_draws / settings.share]
-        )
+        tries = settings.starts + settings.crossings * bool(settings.iterations)
+        # In descents of `_STARTED` steps on `share` draws.
+        work = np.cumsum([0.0, tries, 3.0 * _WIDER, settings.iterations / _STARTED * n_draws / settings.share])
 
         def begun(stage: int, share: float) -> None:
             self.tell(float(work[stage] + share * (work[stage + 1] - work[stage])) / float(work[-1]))
 
-        found = []
-        for number in range(settings.starts):
-            found.append(self._descended(self._start(n, number), self._part(number, settings.share), _STARTED))
-            begun(0, (number + 1) / settings.starts)
-        values = [self.judge(plan, wider).value(range(n)) for plan in found]
-        best = self._varied(found[int(np.argmin(values))], wider, lambda share: begun(1, share))
+        found: list[Sweeps] = []
+        for number in range(tries):
+            ground = self._part(number, settings.share)
+            start = self._start if number < settings.starts else self._crossed
+            found.append(self._descended(start(n, number, found, ground), ground, _STARTED))
+            begun(0, (number + 1) / tries)
+        best = self._joined(found, self._part(0, _WIDER * settings.share))
+        begun(1, 1.0)
         return self._finished(self._descended(best, self.ground, settings.iterations, lambda share: begun(2, share)))
 
-    def _start(self, n: int, number: int) -> Sweeps:
-        """The best of a part of the candidates, one by one, over a few draws."""
-        some = self._some([self.settings.seed, number], max(n, len(self.candidates) // self.settings.starts, _FEW))
-        return some.take(np.array(greedy(self.judge(some, self._part(number, self.settings.share)), n)))
+    def _start(self, n: int, number: int, found: list[Sweeps], ground: Ground) -> Sweeps:
+        """The best of a part of the candidates: one by one, then each again beside the others."""
+        count = min(max(n, len(self.candidates) // self.settings.starts, _FEW), len(self.candidates))
+        random = np.random.default_rng([self.settings.seed, number])
+        return self._chosen(self.candidates.take(random.choice(len(self.candidates), count, replace=False)), n, ground)
 
-    def _some(self, seed: list[int], count: int) -> Sweeps:
-        """Some of the candidates at random."""
-        random, most = np.random.default_rng(seed), len(self.candidates)
-        return self.candidates.take(random.choice(most, min(count, most), replace=False))
+    def _crossed(self, n: int, number: int, found: list[Sweeps], ground: Ground) -> Sweeps:
+        """As a start, among the sweeps of the best of plans that were found."""
+        values = [self.judge(plan, ground).value(range(n)) for plan in found]
+        parents = [found[i] for i in np.argsort(values, kind="stable")[:_PARENTS]]
+        return self._chosen(join(parents, "crossed"), n, ground)
 
-    def _varied(self, plan: Sweeps, ground: Ground, tell: Callable[[float], None]) -> Sweeps:
-        """A plan whose sweeps are exchanged one by one, each for a candidate that moves other joints.
+    def _chosen(self, sweeps: Sweeps, n: int, ground: Ground) -> Sweeps:
+        judge = self.judge(sweeps, ground)
+        return sweeps.take(np.array(exchange(judge, greedy(judge, n), passes=_PASSES)))
 
-        After each exchange all sweeps descend; what is better then stays. The sweep that is missed least goes first: a
-        descent finds the best places for the joints that move, not which joints should.
-        """
-        settings, n = self.settings, len(plan)
-        few, since = self._part(0, settings.share), 0
-        plan = self._descended(plan, ground, _TRIED)
-        value = self.judge(plan, ground).value(range(n))
-        for trial in range(settings.trials if settings.iterations else 0):
-            judge = self.judge(plan, few)
-            missed = [judge.value([other for other in range(n) if other != i]) for i in range(n)]
-            out = int(np.argsort(missed, kind="stable")[since % n])
-            some = self._some([settings.seed, settings.starts + trial], 2 * _FEW)
-            others = ((some.q_start != some.q_end) != (plan.q_start[out] != plan.q_end[out])).any(axis=1)
-            if not others.any():
-                break
-            both = join([plan.take(np.delete(np.arange(n), out)), some.take(np.flatnonzero(others))], "exchange")
-            added = self.judge(both, few).if_added(range(n - 1), np.arange(n - 1, len(both)))
-            tried = both.take(np.append(np.arange(n - 1), n - 1 + np.argmin(added)))
-            tried = self._descended(tried, ground, _TRIED)
-            found = self.judge(tried, ground).value(range(n))
-            since += 1
-            if found < value * (1.0 - _LEAST_GAIN):
-                plan, value, since = tried, found, 0
-            tell((trial + 1) / settings.trials)
-        return plan
+    def _joined(self, found: list[Sweeps], ground: Ground) -> Sweeps:
+        """The best plan among the sweeps of all: beginning from the best, and from none."""
+        n = len(found[0])
+        best = int(np.argmin([self.judge(plan, ground).value(range(n)) for plan in found]))
+        every = join(found, "joined")
+        judge = self.judge(every, ground)
+        begun = tuple(range(n * best, n * (best + 1))), greedy(judge, n)
+        ends = [every.take(np.array(exchange(judge, start, passes=_PASSES))) for start in begun]
+        ends = [self._descended(plan, ground, _STARTED) for plan in ends]
+        return min(ends, key=lambda plan: self.judge(plan, ground).value(range(n)))
 
     def _part(self, number: int, share: int) -> Ground:
         """The ground averaged over the draws of one start: neighbours in a quasi-random sequence fill the space."""
@@ -255,7 +252,7 @@ class Planner:
 
     def short(self, several: bool) -> "Planner":
         """A planner that searches less, on fewer draws, for a comparison."""
-        less = replace(self.settings, starts=2, trials=_SHORT_TRIALS, several=several)
+        less = replace(self.settings, starts=_SHORT[0], crossings=_SHORT[1], several=several)
         return Planner(self._part(0, _WIDER * less.share), less, self._tolerances)
 
     def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":

@@ -77,17 +77,16 @@ class SweepRows:
         n_sweeps, places, n_joints = poses.shape
         pulls = self._whitening(poses).transpose(0, 2, 1) @ by_rows
         each = pulls.reshape(len(pulls), n_sweeps, self._beams, places - 1, -1).swapaxes(1, 2)
-        by_pose = np.concatenate([-each.sum(axis=3, keepdims=True), each], axis=3)
-        further = poses[:, :, None] + np.vstack([np.zeros(n_joints), np.diag(steps)])
-        _, jacobian = self.model.predict_with_jacobian(
-            self.values[: len(pulls)], self._seen(further.reshape(-1, n_joints))
-        )
-        jacobian = jacobian.reshape(len(pulls), self._beams * n_sweeps * places, n_joints + 1, -1)
-        by_parameter = (by_pose @ self.root.T).reshape(len(pulls), self._beams * n_sweeps * places, -1, 1)
-        seen = (jacobian @ by_parameter).sum(axis=0).reshape(self._beams, n_sweeps, places, -1).sum(axis=0)
+        by_pose = np.concatenate([-each.sum(axis=3, keepdims=True), each], axis=3) @ self.root.T
+        by_pose = by_pose.reshape(len(pulls), self._beams, n_sweeps * places, -1)
+        flat, values = poses.reshape(-1, n_joints), self.values[: len(pulls)]
+        each_beam = [self.model.joint_pulls(values, flat, by_pose[:, b], b, steps) for b in range(self._beams)]
+        slope: Floats = np.sum(each_beam, axis=0)
+        slope = slope.reshape(poses.shape)
         if self.machine is not None:
-            seen += self.machine.seen(further, pulls.sum(axis=0))
-        slope = (seen[..., 1:] - seen[..., :1]) / steps
+            further = poses[:, :, None] + np.vstack([np.zeros(n_joints), np.diag(steps)])
+            seen = self.machine.seen(further, pulls.sum(axis=0))
+            slope += (seen[..., 1:] - seen[..., :1]) / steps
         share = np.linspace(0.0, 1.0, places)
         return np.stack([np.einsum("p,spj->sj", part, slope) for part in (1.0 - share, share)])
 

@@ -157,7 +157,7 @@ def identify(
     """
     began = time.perf_counter()
     warnings: list[str] = []
-    used = sweeps.take(sweeps.kind != "path")
+    used = sweeps.take(sweeps.kind != "path") if (sweeps.kind == "path").any() else sweeps
     if len(used) < len(sweeps):
         warnings.append(f"{counted(len(sweeps) - len(used), 'row')} of kind path not used in the identification")
     if len(used) == 0 or not used.measured:
@@ -298,7 +298,6 @@ def _converge(problem: Problem, start: Floats) -> tuple[Problem, Solution]:
 
 
 def _fit_signs(problem: Problem, start: Floats) -> tuple[Problem, SignDecision]:
-    """Decide the unknown signs, again if the measurement covariance depends on the point."""
     signs = decide_signs(problem, start)
     if problem.depends_on_point:
         signs = decide_signs(problem.relinearised(signs.solution.unknowns), signs.solution.unknowns)
@@ -331,7 +330,6 @@ def _fit(
 
 
 def _doubt(used: Sweeps, signs: SignDecision | None) -> list[Reason]:
-    """Rows whose sign may be the other one, and rows that stand twice."""
     found, doubtful, again = [], _doubtful(used, signs), repeated_rows(used)
     if doubtful:
         named = ", ".join(f"{label} ({100 * p:.0f} %)" for label, p in doubtful[:5])

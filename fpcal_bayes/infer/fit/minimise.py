@@ -198,5 +198,4 @@ def spread_over(problem: Problem, covariance: Floats, solution: Solution, others
     weights = special.softmax(0.5 * np.array([v - m.sum_of_squares for v, m in zip(volumes, minima, strict=True)]))
     away = np.zeros((len(minima), len(covariance)))
     away[:, :n] = [problem.values(minimum.unknowns)[:n] - problem.values(solution.unknowns)[:n] for minimum in minima]
-    result: Floats = np.tensordot(weights, np.array([covariance, *own[1:]]) + away[:, :, None] * away[:, None], 1)
-    return result
+    return np.asarray(np.tensordot(weights, np.array([covariance, *own[1:]]) + away[:, :, None] * away[:, None], 1))

@@ -292,7 +292,6 @@ def _listed(names: list[str]) -> str:
 
 
 def _problem(problem: Problem, sweeps: Sweeps) -> Problem:
-    """The problem of other rows, sizes of error motions as stated."""
     return Problem.of(problem.model, sweeps, problem.considered, prior=problem.prior)
 
 
@@ -301,6 +300,5 @@ def _seen(problem: Problem, sweeps: Sweeps, start: Floats | None = None) -> Solu
 
 
 def _quick(problem: Problem, start: Floats | None = None, steps: int = _FEW_STEPS) -> Solution:
-    """A few steps towards the minimum."""
     first = np.zeros(problem.n_unknowns) if start is None else start
     return Solution(*stepped(problem, first, steps, xtol=1e-8, gtol=1e-8), converged=False)

@@ -125,8 +125,7 @@ class Whitening:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""
         if self.mix is None:
             return rows / self.scale[:, None]
-        result: Floats = spsolve_triangular(self.mix, rows, lower=True)
-        return result
+        return np.asarray(spsolve_triangular(self.mix, rows, lower=True))
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance: the transposed map of the whitened vector."""
@@ -151,10 +150,7 @@ class Whitening:
 
 
 def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitening:
-    """Whitening of the rows of `sweeps`, at free parameters `values` (n,), in um and rad.
-
-    Rows of a group share reading and joint errors at their start: equal readings have a correlation of 1/2.
-    """
+    """Whitening of rows at free parameters `values` (n,); a group shares reading and joint errors at its start."""
     repeatability = model.cell.repeatability
     starts = ends = np.zeros((len(sweeps), 0))
     if repeatability.any():

@@ -49,10 +49,7 @@ class Considered:
 def hold_rest(
     cell: Cell, chosen: ParameterSet, start: Estimate | None, hold: str
 ) -> tuple[CavityModel, Considered | None]:
-    """The model with the parameters outside `chosen` held at `start`, or at nominal, and what is unknown of them.
-
-    What `start` knows is considered, linear around its value; what only its prior tells stays free: no line holds.
-    """
+    """The model with what `start` knows beside `chosen` held there and considered; what only priors tell stays free."""
     known = start.parameters.names if start is not None else ()
     vector = cell.parameters.nominal.copy()
     considered = None
@@ -202,7 +199,8 @@ class Problem:
         """Whitened residuals (n_points, n_rows) and derivatives (n_points, n_rows, n_unknowns) at many points."""
         change, scaled = self.unwhitened_batch(points)
         if self.whitening.only_scales:
-            return change * self.whitening.scale, scaled * self.whitening.scale[:, None]
+            scaled *= self.whitening.scale[:, None]
+            return change * self.whitening.scale, scaled
         return self.whitening.apply(change[:, :, None])[:, :, 0], self.whitening.apply(scaled)
 
     def unwhitened_batch(self, points: Floats) -> tuple[Floats, Floats]:

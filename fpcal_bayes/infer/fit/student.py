@@ -77,16 +77,13 @@ class StudentProblem(Problem):
         return cls(**{name: getattr(problem, name) for name in problem.__dataclass_fields__}, dof=dof)
 
     def data_residuals(self, unknowns: Floats) -> Floats:
-        """Bent residuals, shape (n_rows,)."""
         return bend(super().data_residuals(unknowns), self.dof)[0]
 
     def data_jacobian(self, unknowns: Floats) -> Floats:
-        """Derivatives of the bent residuals, shape (n_rows, n_unknowns)."""
         slope = bend(super().data_residuals(unknowns), self.dof)[1]
         return slope[:, None] * super().data_jacobian(unknowns)
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Bent residuals (n_points, n_rows) and their derivatives at many points."""
         residuals, jacobian = super().data_batch(points)
         bent, slope = bend(residuals, self.dof)
         return bent, slope[:, :, None] * jacobian

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.linalg import finite
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
@@ -331,8 +332,3 @@ def _worth(
     gains = gain_of(jacobian, whitened_jacobian(model, alone, values))
     order = np.argsort(-gains, kind="stable")
     return tuple((str(alone.label[i]), float(gains[i])) for i in order)
-
-
-def finite(value: float) -> float | None:
-    """The value for JSON, which has no infinity."""
-    return value if np.isfinite(value) else None

@@ -24,11 +24,8 @@ from fpcal_bayes.model.trust import POOR_FIT_BELOW, Trust
 
 State = Literal["sampled", "no minimum", "not sampled"]
 
-#: Differences below this are within what the theory of leave-one-out resolves (Sivula, Magnusson, Matamoros, Vehtari
-#: 2020).
-LEAST_DIFFERENCE = 4.0
-#: And a difference must exceed so many of its standard errors.
-LEAST_ERRORS = 2.0
+#: Least difference that leave-one-out resolves (Sivula et al. 2020), and how many of its standard errors it must be.
+LEAST_DIFFERENCE, LEAST_ERRORS = 4.0, 2.0
 #: A model that its own fit rejects is sampled as far as a sentence on it needs.
 _POOR_DRAWS, _POOR_REFITS = 400, 40
 _MOST_REFITS = 200
@@ -268,10 +265,9 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit and sample each model, and compare their predictions; `progress` is told what is done next, in words.
+    """Fit and sample each model, `draws` effective draws, and compare predictions; `progress` is told what comes next.
 
-    `draws` are effective draws of each model. `InputError` if the sweeps carry no measurement, or a likelihood does not
-    take them.
+    `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
     """
     fits: dict[tuple[str, str], Identification] = {}
     models = []
@@ -286,7 +282,6 @@ def compare(
 
 
 def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
-    """The model with its predictions, or with what failed."""
     if not model.identification.converged:
         return model
     likelihood, problem = model.spec.likelihood, model.identification.problem

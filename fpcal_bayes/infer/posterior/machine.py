@@ -40,15 +40,12 @@ class MachineTarget(PosteriorTarget):
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns."""
         return self.problem.n_unknowns + len(self.fit.scales.names)
 
     def noise_factors(self, points: Floats) -> Floats:
-        """Factors on the noise at points (..., n_unknowns)."""
         return np.exp(points[..., -1])
 
     def log_likelihoods(self, points: Floats) -> Floats:
-        """Log density of each row given the others, per um, at points (n_points, n_unknowns), (n_points, n_rows)."""
         return self.row_given_others(points)
 
 

@@ -103,5 +103,4 @@ class LocalMove(Move):  # type: ignore[misc]
 
 
 def _log_determinant(factor: Floats) -> Floats:
-    """Log determinants of triangular matrices (n_points, n, n)."""
     return np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)

@@ -236,8 +236,8 @@ def data_tree(posterior: Posterior, *, seed: int, command: str) -> Any:
 
     Rows that share a reading have the likelihood of a row given those before it in its group.
     """
-    # Importing arviz takes long: only where it is used.
-    import arviz as az
+    # Importing it takes long: only where it is used. ArviZ's plots, which nothing here needs, would take longer.
+    import arviz_base as az
 
     identification = posterior.identification
     problem, parameters = identification.problem, identification.free

@@ -49,10 +49,11 @@ class Proposal:
         self.target, self.reference = target.centred(reference), reference
         residuals, jacobian = self.target.data_batch(reference[None])
         rows = np.vstack([jacobian[0], np.eye(len(reference))])
-        orthonormal, triangle = linalg.qr(rows, mode="economic")
+        del jacobian
+        orthonormal, triangle = linalg.qr(rows, mode="economic", overwrite_a=True)
         # Positive diagonal: det Q'J is positive at the reference point.
         signs = np.where(np.diag(triangle) < 0, -1.0, 1.0)
-        orthonormal = orthonormal * signs
+        orthonormal *= signs
         self.log_volume = float(np.log(np.abs(np.diag(triangle))).sum())
         self._inverse = linalg.solve_triangular(triangle * signs[:, None], np.eye(len(reference)))
         self._on_data, self._on_prior = orthonormal[: -len(reference)], orthonormal[-len(reference) :]
@@ -93,9 +94,13 @@ class Proposal:
             active = active[moving]
             if not len(active):
                 break
-            points[active], closer = self._advance(
-                points[active], normal[active], _inverse_each(slopes[moving]), miss[moving], distance[moving]
-            )
+            try:
+                inverse = np.linalg.inv(slopes[moving])
+            except np.linalg.LinAlgError:
+                # A singular one gives a step that leads nowhere.
+                inverse = np.linalg.pinv(slopes[moving])
+            here = points[active], normal[active], inverse, miss[moving], distance[moving]
+            points[active], closer = self._advance(*here)
             active = active[closer]
         proposal = np.where(inside, determinant + _log_normal(normal), -np.inf)
         return Solved(points, density, proposal, inside)
@@ -150,16 +155,7 @@ class Proposal:
         return result
 
 
-def _inverse_each(slopes: Floats) -> Floats:
-    """Inverse of each matrix; a singular one gives a step that leads nowhere."""
-    try:
-        return np.linalg.inv(slopes)
-    except np.linalg.LinAlgError:
-        return np.linalg.pinv(slopes)
-
-
 def _times(matrices: Floats, vectors: Floats) -> Floats:
-    """Product of each matrix with its vector."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 

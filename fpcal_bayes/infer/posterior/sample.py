@@ -128,7 +128,6 @@ def sample(
 
 
 def _next_look(steps: int, diagnostics: Diagnostics, draws: int) -> int:
-    """Steps after which to look again."""
     missing = max(draws / diagnostics.effective, LEAST_LENGTH * diagnostics.autocorrelation_time / diagnostics.length)
     growth = np.clip(_IN_HAND * missing, _LEAST_GROWTH, _MOST_GROWTH)
     return int(np.ceil(steps * np.nan_to_num(growth, nan=_MOST_GROWTH)))
@@ -157,8 +156,6 @@ def identity(problem: Problem, seed: int, likelihood: Likelihood = "gaussian") -
 
 
 class _Ensemble:
-    """One ensemble of walkers with its own random numbers."""
-
     def __init__(self, target: PosteriorTarget, proposals: Any, seed: np.random.SeedSequence) -> None:
         self.target, self.proposals = target, proposals
         self._from_charts, local = self._moves()
@@ -212,8 +209,6 @@ class _Ensemble:
 
 
 class _MachineEnsemble(_Ensemble):
-    """One ensemble of walkers of a machine: geometry and scales."""
-
     def _moves(self) -> tuple[Any, Any]:
         return MachineMove(self.proposals), MachineLocalMove(self.proposals)
 
@@ -228,7 +223,6 @@ class _MachineEnsemble(_Ensemble):
 
 
 def _require_dense(identification: Identification, likelihood: Likelihood) -> None:
-    """Refuse what cannot be sampled with mechanics."""
     file, rows = identification.problem.sweeps.file, len(identification.problem.target)
     if likelihood != "gaussian":
         raise InputError(

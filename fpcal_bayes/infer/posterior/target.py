@@ -16,11 +16,6 @@ _LOG_PEAK = -0.5 * float(np.log(2.0 * np.pi))
 _NUMBERS = 4_000_000
 
 
-def half_squares(residuals: Floats, points: Floats) -> Floats:
-    """Minus half the sum of squares of data and prior rows, shape (n_points,)."""
-    return -0.5 * ((residuals**2).sum(axis=1) + (points**2).sum(axis=1))
-
-
 class PosteriorTarget:
     """exp(-(|r(v)|^2 + |v|^2) / 2) of n unknowns v, r being the whitened data residuals, with a count of evaluations.
 
@@ -112,7 +107,7 @@ class PosteriorTarget:
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
         """Unnormalised log density (n_points,) from residuals (n_points, n_rows) and points (n_points, n)."""
         rows = residuals[:, : len(self.problem.target)]
-        total = half_squares(rows, points)
+        total: Floats = -0.5 * ((rows**2).sum(axis=1) + (points**2).sum(axis=1))
         if len(self._folded) or self.dof is not None:
             standardised = self._standardised(rows)
             if len(self._near) or self.dof is not None:
@@ -126,10 +121,7 @@ class PosteriorTarget:
         return self._row_log_likelihoods(self.standardised(points), points)
 
     def row_given_others(self, points: Floats) -> Floats:
-        """Log density of each row given all others, per um, at points (n_points, n_unknowns), shape (n_points, n_rows).
-
-        Gaussian rows that share a reading: by the inverse covariance (Buerkner, Gabry, Vehtari 2021).
-        """
+        """Log density of each row given all others, per um, (n_points, n_rows) (Buerkner, Gabry, Vehtari 2021)."""
         mix = self.problem.whitening.mix
         if mix is None:
             return self.log_likelihoods(points)

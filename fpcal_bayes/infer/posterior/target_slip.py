@@ -22,10 +22,7 @@ _NARROWING = 0.6
 
 
 class SlipTarget(PosteriorTarget):
-    """The posterior of a problem whose rows may have slipped; `slips` that were found only say where to look first.
-
-    Charts are those of the corrected rows; what they leave out of the density is met by the Metropolis step.
-    """
+    """The posterior of rows that may have slipped; charts are those of rows corrected by `slips` that were found."""
 
     def __init__(self, slips: Slips) -> None:
         super().__init__(slips.problem)
@@ -47,11 +44,10 @@ class SlipTarget(PosteriorTarget):
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns: those of the problem, and that of eps."""
         return super().n_unknowns + 1
 
     def data_batch(self, points: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the corrected rows, and a row that stands for what the data tell about eps."""
+        # The corrected rows, and one that stands for what the data tell about eps.
         residuals, jacobian = super().data_batch(points[:, :-1])
         n_points, n_rows, n = jacobian.shape
         wider = np.zeros((n_points, n_rows + 1, n + 1))
@@ -60,14 +56,11 @@ class SlipTarget(PosteriorTarget):
         return np.hstack([residuals, self._row_of_eps(points)]), wider
 
     def data_residuals(self, points: Floats) -> Floats:
-        """The residuals alone."""
         return np.hstack([super().data_residuals(points[:, :-1]), self._row_of_eps(points)])
 
     def log_density(self, residuals: Floats, points: Floats) -> Floats:
-        """Unnormalised log posterior, summed over all ways in which rows may have slipped."""
         corrected = residuals[:, : len(self.problem.target)]
-        total: Floats = self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1)
-        return total
+        return np.asarray(self._slip_sums(corrected, points)[0] - 0.5 * (points**2).sum(axis=1))
 
     def _row_log_likelihoods(self, standardised: Floats, points: Floats) -> Floats:
         # Summed over the ways in which a row may have slipped, given those before it in its group.
@@ -90,7 +83,6 @@ class SlipTarget(PosteriorTarget):
         return special.expit(LOGIT_MEAN + LOGIT_SD * points[..., -1])
 
     def draw_noise(self, points: Floats, rng: np.random.Generator) -> Floats:
-        """Errors of the whitened rows, slips among them."""
         errors = super().draw_noise(points, rng)
         slipped = (rng.random(errors.shape) < self.eps(points)[:, None]) & self._can_slip
         counts = rng.integers(1, MOST_HALF_WAVES + 1, errors.shape) * rng.choice([-1, 1], errors.shape)
@@ -118,7 +110,6 @@ class SlipTarget(PosteriorTarget):
         return total, stayed
 
     def _batch_sums(self, batch: Batch, corrected: Floats, points: Floats, prefix: int) -> tuple[Floats, Floats]:
-        """The sums of `slip_sums` for the first rows of each group of a batch."""
         logit, most = LOGIT_MEAN + LOGIT_SD * points[:, -1], MOST_HALF_WAVES
         log_odds = np.array([special.log_expit(logit) - np.log(2.0 * most), special.log_expit(-logit)])
         rows, group = np.ascontiguousarray(corrected), tuple(vars(batch).values())

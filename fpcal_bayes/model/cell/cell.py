@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError, located
 from fpcal_bayes.core.files import content_sha256
+from fpcal_bayes.core.linalg import finite
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.beams import AT, PATHS, Beam, Opd, OpticalAxis, Target
 from fpcal_bayes.model.cell.error_motions import Mechanics
@@ -132,7 +133,7 @@ class Cell:
                 "wavelength": self.wavelength,
                 "opd": self.opd,
                 "optical_axis": self.optical_axis,
-                "joints": [[j.kind, _finite(j.low), _finite(j.high), j.repeatability] for j in self.joints],
+                "joints": [[j.kind, finite(j.low), finite(j.high), j.repeatability] for j in self.joints],
                 "parameters": [
                     [p.name, p.nominal, p.prior_sd, p.optional, *_settings(p.prior)] for p in self.parameters
                 ],
@@ -154,10 +155,7 @@ class Cell:
         return replace(self, opd=opd if opd in PATHS[self.target] else self.opd, further=further)
 
     def select(self, names: str | Sequence[str]) -> ParameterSet:
-        """Choose parameters to identify, in the cell's order.
-
-        names: ``all``, ``intrinsic``, ``extrinsic`` and parameter names, separated by commas or as a list.
-        """
+        """Parameters by name, ``all``, ``intrinsic`` or ``extrinsic``, with commas or listed, in the cell's order."""
         wanted: set[str] = set()
         for name in names.split(",") if isinstance(names, str) else names:
             if name in ("all", "intrinsic", "extrinsic"):
@@ -238,11 +236,7 @@ def check_joints(
 
 
 def _settings(prior: Marginal | None) -> list[str | float | None]:
-    return [] if prior is None else [prior.kind, *map(_finite, prior.settings())]
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+    return [] if prior is None else [prior.kind, *map(finite, prior.settings())]
 
 
 def describe(cell: Cell) -> dict[str, Any]:

@@ -38,14 +38,15 @@ def impossible(cell: Cell) -> Iterator[tuple[str, str]]:
 
 
 def _misplaced(cell: Cell) -> Iterator[tuple[str, str]]:
-    """The same of the fibre and the mirror of one beam."""
     vector = cell.parameters.nominal
     seen = sight(cell, vector, home(cell))
     light, normal = direction_words(seen.light), direction_words(seen.normal)
     ahead = float(seen.light @ (seen.origin - seen.fibre))
     if np.pi - seen.tilt < _FARTHEST_TILT and seen.length < 0:
         # Fibre and light stand on the mirror's front side, and the light runs away from it: both face as they should.
-        yield ("extrinsic.theta_wf", _behind(seen.length) + _turn_light(cell, vector, normal))
+        theta = wrapped(_degrees(vector, "theta_wf", cell) + 180.0)
+        light_away = f"the light leaves away from the mirror, along {normal}; to turn it round: theta_wf nominal_deg = "
+        yield "extrinsic.theta_wf", f"{_behind(seen.length)}{light_away}{theta:g}"
     elif np.pi - seen.tilt < _FARTHEST_TILT:
         beta = _degrees(vector, "beta_et", cell) + 180.0
         yield (
@@ -95,11 +96,6 @@ def _task_axis(cell: Cell, vector: Floats) -> Iterator[tuple[str, str]]:
 
 def _behind(length: float) -> str:
     return f"the mirror stands {abs(length):.4g} um behind the fibre's end at joint zero (L = {length:.4g} um): "
-
-
-def _turn_light(cell: Cell, vector: Floats, normal: str) -> str:
-    theta = wrapped(_degrees(vector, "theta_wf", cell) + 180.0)
-    return f"the light leaves away from the mirror, along {normal}; to turn it round: theta_wf nominal_deg = {theta:g}"
 
 
 def _other_side(fibre: Floats, light: Floats, ahead: float) -> str:

@@ -1,7 +1,6 @@
 """How large the error motions of a cell are: what data sheets of its parts state."""
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
 
 from fpcal_bayes.core.files import content_sha256
 
@@ -52,13 +51,6 @@ class JointMechanics:
         """Whether anything is stated."""
         return any(getattr(self, f.name) for f in fields(self) if f.name not in ("lever_mm", "source"))
 
-    def scaled(self, factor: float) -> "JointMechanics":
-        """The same joint with every error motion `factor` times as large."""
-        sized = [f.name for f in fields(self) if f.name not in ("encoder_period", "lever_mm", "source")]
-        values: dict[str, Any] = {name: getattr(self, name) for name in sized}
-        changes: dict[str, Any] = {name: None if v is None else factor * v for name, v in values.items()}
-        return replace(self, **changes)
-
 
 @dataclass(frozen=True)
 class Mechanics:
@@ -89,8 +81,3 @@ class Mechanics:
     def sha256(self) -> str:
         """Hash of the sizes; they stand outside the hash of the cell."""
         return content_sha256(asdict(self))
-
-    def scaled(self, factor: float) -> "Mechanics":
-        """The same with every error motion and the drift `factor` times as large."""
-        joints = tuple(joint.scaled(factor) for joint in self.joints)
-        return replace(self, joints=joints, drift_nm_per_min=factor * self.drift_nm_per_min)

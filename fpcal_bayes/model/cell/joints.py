@@ -15,17 +15,14 @@ JOINT_UNITS: dict[JointKind, str] = {"prismatic": "um", "revolute": "deg"}
 
 @dataclass(frozen=True)
 class ControllerAxis:
-    """How a motion controller names and counts one joint: it shows ``zero + sign * q`` in its own `unit`.
-
-    `per_unit` is the length of that unit in um or its angle in rad.
-    """
+    """How a motion controller names and counts one joint: it shows ``zero + sign * q`` in its own `unit`."""
 
     name: str
     channel: str
     sign: int
     zero: float
     unit: str
-    per_unit: float
+    per_unit: float  # um or rad
 
     def reading_of(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Controller readings of joint values `q` (um or rad), same shape."""

@@ -111,10 +111,7 @@ def layout_of_axes(axes: Sequence[AxisWord], side: Floats, gap: float) -> Layout
 
 
 def layout_of_links(kinds: Sequence[JointKind], links: Floats, side: Floats, gap: float) -> Layout:
-    """The layout of links that are given: beta, alpha, d, theta, r in deg and um, shape (n_joints, 5).
-
-    The theta of a last axis that turns about the mirror's normal is turned such that tasks can use it.
-    """
+    """The layout of links beta, alpha, d, theta, r in deg and um, (n_joints, 5), the last axis turned for tasks."""
     return _faced(tuple(kinds), np.array(links, dtype=float), side, gap)
 
 
@@ -194,7 +191,6 @@ def _worth_a_prior(
 
 
 def _frames(links: Floats) -> list[Floats]:
-    """The world frame and the frame of each link at joint zero."""
     frames = [np.eye(4)]
     for beta, alpha, d, theta, r in links:
         link = np.array([np.radians(beta), np.radians(alpha), d, np.radians(theta), r, 0.0, 0.0, 0.0])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
-from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts, session_log
+from fpcal_bayes.analysis.history import SessionResiduals, TaskForecasts, session_log
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.report.campaign.words import shown_time
 from fpcal_bayes.report.table import Table, TableCell, figure_of, plain_table
@@ -15,29 +15,7 @@ from fpcal_bayes.report.track import LEAST_HOURS
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
 #: Digits that are shown.
-_DIGITS = 6
-
-
-def track_chart(facts: CampaignFacts, found: History) -> dict[str, Any]:
-    """Each parameter through time: filter with band, truth, alarms."""
-    assert facts.track is not None
-    hours = _increasing(found.hours)
-    alarms = [_after(found, time_h) for _, time_h, _ in found.alarms]
-    parameters = []
-    for i, parameter in enumerate(facts.track.drift.parameters):
-        mean, sd = found.mean[:, i], found.sd[:, i]
-        marked = np.full(len(hours), np.nan)
-        marked[alarms] = mean[alarms]
-        series = {"filter": mean, "low": mean - 2 * sd, "high": mean + 2 * sd, "alarm": marked}
-        if found.truth is not None:
-            series["truth"] = found.truth[:, i]
-        parameters.append(
-            {
-                "name": f"{parameter.name} [{parameter.unit}]",
-                "series": {name: _numbers(values) for name, values in series.items() if np.isfinite(values).any()},
-            }
-        )
-    return {"hours": _numbers(hours, 9), "now": facts.now_h, "parameters": parameters}
+_DIGITS = 4
 
 
 def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
@@ -70,11 +48,6 @@ def _numbers(values: Iterable[float], digits: int = _DIGITS) -> list[float | Non
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
 
 
-def _after(found: History, time_h: float) -> int:
-    """Position on the grid just after a session."""
-    return max(0, int(np.searchsorted(found.hours, time_h, side="right")) - 1)
-
-
 #: A session this much after the end of the hold still comes in time.
 _SLACK_H = 0.1
 
@@ -87,15 +60,15 @@ def log_table(facts: CampaignFacts) -> Table | None:
     log = session_log(facts)
     if log is None:
         return None
-    heads = ["session", "time", "estimate good for", "next session", "evidence and warnings"]
-    table = plain_table("Log", heads, words=(0, -2, -1))
+    heads = ["session", "time", "next session", "estimate good for", "evidence and warnings"]
+    table = plain_table("Log", heads, words=(0, 2, -1))
     for outcome, held, at_least, late in log:
         good = f"{'at least ' * at_least}{held:.1f} h" if held >= LEAST_HOURS else "at risk from the start"
         table.add_row(
             outcome.session,
             figure_of(outcome.time_h, shown_time(outcome.time_h, facts)),
-            figure_of(held, good),
             _next(late, last=outcome is log[-1][0]),
+            figure_of(held, good),
             "; ".join((*outcome.evidence, *outcome.warnings)) or "nothing to report",
         )
     return table

@@ -1,18 +1,23 @@
 """Figures of a campaign's report, as SVG text."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fpcal_bayes.analysis.campaign import CampaignFacts
 from fpcal_bayes.analysis.history import History, SessionResiduals, TaskForecasts
 from fpcal_bayes.analysis.motions import MotionCurve
+from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.posterior.netcdf import PosteriorSummary
 from fpcal_bayes.report.pages import BLUE, GREY, ORANGE, VERMILION, drawable, svg_figure, svg_text
-from fpcal_bayes.report.posterior import prior_posterior_figure
 
 _MOST_SESSIONS, _MOST_LABELS, _MOST_MOTIONS = 6, 80, 12
 _HOURS_PER_DAY = 24.0
+#: Draws that a density is made of at most, evenly spaced ones of longer runs.
+_SHOWN_DRAWS = 1000
+_N_COLUMNS = 4
 
 
 def task_figure(facts: CampaignFacts) -> str:
@@ -32,11 +37,13 @@ def task_figure(facts: CampaignFacts) -> str:
             assert prediction is not None
             along, low, high = found.task.along, found.low, found.high
             axis.fill_between(along, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % band")
-            axis.plot(along, 1e3 * prediction.errors[0], color=BLUE, linewidth=0.9, label="one possible error")
+            errors = 1e3 * prediction.errors
+            typical = errors[np.argsort(np.ptp(errors, axis=1))[len(errors) // 2]]
+            axis.plot(along, typical, color=BLUE, linewidth=0.9, label="one possible error, of median size")
             label = f"tolerance, {2 * half:g} nm peak to peak"
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
-            most = 1.15 * max(half, float(np.abs([low, high]).max()))
+            most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
             axis.set_ylim(-most, most)
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
             axis.set_title(title, fontsize=9, parse_math=False)
@@ -160,6 +167,31 @@ def _chosen(parts: list[SessionResiduals], alarmed: set[str]) -> list[SessionRes
     wanted = [0, *(i for i, part in enumerate(parts) if part.session in alarmed)][: _MOST_SESSIONS - 2]
     wanted += [len(parts) - 2, len(parts) - 1]
     return [parts[i] for i in sorted(set(wanted))]
+
+
+def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) -> Figure:
+    """Densities of draws and of prior draws `before`, (n, n_names), over what the draws cover."""
+    # ArviZ takes seconds to import: only figures pay for it.
+    from arviz_stats.base import array_stats
+
+    rows = -(-len(names) // _N_COLUMNS)
+    figure = Figure(figsize=(11.0, 0.5 + 1.9 * rows), layout="constrained")
+    axes = figure.subplots(rows, _N_COLUMNS, squeeze=False).ravel()
+    for axis, name, own, prior in zip(axes, names, draws.T, before.T, strict=False):
+        styles = {"prior": (prior, VERMILION, "--"), "posterior": (own, BLUE, "-")}
+        for label, (values, colour, style) in styles.items():
+            grid, density, _ = array_stats.kde(values[:: -(-values.size // _SHOWN_DRAWS)], grid_len=200)
+            axis.plot(grid, density, style, color=colour, linewidth=1.4, label=label)
+        low, high = np.quantile(own, [0.002, 0.998])
+        axis.set_xlim(low - 0.2 * (high - low), high + 0.2 * (high - low))
+        axis.set_xlabel(name)
+        axis.set_yticks([])
+        axis.grid(alpha=0.3)
+    for axis in axes[len(names) :]:
+        axis.remove()
+    figure.supylabel("density", fontsize="medium")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    return figure
 
 
 def posterior_figure(found: PosteriorSummary) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 from markupsafe import Markup
 
 from fpcal_bayes.analysis.campaign import CampaignFacts, gather
+from fpcal_bayes.analysis.files import summarise
 from fpcal_bayes.analysis.history import history, outlooks, residuals, since_calibration
 from fpcal_bayes.analysis.motions import motion_curves
 from fpcal_bayes.core.files import write_text
@@ -77,7 +78,7 @@ def write_campaign_report(
 
 def campaign_html(facts: CampaignFacts) -> str:
     """The page as text."""
-    seen = facts.observability
+    seen, drawn_from = facts.observability, facts.posterior
     track, outlook, rows = history(facts), outlooks(facts), residuals(facts)
     since = since_calibration(facts)
     at = words.shown_time(facts.now_h, facts)
@@ -91,10 +92,9 @@ def campaign_html(facts: CampaignFacts) -> str:
         "correlation": observe_figures.correlation_figure(seen),
         "residuals": figures.residual_figure(rows, alarmed),
         "motions": figures.motion_figure(motion_curves(facts.calibration.estimate)),
-        "posterior": "" if facts.posterior is None else figures.posterior_figure(facts.posterior),
+        "posterior": "" if drawn_from is None else figures.posterior_figure(drawn_from),
     }
     charts = {
-        "track": None if track is None else data.track_chart(facts, track),
         "outlook": None if outlook is None else data.outlook_chart(facts, outlook),
         "residuals": data.residual_chart(rows),
     }
@@ -123,7 +123,8 @@ def campaign_html(facts: CampaignFacts) -> str:
         headline=observe_words.headline(seen),
         gauges=[(observe_words.gauge_sentence(g), observe_words.gauge_direction(g, seen)) for g in seen.gauges],
         blocks=observe_words.block_table(seen),
-        posterior=facts.posterior and posterior_table(facts.posterior, "Posterior of the calibration"),
+        posterior=drawn_from
+        and posterior_table(summarise(drawn_from), drawn_from.parameters, "Posterior of the calibration"),
         posterior_sentence=words.posterior_sentence(facts),
         verification=None if facts.verification is None else power_table(facts.verification, "Power by task"),
         verified=verification_sentences(facts.verification, facts.file),

@@ -196,9 +196,9 @@ def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | TableC
 
 def parameter_table(facts: CampaignFacts) -> Table:
     """Each parameter now: value, 95 % interval, status; beside it the calibration and the prior."""
-    heads = ["parameter", "belongs to", "unit", "status"]
-    heads += ["value", "sd", "95 % interval", "at calibration", "sd / prior sd"]
-    table = plain_table("Parameters now", heads, words=(0, 1, 2, 3))
+    heads = ["parameter", "value", "sd", "unit", "status"]
+    heads += ["95 % interval", "at calibration", "sd / prior sd", "belongs to"]
+    table = plain_table("Parameters now", heads, words=(0, 3, 4, 8))
     estimate, before = facts.estimate, facts.calibration.estimate.shown()
     now = estimate.shown()
     for parameter, status in zip(estimate.parameters, estimate.status, strict=True):
@@ -208,14 +208,14 @@ def parameter_table(facts: CampaignFacts) -> Table:
         share = sd / parameter.shown(parameter.prior_sd)
         table.add_row(
             parameter.name,
-            parameter.kind,
-            parameter.unit,
-            TableCell(status, style=status),
             figure_of(value, number(value, sd)),
             figure_of(sd, number(sd, sd)),
+            parameter.unit,
+            TableCell(status, style=status),
             figure_of(low, f"{number(low, sd)} to {number(high, sd)}"),
             "" if was is None else figure_of(was["value"], number(was["value"], was["sd"])),
             figure_of(share, f"{100 * share:.1f} %"),
+            parameter.kind,
         )
     return table
 
@@ -254,8 +254,8 @@ def since_tables(since: SinceCalibration | None) -> list[Table]:
     """Change of each task and each parameter since the last calibration, beside what the stated drift lets expect."""
     if since is None:
         return []
-    title = "Driven with the calibration still, off by, peak to peak [nm]"
-    tasks = plain_table(title, ["task", "off by", "expected, median", "expected, 97.5 %"], words=(0,))
+    title = "Error of each task if the calibration is still driven, peak to peak"
+    tasks = plain_table(title, ["task", "found [nm]", "expected, median [nm]", "expected, 97.5 % [nm]"], words=(0,))
     for task in since.tasks:
         tasks.add_row(task.name, *(figure_of(size, f"{size:.1f}") for size in (task.change, task.expected, task.most)))
     parameters = plain_table("Change of the parameters", ["parameter", "unit", "change", "expected sd", "in sd"])

@@ -4,12 +4,9 @@
   const blue = "#0072B2", vermilion = "#D55E00";
   const data = JSON.parse(document.getElementById("data").textContent);
   const width = function (box) { return Math.max(260, box.clientWidth - 4); };
-  const short = function (value) { return value === null || value === undefined ? "" : String(Number(value.toPrecision(6))); };
+  const short = function (value) { return value === null || value === undefined ? "" : String(Number(value.toPrecision(4))); };
   const styles = {
-    "filter": { stroke: blue, width: 1.5 },
-    "median": { stroke: blue, width: 1.5 },
-    "truth": { stroke: "#000", width: 1, dash: [3, 3] },
-    "alarm": { stroke: vermilion, width: 0, paths: function () { return null; }, points: { show: true, size: 10, fill: vermilion } }
+    "median": { stroke: blue, width: 1.5 }
   };
   const edge = { stroke: "rgba(0,114,178,.5)", width: 0.5 };
 
@@ -29,7 +26,7 @@
 
   // What the legend says of a series, and at which time where nobody points.
   const said = { "low": "95 % band, from", "high": "to" };
-  const order = ["low", "high", "filter", "median", "truth", "alarm"];
+  const order = ["low", "high", "median"];
   const timeChart = function (box, title, hours, series, now, tolerance, height, logarithmic) {
     const names = order.filter(function (name) { return series[name]; });
     const list = [{ label: "time [h]", value: function (_, v) { return short(v); } }];
@@ -55,28 +52,13 @@
     part.classList.add("ready");
     // A curve stands once: on a screen the chart takes the place of the figure before it.
     const before = part.previousElementSibling;
-    if (part.tagName === "DIV" && before && before.tagName === "FIGURE") before.classList.add("drawn");
+    if (before && before.tagName === "FIGURE") before.classList.add("drawn");
     const box = part.querySelector(".plot");
-    let plot = make(box);
-    const pick = part.querySelector("select");
-    if (pick) pick.addEventListener("change", function () { plot.destroy(); plot = make(box); });
-    const reset = part.querySelector("button");
-    if (reset) reset.addEventListener("click", function () { plot.setData(plot.data, true); });
-    const fit = function () { plot.setSize({ width: width(box), height: plot.height }); };
-    part.addEventListener("toggle", fit);
-    boxes.push(fit);
+    const plot = make(box);
+    part.querySelector("button").addEventListener("click", function () { plot.setData(plot.data, true); });
+    boxes.push(function () { plot.setSize({ width: width(box), height: plot.height }); });
   };
 
-  if (data.track) {
-    const pick = document.querySelector("#chart-track select");
-    data.track.parameters.forEach(function (parameter, i) { pick.add(new Option(parameter.name, i)); });
-    const first = data.track.parameters.findIndex(function (parameter) { return parameter.name.startsWith("x_wf"); });
-    pick.value = Math.max(0, first);
-    place("chart-track", function (box) {
-      const parameter = data.track.parameters[Number(pick.value)];
-      return timeChart(box, parameter.name, data.track.hours, parameter.series, data.track.now, null, 300, false);
-    });
-  }
   if (data.outlook) {
     place("chart-outlook", function (box) {
       return timeChart(box, "peak to peak [nm]", data.outlook.hours, data.outlook.series, data.outlook.now, data.outlook.tolerance, 280, true);

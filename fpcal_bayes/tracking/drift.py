@@ -100,11 +100,6 @@ class DriftModel(Brief):
         return np.array([size.walk for size in self.sizes]) * np.where(self.extrinsic, *self.pace[::-1]) / self.scale
 
     @cached_property
-    def _walks(self) -> Floats:
-        """Variance that the random walks add in a day, shape (n_states, n_states)."""
-        return np.diag(np.concatenate([self.walk**2, np.zeros(self.n_states - self.n_parameters)]))
-
-    @cached_property
     def drifting(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of the parameters that walk: of the robot, and of mirror and fibre."""
         walks = [(p.name, p.kind) for p, size in zip(self.parameters, self.sizes, strict=True) if size.walk]
@@ -154,7 +149,8 @@ class DriftModel(Brief):
     def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
         """The step over some hours, in which the logged temperature changed by `kelvin`."""
         n, days = self.n_parameters, hours / HOURS_PER_DAY
-        noise, shift = days * self._walks, np.zeros(self.n_states)
+        noise, shift = np.zeros((self.n_states, self.n_states)), np.zeros(self.n_states)
+        noise[np.arange(n), np.arange(n)] = days * self.walk**2
         if self.hidden is not None:
             noise[:n, :n] += self.hidden * days
         if kelvin:

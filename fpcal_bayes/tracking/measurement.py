@@ -17,13 +17,11 @@ _ROWS_PER_STATE = 2
 
 
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states).
-
-    A triangle of ``[jacobian, misfit]``, rows of zeros dropped (square-root information filter, Bierman 1977).
-    """
+    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states)."""
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:
         return misfit, jacobian
+    # Square-root information filter (Bierman 1977), rows of zeros dropped.
     triangle = np.linalg.qr(np.column_stack([jacobian, misfit]), mode="r")
     return triangle[:, n_states], triangle[:, :n_states]
 

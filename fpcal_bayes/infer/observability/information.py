@@ -44,7 +44,7 @@ def information_of(jacobian: Floats, sweeps: Sweeps) -> Information:
     leverage = (spread**2).sum(axis=1)
     bits = -0.5 * np.log2(np.clip(1.0 - leverage, 1e-300, None))
     first = np.ones(len(jacobian), dtype=bool)
-    labels = [str(label) for label in sweeps.label]
+    labels = sweeps.label.tolist()
     for members in Sharing.of(sweeps).blocks:
         block = np.eye(len(members)) - spread[members] @ spread[members].T
         bits[members[0]] = -0.5 * np.linalg.slogdet(block)[1] / np.log(2.0)

@@ -89,24 +89,26 @@ class BaseParameter:
         return self.name + "".join(f" {factor:+.4g} {name}" for name, factor in self.shares)
 
 
-def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseParameter, ...]:
-    """As many base parameters as the rank, by QR with column pivoting (Gautier 1991), in prior-scaled units.
+def pivots_of(rows: Floats) -> list[int]:
+    """A column of independent `rows` (k, n) each, by column pivoting; among equals, within rounding, the first wins."""
+    reduced, chosen = rows.copy(), []
+    for _ in range(len(rows)):
+        size = np.linalg.norm(reduced, axis=0)
+        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
+        chosen.append(column)
+        unit = reduced[:, column] / size[column]
+        reduced = reduced - np.outer(unit, unit @ reduced)
+    return chosen
 
-    Among columns of equal size the first parameter is kept.
-    """
+
+def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseParameter, ...]:
+    """As many base parameters as the rank, by QR with column pivoting (Gautier 1991), in prior-scaled units."""
     rank = spectrum.rank
     if rank == 0:
         return ()
     # Only directions count, not how well each is seen: weak combinations are base parameters too.
     directions = spectrum.observable
-    reduced, kept = directions.copy(), []
-    for _ in range(rank):
-        size = np.linalg.norm(reduced, axis=0)
-        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
-        kept.append(column)
-        unit = reduced[:, column] / size[column]
-        reduced = reduced - np.outer(unit, unit @ reduced)
-    kept.sort()
+    kept = sorted(pivots_of(directions))
     others = [i for i in range(len(parameters)) if i not in kept]
     factors = linalg.solve(directions[:, kept], directions[:, others]).reshape(rank, len(others))
     unit_of = parameters.to_shown(parameters.prior_sd)

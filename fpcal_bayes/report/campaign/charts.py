@@ -53,10 +53,7 @@ _SLACK_H = 0.1
 
 
 def log_table(facts: CampaignFacts) -> Table | None:
-    """One line per session: until when its estimate held, and what the tests say.
-
-    None where the sessions cannot be followed, or the tasks cannot be judged.
-    """
+    """One line per session: until when its estimate held, what the tests say; None where that cannot be judged."""
     log = session_log(facts)
     if log is None:
         return None

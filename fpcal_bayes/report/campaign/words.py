@@ -97,13 +97,12 @@ def _task_sentence(facts: CampaignFacts) -> str:
         if not outlook.asked:
             continue
         found = outlook.numbers
-        if found is not None and found.exceeds is None:
-            parts.append(f"{outlook.name} is not known: {facts.trust.against}")
-            continue
         if found is None:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
-            continue
-        parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
+        elif found.exceeds is None:
+            parts.append(f"{outlook.name} is not known: {facts.trust.against}")
+        else:
+            parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
     return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance_um:g} nm."
 
 
@@ -148,9 +147,8 @@ def measured_sentence(facts: CampaignFacts) -> str:
     """How much was measured over which time, and how many sessions were as modelled."""
     times, n = facts.sweeps.time_h, len(facts.sweeps.sessions)
     days = float(times.max() - times.min()) / 24.0
-    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}" + (
-        f" over {days:.1f} days" if days > 0 else ""
-    )
+    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}"
+    sentence += f" over {days:.1f} days" if days > 0 else ""
     if facts.track is None or n == 1:
         return sentence + "."
     later = facts.track.outcomes[1:]
@@ -185,11 +183,8 @@ def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | TableC
     """Headline, innovation and bounds."""
     if outcome is None:
         return ["not followed", "", ""]
-    word = (
-        TableCell("calibration", style="good")
-        if first
-        else TableCell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
-    )
+    said, style = ("calibration", "good") if first else (outcome.verdict, VERDICT_STYLES[outcome.verdict])
+    word = TableCell(said, style=style)
     bounds = session_bounds(outcome)
     if bounds is None:
         return [word, "", ""]

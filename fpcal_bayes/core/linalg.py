@@ -70,6 +70,11 @@ def plain(square: float, places: int = 1) -> str:
     return f"{square:.{places}f}" if abs(square) < 1e5 else f"{square:.3g}"
 
 
+def chance(p: float) -> str:
+    """A probability for a sentence; what is too small for a number is not said to be zero."""
+    return f"p = {p:.2g}" if p > 0.0 else "p < 1e-300"
+
+
 def counted(n: int, what: str) -> str:
     """A number of things for a sentence: 1 sweep, 2 sweeps."""
     return f"{n} {what}{'' if n == 1 else 's'}"

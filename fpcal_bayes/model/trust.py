@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.core.linalg import chance, plain
 
 #: Fits whose data, or data and prior, are met with a smaller probability are poor.
 POOR_FIT_BELOW = 1e-3
@@ -135,7 +135,7 @@ def judge_fit(fit: FitEvidence, *more: Reason) -> Trust:
 
 
 def _reasons(fit: FitEvidence) -> Iterable[Reason]:
-    chi2 = f"chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} (p = {fit.p_value:.1e})"
+    chi2 = f"chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} ({chance(fit.p_value)})"
     if not fit.converged:
         text = f"the fit did not converge from {fit.starts} starting points: do not use this estimate"
         yield Reason("not-converged", f"{text}; farthest from it: {fit.worst}; fpcal doctor tries what may be wrong")
@@ -149,14 +149,14 @@ def _reasons(fit: FitEvidence) -> Iterable[Reason]:
         yield Reason(
             "poor-fit",
             f"poor fit: sum of squares {plain(fit.sum_of_squares)} over data and prior, expected {fit.n_rows} "
-            f"(p = {fit.p_total:.1e}): parameters are far from their prior, which is too narrow, or they stand in for "
+            f"({chance(fit.p_total)}): parameters are far from their prior, which is too narrow, or they stand in for "
             "something that is not free (a gain, a runout); fpcal doctor tries what may be wrong",
         )
     elif fit.p_noise > 1.0 - POOR_FIT_BELOW and fit.expected_noise > LEAST_EXPECTED:
         yield Reason(
             "too-good-fit",
             f"the fit is too good: chi-square of the data {fit.chi2_noise:.3g}, expected {fit.expected_noise:.1f}: "
-            "sigma_um is too large, and every band with it",
+            "sigma_um is too large, and every band with it; check its unit and state the noise of one reading",
         )
     if fit.rank == 0:
         yield Reason("nothing-determined", "the data determine nothing: every value and sd is the prior's")

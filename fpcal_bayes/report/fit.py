@@ -1,6 +1,6 @@
 """The parameters of an estimate as a table, and what a reader needs to know of its fit."""
 
-from fpcal_bayes.core.linalg import plain
+from fpcal_bayes.core.linalg import chance, plain
 from fpcal_bayes.infer.fit.identify import Identification
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Table, TableCell, number, plain_table
@@ -31,7 +31,7 @@ def fit_lines(result: Identification, *, timed: bool = True) -> list[str]:
     lines = [
         f"fit: {state}, sum of squares {plain(result.solution.sum_of_squares, 2)} over {rows} rows "
         f"and the prior; chi-square of the data {plain(fit.chi2_data)}, expected {fit.expected:.1f} "
-        f"(p = {fit.p_value:.2g})",
+        f"({chance(fit.p_value)})",
         f"rank: {result.spectrum.rank} of {len(result.free)} combinations of the free parameters are seen by the data",
         "largest residuals: " + ", ".join(f"{label} {value:+.3g} sd" for label, value in result.largest_residuals()),
     ]

@@ -62,7 +62,8 @@ def verdict_lines(track: Track) -> list[str]:
 def decision_sentence(decision: Decision, track: Track) -> str:
     """What to do, in one sentence."""
     if not track.trust.usable and track.calibration_due is None:
-        return f"do not use this estimate: {track.trust.against}; fpcal doctor says what is wrong"
+        doctor = "" if "fpcal doctor" in track.trust.against else "; fpcal doctor says what is wrong"
+        return f"do not use this estimate: {track.trust.against}{doctor}"
     if decision.action == "hold" and decision.attainable_nm is not None:
         return f"measure nothing: {decision.reason}"
     if decision.action == "hold":

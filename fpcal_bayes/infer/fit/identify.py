@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
-from fpcal_bayes.core.linalg import chi2_tail, counted
+from fpcal_bayes.core.linalg import chance, chi2_tail, counted
 from fpcal_bayes.core.notebook import Result
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.infer.fit.minimise import (
@@ -65,7 +65,7 @@ class Identification(Result):
         state = "converged" if self.converged else "NOT CONVERGED"
         return (
             f"Identification({state}, {len(self.problem.sweeps)} rows, rank {self.spectrum.rank} of {len(self.free)}, "
-            f"p = {self.fit.p_value:.2g})"
+            f"{chance(self.fit.p_value)})"
         )
 
     @property

@@ -81,7 +81,9 @@ def doubts_of(fit: MechanicsFit) -> tuple[Reason, ...]:
             found.append(Reason("mechanics", text))
     tests = term_tests(fit)
     found += [
-        Reason("residuals", f"{name}: the residuals show it beyond what is stated (p = {p:.1g})")
+        Reason(
+            "residuals", f"{name}: the residuals show more than is stated (p = {p:.1g}); fpcal doctor says what to do"
+        )
         for name, p in tests
         if p < _LEVEL / len(tests)
     ]

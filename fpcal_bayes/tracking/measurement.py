@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
 from fpcal_bayes.infer.mechanics.rows import with_scale
@@ -42,8 +43,8 @@ class LinearMeasurement:
         return self.misfit(mean), self.h
 
 
-@dataclass(frozen=True)
-class SweepMeasurement:
+@dataclass(frozen=True, repr=False)
+class SweepMeasurement(Brief):
     """The changes of cavity length of a session's sweeps."""
 
     drift: DriftModel  # what the state means

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.known import numbered, random_poses
@@ -40,8 +41,8 @@ _DRAWS = 400
 _REMEMBERED, _FEW = 256, 64
 
 
-@dataclass(frozen=True)
-class MotionStates:
+@dataclass(frozen=True, repr=False)
+class MotionStates(Brief):
     """What the states of the error motions stand for."""
 
     terms: Terms  # the weights of the cell

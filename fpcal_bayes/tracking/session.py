@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fpcal_bayes.core.linalg import chi2_tail, counted
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sharing import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -27,8 +28,8 @@ _STEP_SIZES = (1.0, 3.0, 10.0)
 _MOST_OUTLIERS, _SET_ASIDE = 2, 1e3
 
 
-@dataclass(frozen=True)
-class SessionOutcome:
+@dataclass(frozen=True, repr=False)
+class SessionOutcome(Brief):
     """What a session said and what was made of it."""
 
     session: str  # its name

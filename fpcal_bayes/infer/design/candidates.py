@@ -38,10 +38,7 @@ class SweepLimits:
             raise InputError(f"limit tilt of a sweep: expected less than 90 deg, found {np.degrees(self.tilt):g}")
 
     def within_envelope(self, model: CavityModel, draws: Floats) -> "SweepLimits":
-        """The same within the cell's envelope, with draws (n_draws, n_free) of what is known.
-
-        Every pose that such sweeps, and the ways between them in any order, may take stays in the envelope.
-        """
+        """The same such that sweeps and all ways between them stay in the envelope, at draws (n_draws, n_free)."""
         envelope = model.cell.envelope
         if envelope is None:
             return self
@@ -72,10 +69,7 @@ class SweepLimits:
 
 
 def controllers(cell: Cell) -> list[NDArray[np.int64]]:
-    """Positions of the joints that move in step: of one controller, and of one group of the cell's envelope.
-
-    A joint without controller stands alone.
-    """
+    """Positions of the joints that move in step: of one controller, and of one group of the cell's envelope."""
     by_name: dict[str, list[int]] = {}
     for position, joint in enumerate(cell.joints):
         name = f"joint {position}" if joint.controller is None else f"controller {joint.controller.name}"
@@ -199,10 +193,7 @@ def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floa
 
 
 def reverses(model: CavityModel, values: Floats, sweeps: Sweeps) -> Bools:
-    """Whether a cavity length turns round on the way by more than half a fringe, shape (n_draws, n_sweeps).
-
-    `values` (n_draws, n_free) are the free parameters.
-    """
+    """Whether a length turns round on the way by half a fringe, (n_draws, n_sweeps); `values` (n_draws, n_free)."""
     along = np.linspace(0.0, 1.0, _POINTS)
     q = sweeps.q_start[:, None] + (sweeps.q_end - sweeps.q_start)[:, None] * along[:, None]
     many, turned = np.atleast_2d(values), []

@@ -45,14 +45,12 @@ def descend(
 ) -> Sweeps:
     """Move the ends of all sweeps together to where the criterion is smallest nearby; those given if nothing is gained.
 
-    The rows are differentiated by the joints in differences, the criterion by the rows in closed form, and the descent
-    is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the mirror
-    at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
+    It is sequential quadratic programming (SLSQP, Kraft 1988) with the joints' ranges as bounds and the tilt of the
+    mirror at both ends as constraint. Large plans descend in parts, for its time grows with the cube of their size.
 
-    `sweeps` are a plan of whole sweeps that can be followed, and so is the result; `judge` gives the criterion over a
-    set of candidates, whose rows `made` makes. Visibility and fringe rate are judged at `values` (n_free,) of the
-    cell's free parameters. With `several` all joints of a controller may move that moves one, else only those that
-    move. Each part takes `iterations` steps at most; `tell` with the share done.
+    `sweeps` can be followed, and so can the result; `judge` gives the criterion over candidates, whose rows `made`
+    makes. Visibility and fringe rate are judged at `values` (n_free,) of the cell's free parameters. With `several` all
+    joints of a controller may move that moves one, else only those that move. Each part takes `iterations` at most.
     """
     if iterations < 1:
         return sweeps

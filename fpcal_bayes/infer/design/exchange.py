@@ -25,10 +25,7 @@ def greedy(criterion: Criterion, n: int, chosen: tuple[int, ...] = ()) -> tuple[
 
 
 def exchange(criterion: Criterion, chosen: tuple[int, ...], *, passes: int = 5) -> tuple[int, ...]:
-    """Exchange chosen candidates one at a time for the best that takes their place, until nothing is gained.
-
-    Each candidate is looked at `passes` times at most.
-    """
+    """Exchange chosen candidates one at a time for the best in their place, until nothing is gained in `passes`."""
     found, best, unchanged = list(chosen), criterion.value(chosen), 0
     places = list(range(len(found)))
     for place in places * passes:

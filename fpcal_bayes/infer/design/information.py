@@ -57,11 +57,6 @@ class Design:
         return cls(np.ascontiguousarray(rows), np.ascontiguousarray(points), tuple(tasks), of_point, base)
 
     @property
-    def n_candidates(self) -> int:
-        """How many candidates there are."""
-        return int(self.rows.shape[1])
-
-    @property
     def n_parameters(self) -> int:
         """Size of the state."""
         return int(self.rows.shape[-1])

@@ -82,11 +82,7 @@ class Machine:
         return noise + felt_alike(ends[:, :, 1:])
 
     def whitened(self, sweeps: Sweeps, geometry: Floats) -> Floats:
-        """Rows of a plan as they are driven, one after the other, by the state.
-
-        `sweeps` are rows with standard deviations, `geometry` their derivatives by the state through the parameters,
-        shape (n_draws, n_rows, n).
-        """
+        """Rows of a plan as driven, in their order, by the state, with what `geometry` (n_draws, n_rows, n) adds."""
         made = design(
             self.terms, self.vector, drive_of_sweeps(sweeps, self.terms.sizes.minutes_per_sweep), sweeps.sigma
         )
@@ -96,10 +92,7 @@ class Machine:
         return whitening.apply(geometry + made.matrix[:, :shared] @ self.basis)
 
     def _columns(self, poses: Floats) -> list[tuple[Floats, Floats]]:
-        """Of each beam: columns of the error motions at poses (..., n_joints), responses to the joints' own travel.
-
-        Rows, noise and slope of a plan ask for them one after the other: the last ones are kept.
-        """
+        """Of each beam: columns at poses (..., n_joints), responses to the joints' own travel; the last are kept."""
         key = poses.tobytes()
         if key not in self._last:
             flat, cell, found = poses.reshape(-1, poses.shape[-1]), self.terms.cell, []
@@ -133,11 +126,7 @@ def motions_of_path(terms: Terms, vector: Floats, start: Floats, q: Floats) -> t
 
 
 def prior_machine(terms: Terms, vector: Floats, poses: Floats, tasks: Floats, n_parameters: int) -> Machine:
-    """The machine before anything is measured: parameters first, then the combinations of weights that are felt.
-
-    `poses` (n_sweeps, places, n_joints) are sweeps that could be made, and `tasks` (n_points, n_weights) what the
-    weights add to tasks.
-    """
+    """The machine before any measurement: parameters, then what sweeps at `poses` or `tasks` (.., n_weights) feel."""
     every = Machine(terms, vector, np.eye(tasks.shape[1]))
     effects = np.concatenate([*every.rows(poses), tasks])
     values, vectors = linalg.eigh(effects.T @ effects / len(effects))

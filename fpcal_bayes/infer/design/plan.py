@@ -17,7 +17,7 @@ from fpcal_bayes.infer.design.exchange import (
     most_useful_first,
     reference_of,
 )
-from fpcal_bayes.infer.design.information import Criterion, Design
+from fpcal_bayes.infer.design.information import Criterion
 from fpcal_bayes.infer.design.order import duration, in_short_order
 from fpcal_bayes.infer.design.problem import DEFAULT_TASKS, Ground, estimate_ground, prior_ground
 from fpcal_bayes.measure.sweeps import Sweeps, join
@@ -120,7 +120,9 @@ class Planner:
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""
-        return Criterion(self._design(sweeps, ground or self.ground), self.reference)
+        settings = self.settings
+        design = (ground or self.ground).design(sweeps, readings=settings.readings, sigma=settings.sigma)
+        return Criterion(design, self.reference)
 
     def value(self, sweeps: Sweeps, ground: Ground | None = None) -> float:
         """The criterion after sweeps in their order."""
@@ -149,7 +151,7 @@ class Planner:
             begun(0, (number + 1) / tries)
         best = self._joined(found, self._part(0, _WIDER * settings.share))
         begun(1, 1.0)
-        return self._finished(self._descended(best, self.ground, settings.iterations, lambda share: begun(2, share)))
+        return self.refined(best, lambda share: begun(2, share))
 
     def _start(self, n: int, number: int, found: list[Sweeps], ground: Ground) -> Sweeps:
         """The best of a part of the candidates: one by one, then each again beside the others."""
@@ -185,9 +187,11 @@ class Planner:
             return self.ground
         return self.ground.at_draws((number * share + np.arange(share)) % n_draws)
 
-    def refined(self, sweeps: Sweeps) -> ChosenSweeps:
+    def refined(self, sweeps: Sweeps, tell: Callable[[float], None] = lambda _: None) -> ChosenSweeps:
         """Sweeps after a descent over all draws, the most useful first."""
-        return self._finished(self._descended(sweeps, self.ground, self.settings.iterations))
+        sweeps = self._descended(sweeps, self.ground, self.settings.iterations, tell)
+        judge = self.judge(sweeps)
+        return chosen_sweeps(judge.design, sweeps, most_useful_first(judge, tuple(range(len(sweeps)))))
 
     def _descended(
         self, sweeps: Sweeps, ground: Ground, steps: int, tell: Callable[[float], None] = lambda _: None
@@ -204,19 +208,8 @@ class Planner:
             tell=tell,
         )
 
-    def _finished(self, sweeps: Sweeps) -> ChosenSweeps:
-        judge = self.judge(sweeps)
-        order = most_useful_first(judge, tuple(range(len(sweeps))))
-        return chosen_sweeps(self._design(sweeps, self.ground), sweeps, order)
-
-    def _design(self, sweeps: Sweeps, ground: Ground) -> Design:
-        return ground.design(sweeps, readings=self.settings.readings, sigma=self.settings.sigma)
-
     def in_order(self, sweeps: Sweeps, file: object = "plan") -> Sweeps:
-        """Sweeps in an order that takes little time, within the cell's envelope.
-
-        Where error motions are told, a sweep turns round if the lost motion of its joint then shows.
-        """
+        """Sweeps in a short order within the envelope; one turns round if lost motion then shows."""
         ordered = in_short_order(self.ground.cell, sweeps)
         if self.ground.machine is not None and len(self.ground.machine.reversing):
             few = self.ground.at_draws(np.arange(min(_TURNED_DRAWS, len(self.ground.goals.values))))
@@ -256,10 +249,7 @@ class Planner:
         return Planner(self._part(0, _WIDER * less.share), less, self._tolerances)
 
     def frontier(self, check: Ground, most: int, tell: Callable[[float], None] = lambda _: None) -> "Frontier":
-        """What plans of several numbers of sweeps, up to `most`, are expected to leave, with a short search for each.
-
-        They are judged on the ground `check`; `tell` is called with the share done.
-        """
+        """What plans of several numbers of sweeps, up to `most`, by short searches, leave on the ground `check`."""
         settings, short, points = self.settings, self.short(self.settings.several), []
         numbers = [n for n in _NUMBERS if n < most] + [most]
         for done, n in enumerate(numbers):
@@ -280,11 +270,10 @@ class Planner:
         )
 
     def fewest(self, *, most: int = 69, check: Ground | None = None) -> ChosenSweeps:
-        """The fewest sweeps, up to `most`, whose expected standard deviations keep to the tolerances.
+        """The fewest sweeps that are found, up to `most`, that keep to the tolerances on the ground `check`.
 
-        Numbers are halved between one that a greedy search shows to be enough and one that is not; a smaller plan may
-        exist that the search does not find. The target is to be met on the ground `check`, such as other draws of the
-        prior, by default the planner's own. `InputError` says the best if no number up to `most` meets it.
+        Numbers are halved between one that a greedy search shows to be enough and one that is not. `InputError` says
+        the best if no number up to `most` meets the target.
         """
         check = self.ground if check is None else check
         readings, sigma = self.settings.readings, self.settings.sigma

@@ -10,7 +10,7 @@ from fpcal_bayes.infer.design.machine import Machine, felt_alike
 from fpcal_bayes.infer.fit.noise import whitening_of
 from fpcal_bayes.measure.protocol import read_often, seen_by_all
 from fpcal_bayes.measure.sweeps import Sweeps
-from fpcal_bayes.model.cavity import CavityModel, Rows
+from fpcal_bayes.model.cavity import CavityModel
 
 #: A whole trace is planned as readings at so many places, which together tell as much as so many independent ones: the
 #: errors of a fringe fit are alike over a stretch of the trace.
@@ -99,13 +99,10 @@ class SweepRows:
     def _beams(self) -> int:
         return len(self.model.cell.beams)
 
-    def _seen(self, q: Floats) -> Rows:
-        """Poses (n_poses, n_joints) as every beam sees them, beam by beam."""
-        return self.model.pose_rows(np.tile(q, (self._beams, 1)), np.repeat(np.arange(self._beams), len(q)))
-
     def _at(self, q: Floats) -> Floats:
         """Derivatives of the lengths at poses (n_poses, n_joints) by the state, (n_draws, n_beams n_poses, n)."""
-        _, jacobian = self.model.predict_with_jacobian(self.values, self._seen(q))
+        seen = self.model.pose_rows(np.tile(q, (self._beams, 1)), np.repeat(np.arange(self._beams), len(q)))
+        _, jacobian = self.model.predict_with_jacobian(self.values, seen)
         n = len(self.root)
         if self.root.shape == (n, n) and np.count_nonzero(self.root) == np.count_nonzero(np.diag(self.root)):
             return jacobian * np.diag(self.root)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, descended, minimise
 from fpcal_bayes.infer.fit.problem import Problem
@@ -33,8 +34,8 @@ class MechanicsDraws:
     log_scales: Floats  # logarithms of the factors on the stated sizes, shape (n_draws, n_scales)
 
 
-@dataclass(frozen=True)
-class MechanicsFit:
+@dataclass(frozen=True, repr=False)
+class MechanicsFit(Brief):
     """A geometry fitted under the covariance of its mechanics."""
 
     problem: Problem  # whose whitening marginalises the mechanics at the typical scales

@@ -15,7 +15,7 @@ _MOST_DENSE = 1000
 _NEGLIGIBLE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MarginalWhitening(Whitening):
     """Linear map under which rows with covariance Sigma + B S B' have unit covariance.
 

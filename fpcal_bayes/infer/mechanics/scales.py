@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 
 #: One standard deviation of a scale's logarithm: a factor 3, of the noise 1.5.
@@ -28,8 +29,8 @@ _AT_ONCE = 1_000_000
 _MODE_STEPS, _LONGEST, _MODE_GAIN = 20, 1.0, 1e-2
 
 
-@dataclass(frozen=True)
-class LinearRows:
+@dataclass(frozen=True, repr=False)
+class LinearRows(Brief):
     """The linearised problem of the scales."""
 
     target: Floats  # r, measured minus predicted at v = 0 on the tangent, shape (n,), in um

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import posterior_triangle
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -19,8 +20,8 @@ REDUNDANT_BITS = 0.1
 _MOST_POINTS = 200
 
 
-@dataclass(frozen=True)
-class Information:
+@dataclass(frozen=True, repr=False)
+class Information(Brief):
     """Information of sweeps, one entry a sweep; rows of a group, or read at one moment, are one sweep."""
 
     labels: tuple[str, ...]

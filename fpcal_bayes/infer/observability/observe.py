@@ -9,7 +9,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import finite
-from fpcal_bayes.core.notebook import Result
+from fpcal_bayes.core.notebook import Brief, Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.prior import Prior
@@ -38,8 +38,8 @@ _ABSOLUTE_SD = 0.125
 _DRAWS = 16
 
 
-@dataclass(frozen=True)
-class Block:
+@dataclass(frozen=True, repr=False)
+class Block(Brief):
     """What a part of the sweeps, or the sweeps with an addition, tells."""
 
     name: str

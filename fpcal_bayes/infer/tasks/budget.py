@@ -9,7 +9,6 @@ does not know of. Its inputs are
 - repeatability and resolution of the joints while the task is driven; of a machine with error motions their terms.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,8 +134,15 @@ def _budget(task: Task, worst: int, lines: list[Line], correlation: Floats) -> B
     """The budget of lines of which the first have correlations."""
     full = np.eye(len(lines))
     full[: len(correlation), : len(correlation)] = correlation
-    interval = _monte_carlo(lines, full, np.random.default_rng(0))
-    return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, interval)
+    # The interval of the sum is drawn (JCGM 101); inputs that are not normal are independent of all others.
+    random = np.random.default_rng(0)
+    normal = np.array([line.contribution if line.distribution == "normal" else 0.0 for line in lines])
+    total = random.standard_normal((_DRAWS, len(lines))) @ (covariance_root(full).T @ normal)
+    for line in lines:
+        if line.distribution == "rectangular":
+            total += 3**0.5 * line.contribution * random.uniform(-1.0, 1.0, _DRAWS)
+    low, high = quantile_band(total, COVERAGE).tolist()
+    return Budget(task.name, float(task.along[worst]), task.unit, tuple(lines), full, (low, high))
 
 
 def _posterior_lines(estimate: Estimate, row: Floats) -> tuple[list[Line], Floats]:
@@ -170,15 +176,3 @@ def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int)
         for i, size in enumerate(sizes)
         if size > 0
     ]
-
-
-def _monte_carlo(lines: Sequence[Line], correlation: Floats, random: np.random.Generator) -> tuple[float, float]:
-    """Coverage interval of the sum of the inputs' contributions, in um."""
-    normal = np.array([line.contribution if line.distribution == "normal" else 0.0 for line in lines])
-    # Inputs that are not normal are independent of all others.
-    total = random.standard_normal((_DRAWS, len(lines))) @ (covariance_root(correlation).T @ normal)
-    for line in lines:
-        if line.distribution == "rectangular":
-            total += 3**0.5 * line.contribution * random.uniform(-1.0, 1.0, _DRAWS)
-    low, high = quantile_band(total, COVERAGE).tolist()
-    return low, high

@@ -27,11 +27,9 @@ def cross(axes: Floats, link: int, which: int, other: Floats, scale: float, tota
 
 @compiled
 def joint_pulls(question: Question, columns: Ints, pulls: Floats) -> Floats:
-    """Derivatives by the joints of the derivative of the length along directions of the parameters.
+    """Derivatives by the joints of those of the length at poses along `pulls` (n_vectors, n_poses, n_columns).
 
-    `question` asks for the length at poses, `columns` come from `derivative_columns`, without gains and runouts, and
-    `pulls` are the direction for each vector and pose, shape (n_vectors, n_poses, n_columns). Returns the sum over the
-    vectors, shape (n_poses, n_joints).
+    `columns` come from `derivative_columns`, without gains and runouts. Summed over vectors, (n_poses, n_joints).
     """
     base, slots, values, path, axis_is_z, revolute, groups, _, ends = question
     group_q, group_cos, group_sin, group_start, prismatic_q = groups

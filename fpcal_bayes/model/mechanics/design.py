@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.mechanics.drive import Drive, sides_after
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, pose_responses, responses
@@ -23,8 +24,8 @@ _OWN = ("drift", "slow", "wavelength", "first approach", "return of", "position 
 _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
 
 
-@dataclass(frozen=True)
-class Design:
+@dataclass(frozen=True, repr=False)
+class Design(Brief):
     """What weights of unit prior variance add to rows, to first order."""
 
     matrix: Floats  # in um, shape (n_rows, n_weights)

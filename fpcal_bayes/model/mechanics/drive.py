@@ -5,11 +5,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 
 
-@dataclass(frozen=True)
-class Drive:
+@dataclass(frozen=True, repr=False)
+class Drive(Brief):
     """Rows in the order in which they were driven; joint vectors in um and rad."""
 
     # q_start, q_end: shape (n, n_joints)

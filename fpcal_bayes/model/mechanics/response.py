@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
@@ -28,8 +29,8 @@ _STRIDE = len(LINK_SLOTS)
 _STEEP = 0.9
 
 
-@dataclass(frozen=True)
-class Directions:
+@dataclass(frozen=True, repr=False)
+class Directions(Brief):
     """Directions in which the joints' error motions are told."""
 
     in_base: Floats  # columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3)

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.polynomial import legendre
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
@@ -71,8 +72,8 @@ class Motion:
     sd: Floats  # standard deviation of the weights in um or rad, in the order of the basis
 
 
-@dataclass(frozen=True)
-class Terms:
+@dataclass(frozen=True, repr=False)
+class Terms(Brief):
     """Every weight of a cell's mechanics that acts on the cavity length."""
 
     cell: Cell

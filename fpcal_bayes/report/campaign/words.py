@@ -17,7 +17,7 @@ from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text, known
-from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
+from fpcal_bayes.report.track import LEAST_HOURS, VERDICT_STYLES, decision_sentence, time_text
 from fpcal_bayes.tracking.session import SessionOutcome
 
 #: Word of each action, its class in the style sheet, and its meaning.
@@ -32,6 +32,8 @@ _LOOKS = {
     "robot": "The tolerance holds; these sweeps show whether the robot itself has changed.",
     "both": "A few sweeps bring mirror and fibre back into tolerance, and show whether the robot itself has changed.",
 }
+#: Sweeps after which the tolerance does not hold yet.
+_FIRST = "One session is not enough: these sweeps are the first of two that bring mirror and fibre back into tolerance."
 _MOST_RESIDUALS = 12
 _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
 
@@ -78,7 +80,8 @@ def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, st
         looked = decision.action == "extrinsic" and decision.purpose == "robot"
         sweeps = counted(0 if decision.sweeps is None else len(decision.sweeps), "sweep")
         title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
-        meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
+        if decision.action == "extrinsic":
+            meaning = _LOOKS.get(decision.purpose, meaning if decision.then_hours >= LEAST_HOURS else _FIRST)
     elif decision.hold_hours < facts.costs.horizon_h:
         until = shown_time(decision.now_h + decision.hold_hours, facts)
         # Green is for what needs nobody's attention within the horizon.

@@ -174,7 +174,8 @@ def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> Mo
 
 
 def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: DriftModel) -> Track | None:
-    if "sessions" in summary and not all("trust" in stated for stated in summary["sessions"]):
+    whole = "solutions" in summary and all("trust" in stated for stated in summary.get("sessions", ()))
+    if "sessions" in summary and not whole:
         return None
     outcomes: list[SessionOutcome] = []
     pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))

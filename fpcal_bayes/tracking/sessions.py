@@ -21,10 +21,7 @@ _UNITS = {"minutes": 60.0, "seconds": 3600.0, "days": 1.0 / 24.0}
 
 
 def check_sessions(sweeps: Sweeps, now_h: float | None = None) -> list[Sweeps]:
-    """The sweeps of each session, in order of time; `InputError` where they break the rules of a history.
-
-    Sessions are measured, do not overlap or repeat, and their clocks run as ``time_h`` does, none later than now.
-    """
+    """The sweeps of each session, in order of time; `InputError` where they break the rules of a history."""
     if not sweeps.measured:
         raise InputError(f"{sweeps.file}: expected measured sweeps, with dl_um and sigma_um")
     parts = [sweeps.take(sweeps.session == name) for name in sweeps.sessions]

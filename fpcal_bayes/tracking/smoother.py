@@ -43,10 +43,7 @@ class Smoothed:
 
 
 def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
-    """States after each session given all sessions, in order of time; widenings are noise of the step before.
-
-    `outcomes` begin with the calibration, whose state is taken as it is without its measurement; others hold theirs.
-    """
+    """States after each session given all; a calibration without its measurement is taken as its state is."""
     if len(outcomes) == 1:
         return Smoothed((outcomes[0].state,), np.zeros((1, drift.n_states, drift.n_states)), outcomes[0].converged)
     course = _Course.of(drift, outcomes)

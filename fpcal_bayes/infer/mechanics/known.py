@@ -26,8 +26,7 @@ _MOST_DIRECTIONS = 60
 def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collection[str]) -> MechanicsKnowledge:
     """Draws of geometry and weights, turned to the directions that a cavity length or the mirror's pose feels.
 
-    parameters: of the estimate; those that are neither free nor considered are exact.
-    free: names of those that the estimate moved; others are held at nominal or where they were.
+    Of the estimate's `parameters` those named in `free` were moved; what is neither free nor considered is exact.
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws

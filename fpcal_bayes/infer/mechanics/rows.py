@@ -15,11 +15,7 @@ from fpcal_bayes.model.mechanics import Design, Terms, design
 
 
 def row_whitening(model: CavityModel, sweeps: Sweeps, values: Floats, log_scales: Floats | None = None) -> Whitening:
-    """Whitening of the rows of one session at free parameters `values` (n,), with the cell's mechanics marginalised.
-
-    `log_scales` (n_scales,) are logarithms of factors on the stated sizes, by default zero. A cell without mechanics
-    has the noise of its readings and the repeatability of its joints.
-    """
+    """Whitening of one session's rows at `values` (n,), the cell's mechanics marginalised at scales exp(log_scales)."""
     sizes = model.cell.mechanics
     if sizes is None:
         return with_scale(whitening_of(model, sweeps, values), sweeps)

@@ -48,11 +48,7 @@ class PoseErrors(Brief):
 def pose_changes(
     model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task
 ) -> tuple[Floats, Floats]:
-    """Difference between the mirror as it stands and as the estimate expects it, for many truths; as in `task_errors`.
-
-    Tilts of the normal, seen from its own fibre frame, along the expected mirror's X and Y, in rad, shape (n_draws,
-    n_points, 2), and the changes since the start as in `PoseErrors`.
-    """
+    """Tilts of the normal along the expected mirror's X, Y in rad, (n_draws, n_points, 2), and `PoseErrors.changes`."""
     task_rows(model, task)
     true, place = _mirrors(model, np.atleast_2d(truth_values), task)
     expected, wanted = _mirrors(model, np.atleast_2d(estimate_values), task)

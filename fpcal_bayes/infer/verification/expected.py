@@ -48,10 +48,7 @@ class Expected:
 
     @classmethod
     def of(cls, found: Identification, sweeps: Sweeps, fitted: Bools, drift: Floats | None = None) -> "Expected":
-        """The rows that `found` was made from, picked by `fitted` (n,), beside fresh ones; `InputError` if too many.
-
-        drift: square root (n_free, n_drift), in um and rad, of the covariance by which the geometry drifted between.
-        """
+        """The rows that `found` was made from, picked by `fitted` (n,), beside fresh ones; `drift` as in `verify`."""
         problem, unknowns = found.problem, found.solution.unknowns
         if len(sweeps) > _MOST_ROWS:
             raise InputError(f"{sweeps.file}: {len(sweeps)} rows, expected at most {_MOST_ROWS} for a verification")

@@ -70,10 +70,8 @@ def drive_of(
 ) -> Drive:
     """Work out directions of approach and times of one session's rows, in file order.
 
-    sweep: number of each row's sweep, rising by one, shape (n,).
-    time_h: of the rows; where all are equal, sweeps are `minutes_per_sweep` apart.
-    approach: stated direction in which each joint reached the end, shape (n, n_joints), zero where it is not stated.
-    still: a joint whose value changes by no more than this stands, (n_joints,): values that are read back have noise.
+    `sweep` numbers rise by one; stated directions of `approach` (n, n_joints) are zero where not stated; a joint whose
+    value changes by no more than `still` (n_joints,) stands: values that are read back have noise.
     """
     stated = np.zeros(q_end.shape) if approach is None else approach
     (start_side, end_side), (start_reach, end_reach) = _approaches(q_start, q_end, absolute, sweep, stated, still)

@@ -92,9 +92,7 @@ def knowledge_of(content: dict[str, Any], sizes: Mechanics, parameters: Paramete
 
     Weights of higher orders, which files of older programs do not hold, are zero.
     """
-    names = tuple(map(str, content["names"]))
-    free = tuple(map(str, content["free"]))
-    scales = tuple(content["scales"])
+    names, free, scales = (tuple(map(str, content[key])) for key in ("names", "free", "scales"))
     mean, factor, draws, log_scales = (
         np.array(content[key], dtype=float) for key in ("mean", "factor", "draws", "log_scales")
     )

@@ -42,8 +42,18 @@ def test_tables_have_no_colour_when_piped_and_nothing_when_quiet(tmp_path, capsy
         assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion(shell, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--print-completion", shell])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "task-error" in out
+    assert "tolerance-nm" in out
+
+
 #: What is slow to import, in the order of what it costs.
-SLOW = {"numba", "scipy", "scipy.stats", "emcee", "arviz", "matplotlib", "numpy", "h5py", "rich", "jinja2"}
+SLOW = {"numba", "scipy", "scipy.stats", "emcee", "arviz", "matplotlib", "numpy", "h5py", "rich", "shtab", "jinja2"}
 
 
 def modules_after(script: str) -> set[str]:

@@ -60,6 +60,8 @@ def assert_right(reading: Reading, true: float, *, most_nm: float = 30.0) -> Non
     assert reading.good, reading.refused or reading.doubt
     assert abs(reading.dl - true) < 4.5 * reading.sigma
     assert 1e3 * reading.sigma < most_nm
+    assert -1.0 <= reading.set_out < reading.stop <= 1.0
+    assert reading.late >= 0.0
 
 
 @pytest.mark.parametrize("travel", [4.0, 6.0, 18.0])

@@ -118,6 +118,23 @@ def test_an_update_that_does_not_converge_leaves_what_was_known_and_the_loop_goe
     assert lab.keeper().round().valid_until_h == again.valid_until_h
 
 
+def test_a_campaign_that_began_badly_is_calibrated_once_more_and_not_for_ever(tmp_path):
+    lab = Lab(tmp_path)
+    sweeps, wrong = read_sweeps(lab.campaign, CELL), np.zeros(69)
+    wrong[[7, 20, 33]] = 0.05, -0.08, 0.06
+    lab.campaign.unlink()
+    write_sweeps(lab.campaign, sweeps.with_measurement(sweeps.dl + wrong, sweeps.sigma), CELL)
+    keeper, began = lab.keeper(), {"calibration_session": "full-T0", "campaign_began_utc": "2027-01-15T07:00:00Z"}
+    lab.outputs.estimate.write_text(json.dumps(began))
+    found = keeper.round()
+    assert (found.decision.action, found.valid_until_h) == ("full", None)
+    assert lab.measure(seed=2) == "full-1"
+    lab.now += 60.0
+    after = keeper.round()
+    assert (after.decision.action, after.ticket.plan, after.valid_until_h) == ("hold", None, None)
+    assert "begin a new campaign with the last one" in after.notes[-1]
+
+
 def test_a_ticket_that_is_being_measured_stays(tmp_path):
     lab = Lab(tmp_path)
     lab.keeper().round()

@@ -1,7 +1,7 @@
 """Results as a notebook shows them, by public names."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,21 @@ def test_each_result_shows_itself(results, kind, tmp_path):
     assert written["trust"]["usable"] is True
     with pytest.raises(InputError, match=r"expected a file name that ends in \.json"):
         result.write(tmp_path / "result.txt")
+
+
+def test_what_results_hold_is_shown_in_short(results):
+    left, seen, long = list(results.values()), set(), []
+    while left:
+        one = left.pop()
+        if not is_dataclass(one) or id(one) in seen:
+            continue
+        seen.add(id(one))
+        if len(repr(one)) > 2000:
+            long.append(type(one).__name__)
+        values = [getattr(one, each.name) for each in fields(one)]
+        left += [*values, *(value[0] for value in values if isinstance(value, tuple | list) and value)]
+    assert len(seen) > 30
+    assert long == []
 
 
 def test_numbers_of_the_frame_are_those_of_the_estimate(results, femto, tmp_path):

@@ -65,7 +65,7 @@ def test_stated_sd_is_right(femto: Cell, estimate: Estimate) -> None:
     scores = []
     for seed in range(12):
         trace, true = recorded(femto, estimate, "circle", 12.0, SHORT, seed)
-        measured = measure_path(femto, estimate, trace, seed=seed)
+        measured = measure_path(estimate, trace, seed=seed)
         at = len(measured.places) // 2
         scores.append((measured.error - true)[measured.places[at]] / measured.draws[:, at].std())
     # Twelve squares: 99.9 % of chi-square over 12 lies below 2.74.
@@ -74,7 +74,7 @@ def test_stated_sd_is_right(femto: Cell, estimate: Estimate) -> None:
 
 def test_hard_disturbances_widen_the_interval_instead_of_misleading(femto: Cell, estimate: Estimate) -> None:
     """Gain that changes by 20 % and an offset that drifts by 10 % during the path, known to be so unstable."""
-    mild = measure_path(femto, estimate, recorded(femto, estimate, "circle", 0.0)[0]).draws.std(axis=0).max()
+    mild = measure_path(estimate, recorded(femto, estimate, "circle", 0.0)[0]).draws.std(axis=0).max()
     for seed in range(6):
         trace, true = recorded(femto, estimate, "circle", 0.0, replace(HARD, rate_hz=50.0), seed)
         found = check(estimate, trace, stability=0.07)
@@ -87,7 +87,7 @@ def test_hard_disturbances_widen_the_interval_instead_of_misleading(femto: Cell,
 
 def test_a_start_at_the_maximum_is_told(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 8.0, replace(SHORT, quadrature=True))
-    assert not measure_path(femto, estimate, trace).starts_flat
+    assert not measure_path(estimate, trace).starts_flat
     path = task_path(femto, estimate.vector(), "circle", n_points=41).q.copy()
     # From half height to the extreme is an eighth of a wavelength.
     path[:, 1] = trace.q[trace.path][0, 1] + femto.wavelength / 8 + (path[:, 1] - path[0, 1])
@@ -111,11 +111,11 @@ def test_a_signal_that_no_path_makes_is_not_evaluated(femto: Cell, estimate: Est
 def test_a_reference_without_fringe_is_refused(femto: Cell, estimate: Estimate) -> None:
     trace, _ = recorded(femto, estimate, "circle", 0.0)
     with pytest.raises(InputError, match="shows no fringe"):
-        measure_path(femto, estimate, replace(trace, irradiance=np.ones(len(trace)) + 1e-3 * np.sin(trace.time_s)))
+        measure_path(estimate, replace(trace, irradiance=np.ones(len(trace)) + 1e-3 * np.sin(trace.time_s)))
     still = trace.q.copy()
     still[trace.before] = still[0]
     with pytest.raises(InputError, match="three quarters of a fringe"):
-        measure_path(femto, estimate, replace(trace, q=still))
+        measure_path(estimate, replace(trace, q=still))
 
 
 def test_filter_follows_a_phase_through_extremes() -> None:
@@ -137,8 +137,8 @@ def test_splines_sum_to_one_and_follow_a_cubic() -> None:
 
 def test_rows_for_a_campaign(femto: Cell, estimate: Estimate) -> None:
     trace, true = recorded(femto, estimate, "circle", 24.0)
-    measured = measure_path(femto, estimate, trace)
-    rows = check_rows(femto, estimate, trace, measured, session="check", time_h=24.0, points=4)
+    measured = measure_path(estimate, trace)
+    rows = check_rows(estimate, trace, measured, session="check", time_h=24.0, points=4)
     assert rows.kind.tolist() == ["path"] + 4 * ["sweep"]
     assert rows.dl[0] == pytest.approx(np.ptp(true), abs=0.005)
     model, truth = CavityModel.of(femto), paper_truth(femto).at(24.0)

@@ -117,8 +117,12 @@ def test_markup_in_a_title_is_text(title):
 
 
 def test_columns():
-    table = plain_table("t", ["a", "b", "c", "d"]).__rich__()
-    assert [column.justify for column in table.columns] == ["left", "left", "right", "right"]
+    table = plain_table("a title that is wider than its table and stands in one line", ["aaa", "bbb", "ccc", "ddd"])
+    table.add_row("1", "2", "3", "4")
+    title, _, head, _, row, *_ = str(table).splitlines()
+    assert title.rstrip() == table.title
+    assert [row.index(n) for n in "12"] == [head.index(name) for name in ("aaa", "bbb")]
+    assert [row.index(n) for n in "34"] == [head.index(name) + 2 for name in ("ccc", "ddd")]
 
 
 def test_one_content_in_a_terminal_and_on_a_page():

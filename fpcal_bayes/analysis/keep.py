@@ -77,6 +77,7 @@ class Round:
     notes: tuple[str, ...]
 
 
+@dataclass
 class Keeper:
     """Follows a campaign, decides and publishes, as often as it is asked to; `now` tells Unix time.
 
@@ -84,26 +85,21 @@ class Keeper:
     stands until its end.
     """
 
-    def __init__(
-        self,
-        campaign: str | Path,
-        cell: Cell,
-        goal: Goal,
-        costs: Callable[[Sweeps], Costs],
-        outputs: Outputs,
-        now: Callable[[], float],
-    ) -> None:
-        self._campaign, self._cell, self._goal, self._costs = campaign, cell, goal, costs
-        self._outputs, self._now = outputs, now
-        self._followed: tuple[float, Followed | None] = 0.0, None
-        self._held: Decision | None = None
-        # Until when the estimate holds, and what is to be said of that; and what was published.
-        self._until: tuple[float | None, list[str]] | None = None
-        self._published: tuple[list[str], list[object], float] | None = None
+    campaign: str | Path
+    cell: Cell
+    goal: Goal
+    costs: Callable[[Sweeps], Costs]
+    outputs: Outputs
+    now: Callable[[], float]
+    _followed: tuple[float, Followed | None] = 0.0, None
+    _held: Decision | None = None
+    # Until when the estimate holds, and what is to be said of that; and what was published.
+    _until: tuple[float | None, list[str]] | None = None
+    _published: tuple[list[str], list[object], float] | None = None
 
     def round(self) -> Round:
         """Follow, decide, publish; `InputError` if the campaign cannot be read or followed."""
-        goal, moment = self._goal, self._now()
+        goal, moment = self.goal, self.now()
         followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
@@ -119,9 +115,10 @@ class Keeper:
         try:
             if decision is None or not decision.now_h <= now_h < decision.now_h + decision.hold_hours:
                 decision = self._held = None
-                decision = decide_track(found, sweeps, goal, self._costs(sweeps), now_h)
+                decision = decide_track(found, sweeps, goal, self.costs(sweeps), now_h)
                 self._held = decision if decision.action == "hold" else None
-            notes += [] if decision.attainable_nm is None else [decision.reason]
+            stuck = decision.action == "hold" and not found.trust.usable
+            notes += [decision.reason] if stuck or decision.attainable_nm is not None else []
         except InputError as error:
             notes.append(f"nothing is decided: {error}")
         if self._published is None or self._published[:2] != (notes, self._stamps()):
@@ -132,20 +129,20 @@ class Keeper:
 
     def withdraw(self) -> None:
         """Empty the ticket: what it rests on is in doubt."""
-        self._write(empty_ticket(str(self._outputs.ticket)), self._pending())
+        self._write(empty_ticket(str(self.outputs.ticket)), self._pending())
 
     def _follow(self, moment: float) -> Followed:
-        path, (before, known) = Path(self._campaign), self._followed
+        path, (before, known) = Path(self.campaign), self._followed
         same = known is not None and before <= moment and path.is_file()
         if known is None or not same or file_sha256(path) != known.track.data["sha256"]:
             self._held = self._until = self._published = None
-            known = follow_saved(path, self._cell, now=moment)
+            known = follow_saved(path, self.cell, now=moment)
         self._followed = moment, known
         return known
 
     def _issue(self, decision: Decision | None, sweeps: Sweeps, moment: float) -> Ticket:
         """Write the decision's ticket, unless one that rests on the same campaign is being measured."""
-        path, pending = self._outputs.ticket, self._pending()
+        path, pending = self.outputs.ticket, self._pending()
         if decision is not None and pending is not None and pending.plan is not None:
             fresh = pending.name.startswith(f"{basis_of(sweeps)}-") and moment < pending.expires_utc
             if fresh and str(pending.plan.session[0]) not in sweeps.sessions:
@@ -158,12 +155,12 @@ class Keeper:
 
     def _write(self, ticket: Ticket, pending: Ticket | None) -> None:
         if pending is None or pending.plan is not None or ticket.plan is not None:
-            write_ticket(self._outputs.ticket, ticket, self._cell)
+            write_ticket(self.outputs.ticket, ticket, self.cell)
 
     def _pending(self) -> Ticket | None:
         """The ticket that is there, or None if none can be read."""
         try:
-            return read_ticket(self._outputs.ticket, self._cell)
+            return read_ticket(self.outputs.ticket, self.cell)
         except InputError:
             return None
 
@@ -174,7 +171,7 @@ class Keeper:
         if self._published is not None and self._published[1] == self._stamps():
             return min(guess, self._published[2])
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            before: Mapping[str, Any] = json.loads(self._outputs.estimate.read_text(encoding="utf-8"))
+            before: Mapping[str, Any] = json.loads(self.outputs.estimate.read_text(encoding="utf-8"))
             if before["calibration_session"] == found.outcomes[0].session:
                 return min(guess, clock(before["campaign_began_utc"]).timestamp())
         return guess
@@ -182,19 +179,19 @@ class Keeper:
     def _publish(self, found: Track, until_h: float | None, notes: list[str], began: float) -> None:
         remembered = {"calibration_session": found.outcomes[0].session, "campaign_began_utc": iso(began)}
         content = published(found, until_h) | {"warnings": notes} | remembered
-        write_json(self._outputs.estimate, {"schema": SCHEMA, "command": "track", **content})
-        if self._outputs.flat is not None:
+        write_json(self.outputs.estimate, {"schema": SCHEMA, "command": "track", **content})
+        if self.outputs.flat is not None:
             estimate = found.estimate(until_h)
             if not estimate.data.get("utc"):
                 estimate = replace(estimate, data=estimate.data | {"utc": iso(began + 3600.0 * estimate.time_h)})
-            write_flat(self._outputs.flat, flat_content(estimate))
+            write_flat(self.outputs.flat, flat_content(estimate))
 
     def _stamps(self) -> list[object]:
-        return [stamp(path) for path in (self._outputs.estimate, self._outputs.flat) if path is not None]
+        return [stamp(path) for path in (self.outputs.estimate, self.outputs.flat) if path is not None]
 
     def _valid_until(self, found: Track) -> tuple[float | None, list[str]]:
         """Hours until which the estimate holds, or None, and what is to be said of it."""
         try:
-            return valid_until(found, self._goal) if found.trust.usable else None, []
+            return valid_until(found, self.goal) if found.trust.usable else None, []
         except InputError as error:
             return None, [f"how long the estimate holds cannot be said: {error}"]

@@ -77,9 +77,7 @@ def joints_at(cell: Cell, text: str) -> Floats:
     parts = [part.strip() for part in text.split(",")]
     named = "=" in text
     if not named and len(parts) != len(shown):
-        raise InputError(
-            f"--at {text!r:.40}: expected {len(shown)} values, or q1=VALUE,.. with those that are not zero"
-        )
+        raise InputError(f"--at {text!r:.40}: expected {len(shown)} values, or q1=VALUE,.. with those not zero")
     for i, part in enumerate(parts):
         name, _, value = part.rpartition("=")
         known = [f"q{j + 1}" for j in range(len(shown))]

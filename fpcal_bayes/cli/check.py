@@ -40,7 +40,7 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     warnings = check_warnings(found) + estimate.trust.texts
     if options.output is not None and found.verdict != "not evaluated":
         points, time_h = options.points or 0, estimate.time_h if options.time_h is None else options.time_h
-        rows = check_rows(cell, estimate, trace, found.measured, session=options.session, time_h=time_h, points=points)
+        rows = check_rows(estimate, trace, found.measured, session=options.session, time_h=time_h, points=points)
         write_sweeps(options.output, rows, cell, command="fpcal check")
     elif options.output is not None:
         warnings.append(f"{options.output} is not written: the check was not evaluated")

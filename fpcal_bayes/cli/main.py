@@ -22,6 +22,14 @@ from fpcal_bayes.core.resources import command_file
 from fpcal_bayes.core.version import __version__
 
 
+class _Completion(argparse.Action):
+    """Print a script that completes commands and options in a shell."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *parts: Any) -> NoReturn:
+        print(_load("shtab").complete(parser, shell=parts[1]))
+        parser.exit(0)
+
+
 class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, like every other error of the program."""
 
@@ -42,6 +50,12 @@ def make_parser(named: str | None = None) -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"fpcal {__version__}")
     parser.add_argument("--traceback", action="store_true", help="show where in the program an internal error arose")
+    parser.add_argument(
+        "--print-completion",
+        action=_Completion,
+        choices=("bash", "zsh", "tcsh"),
+        help="print a script that completes commands and options in this shell",
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
     for name in COMMANDS:
         # The other commands are known by their names alone.

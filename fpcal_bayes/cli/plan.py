@@ -62,9 +62,7 @@ _TARGET = re.compile(r"(?P<task>[^=,]+)=(?P<size>[0-9.eE+-]+)(?:nm)?")
 def run(options: argparse.Namespace, cell: Cell) -> int:
     asked = any(size is not None for size in (options.n, options.reach, options.minutes))
     if asked + options.commission + (options.validation is not None) != 1:
-        raise InputError(
-            "expected --n N or --reach TASK=NM,.. or --minutes M, or --commission alone, or --validation N alone"
-        )
+        raise InputError("expected --n N or --reach TASK=NM,.. or --minutes M, or alone --commission or --validation N")
     targets = _targets(options.reach)
     for rows in (options.output, options.rows):
         require_suffix(rows, ".csv", *HDF5_SUFFIXES)

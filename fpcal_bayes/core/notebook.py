@@ -1,9 +1,12 @@
 """How results show themselves in a notebook."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from html import escape
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fpcal_bayes.core.lazy import lazy
 
@@ -38,6 +41,22 @@ class Result:
 
     def _repr_html_(self) -> str:
         return str(self._view().html())
+
+
+class Brief:
+    """A dataclass, made with ``repr=False``, that shows of arrays the shape and of the rest what is short."""
+
+    def __repr__(self) -> str:
+        told = (f"{each.name}={_brief(getattr(self, each.name))}" for each in fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(told)})"
+
+
+def _brief(value: object) -> str:
+    """A value in 80 characters at most."""
+    if isinstance(value, np.ndarray):
+        return f"array{value.shape}"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{type(value).__name__}(...)"
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -347,6 +347,11 @@ def decide_track(track: Track, sweeps: Sweeps, goal: Goal, costs: Costs, now_h: 
     reason = f"the robot itself moved before session {due}" if due is not None else track.lasting_trust.against or None
     diagnosed = None if costs.diagnosis_h is None else last_diagnosis(track, sweeps, policy.limits)
     decision = policy.decide(forecast, state, reason, diagnosed)
+    again = any(outcome.dof >= len(track.drift.parameters) for outcome in track.outcomes[1:])
+    if decision.action == "full" and again and not track.outcomes[0].trust.usable:
+        text = f"{reason}; calibrations that follow do not lift that: begin a new campaign with the last one"
+        held = replace(decision, action="hold", hold_hours=costs.horizon_h, sweeps=None, after=decision.now)
+        return replace(held, minutes=0.0, then_hours=0.0, reason=text)
     if decision.sweeps is not None:
         planned, file = decision.sweeps, f"sweeps of the {decision.action} session"
         require_within_envelope(policy.model, known, planned.q_start, planned.q_end, file=file)

@@ -80,10 +80,9 @@ class Reading:
         return changes, covariance + (0.0 if self.fit is None else self.fit.ends_variance)
 
     def grouped(self, points: int) -> tuple[Floats, Floats, float]:
-        """Changes to evenly spaced interior points and to the end, as rows that share the reading at their start.
+        """Places (points + 1,), changes in um to evenly spaced interior points and to the end, and one sd in um.
 
-        Returns places (points + 1,), changes in um, and the least sd in um with which rows of a group (equal variances,
-        correlation 1/2) nowhere claim more than is known.
+        It is the least with which rows of a group (equal variances, correlation 1/2) claim no more than is known.
         """
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
@@ -140,6 +139,8 @@ def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDeci
     same = np.abs(size - size[chosen]) < _SAME_COUNT
     opposite = float(share[same & (np.sign(both) != np.sign(both[chosen]))].sum())
     signed = bool(opposite < _SIGN_RISK * share[same].sum())
+    pair = both[chosen] * np.array([-1.0, 1.0]), np.full(2, sds[chosen])
+    tellers = [s.source for s in sign_sources if np.diff(s.log_likelihood(*pair))[0] > -np.log(_SIGN_RISK)]
     others = np.flatnonzero(~same & (share > 1e-6))
     others = others[np.argsort(-share[others])]
     alternatives = list(dict.fromkeys(float(both[i]) if signed else float(size[i]) for i in others))
@@ -147,15 +148,7 @@ def decide(fits: Sequence[Fit], sign_sources: Sequence[SignSource]) -> CountDeci
         fit=fits[chosen % len(fits)],
         mirrored=chosen >= len(fits),
         signed=signed,
-        sign_source=_teller(sign_sources, both[chosen], sds[chosen]) if signed else "",
+        sign_source=(*tellers, "several together")[0] if signed else "",
         other_counts=float(share[~same].sum()),
         alternatives=tuple(alternatives[:4]),
     )
-
-
-def _teller(sign_sources: Sequence[SignSource], dl: float, sd: float) -> str:
-    for sign_source in sign_sources:
-        right, wrong = sign_source.log_likelihood(np.array([dl, -dl]), np.array([sd, sd]))
-        if right - wrong > -np.log(_SIGN_RISK):
-            return sign_source.source
-    return "several together"

@@ -152,8 +152,8 @@ def follow(
     for each in {id(each): each for each in (tries[0], *ranked)}.values():
         old, moved = each.solution.best, each.solution.samples
         prior = loosened(profile, len(old.profile), each.size) if each.uneven else profile
-        new = replace(fit(moved, old, prior, old.profile), ends=old.ends)
-        new = replace(new, ends_variance=old.ends_variance * (noise / old.noise) ** 2)
+        variance = old.ends_variance * (noise / old.noise) ** 2
+        new = replace(fit(moved, old, prior, old.profile), ends=old.ends, ends_variance=variance)
         weighed.append(replace(each, solution=FringeSolution((new,), moved)))
     best = max(weighed, key=lambda each: each.evidence)
     if best.uneven:
@@ -266,19 +266,18 @@ def _short(whole: Samples, size: int, grid: Floats, smooth: Followed, fit: _Fitt
     change = np.array([each.best.change[0] for each, *_ in laid]) - best.best.change[0]
     found = at(value, best.best, None, whole)
     told = replace(found.best, ends_variance=float(share @ change**2 / share.sum()))
-    return Followed(replace(found, fits=(told,)), per_um, *((-1.0, value) if stops else (value, 1.0)))
+    # Beyond the sweep's own ends a place is none.
+    return Followed(replace(found, fits=(told,)), per_um, *told.ends)
 
 
 def _lagged(whole: Samples, size: int, smooth: Followed, fit: _Fitter) -> Followed:
     """A mirror that lags: the best of some lags, then one more unknown of the fit."""
     per_um, held = smooth.phase_per_um, smooth.solution.best
     fits = []
-    lags = _LAGS.tolist()
-    for lag in lags:
+    for lag in _LAGS.tolist():
         held = fit(_chunked(_lagging(whole, lag), size), held)
-        fits.append(held)
-    best = int(np.argmax([each.evidence for each in fits]))
-    held, lag = fits[best], lags[best]
+        fits.append((held, lag))
+    held, lag = max(fits, key=lambda each: each[0].evidence)
     for _ in range(_ROUNDS):
         moved = _lagging(whole, lag)
         rise = (_lagging(whole, 1.0001 * lag).s - moved.s) / 1e-4
@@ -364,13 +363,11 @@ def _hopped(best: Followed, whole: Samples, size: int, smooth: Followed, fit: _F
 
     step = max(1, len(whole) // _HOPS)
     tried = {place: at(place) for place in range(step, len(whole), step)}
-    while True:
+    while step > 1:
         place = max(tried, key=lambda each: tried[each].evidence)
-        if step == 1:
-            break
         step = max(1, step // 4)
         tried |= {near: at(near) for near in range(place - 3 * step, place + 4 * step, step) if near not in tried}
-    found = tried[place]
+    found = max(tried.values(), key=lambda each: each.evidence)
     return replace(best, hop=float(found.unknowns[-1])) if found.evidence > best.evidence else best
 
 

@@ -216,12 +216,7 @@ def _record(
 
 
 def fading_priors(cell: Cell, sweeps: Sweeps) -> list[Nuisance]:
-    """What a signal may do beside its fringes along each sweep, if the mirror fades as the cell's optics say.
-
-    A mirror that tilts or moves away sends less light back into the fibre. For a tilt the bow of log visibility is
-    nearly certain and its slope is not, for a translation there is next to nothing. A short sweep needs that to tell an
-    envelope from a fringe.
-    """
+    """What a signal may do beside its fringes along each sweep, if the mirror fades as the optics say."""
     model = CavityModel.of(cell)
     sds = np.array([p.prior_sd for p in model.free])
     draws = model.free.nominal + sds * np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sds)))

@@ -48,7 +48,6 @@ def normal_equations(
     h3, h4 = unknowns[harmonic_at + 2], unknowns[harmonic_at + 3]
     mirror = unknowns[mirror_at]
     rows = np.empty((unknowns.size, n))
-    residual, change, slope = np.empty(n), np.empty(n), np.empty(n)
     f, offset, logarithm = base + unknowns[phase_at], np.zeros(n), np.zeros(n)
     for j in range(n_modes):
         f += modes[j] * unknowns[phase_at + 1 + j]
@@ -59,20 +58,18 @@ def normal_equations(
         logarithm += over_time[j] * unknowns[n_offset + j]
     for j in range(n_fade):
         logarithm += over_place[j + 1] * unknowns[fade_at + j]
-    for k in range(n):
-        c, s = np.cos(f[k]), np.sin(f[k])
-        c2, s2 = c * c - s * s, 2.0 * s * c
-        c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
-        b = np.exp(logarithm[k])
-        d, light = b * damping[k], mirror * b * b
-        wave = d * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
-        change[k] = root[k] * (wave + 2.0 * light)
-        slope[k] = root[k] * d * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
-        residual[k] = root[k] * (signal[k] - offset[k] - light - wave)
-        rows[mirror_at, k] = root[k] * b * b
-        d *= root[k]
-        rows[harmonic_at, k], rows[harmonic_at + 1, k] = d * c2, d * s2
-        rows[harmonic_at + 2, k], rows[harmonic_at + 3, k] = d * c3, d * s3
+    c, s = np.cos(f), np.sin(f)
+    c2, s2 = c * c - s * s, 2.0 * s * c
+    c3, s3 = c2 * c - s2 * s, s2 * c + c2 * s
+    b = np.exp(logarithm)
+    d, light = root * b * damping, root * b * b
+    wave = d * (c + h1 * c2 + h2 * s2 + h3 * c3 + h4 * s3)
+    change = wave + 2.0 * mirror * light
+    slope = d * (2.0 * (h2 * c2 - h1 * s2) + 3.0 * (h4 * c3 - h3 * s3) - s)
+    residual = root * (signal - offset) - mirror * light - wave
+    rows[mirror_at] = light
+    for j, harmonic in enumerate((c2, s2, c3, s3)):
+        rows[harmonic_at + j] = d * harmonic
     for j in range(n_gain):
         rows[n_offset + j] = change * over_time[j]
     for j in range(n_fade):
@@ -94,8 +91,7 @@ def fit_signal(
 ) -> tuple[float, float, Floats]:
     """Levenberg-Marquardt from `unknowns`, which are improved in place.
 
-    Returns the sum of squares reached, and of the normal equations there the logarithm of the determinant and the
-    inverse (p, p), the covariance of the unknowns.
+    Returns the sum of squares reached, and the log determinant and the inverse (p, p) of the normal equations there.
     """
     p = unknowns.size
     gradient, matrix = np.empty(p), np.empty((p, p))

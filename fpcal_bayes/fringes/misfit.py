@@ -83,9 +83,8 @@ class PhaseErrors:
     def straightened(self, stretch: float) -> tuple[float, float, float]:
         """A line's slope (rad per unit of s) beside a hop, a ripple or a bow that may explain the errors of a scan.
 
-        stretch: half the range of 1 / wavelength over its middle, by whose square an error of the wavelength turns the
-        phase. Returns slope and sd of all explanations averaged (Schwarz's criterion), and the mean square that the
-        best leaves.
+        stretch: half the range of 1 / wavelength over its middle, by whose square its error turns the phase. Returns
+        slope and sd of all explanations averaged (Schwarz's criterion), and the mean square that the best leaves.
         """
         s, line, felt = self.s, legendre(self.s, 3), (1.0 + stretch * self.s) ** 2
         # Either side of a hop may be the one that is told right; its own block is left out by a number of its own.

@@ -14,7 +14,6 @@ from fpcal_bayes.fringes.reference import fit_fringe
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.measure.traces import PathTrace, check_parts
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.interferometer import fringe, mirror_views
 from fpcal_bayes.model.mechanics.errors import known_task_errors
@@ -91,11 +90,11 @@ class PathCheck:
 
 
 def measure_path(
-    cell: Cell, estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
+    estimate: Estimate, trace: PathTrace, *, index: float = 1.0, stability: float = STABILITY, seed: int = 0
 ) -> PathError:
     """The error along a path against an estimate, from its irradiance; arguments as in `check`."""
     check_parts(trace)
-    model = CavityModel.of(cell, estimate.parameters)
+    cell, model = estimate.cell, CavityModel.of(estimate.cell, estimate.parameters)
     values, wavelength = estimate.values, cell.wavelength / index
     lengths, distance, tilt = mirror_views(model, values, trace.q)
     base = trace.before.start
@@ -174,7 +173,7 @@ def check(
     InputError
         If the recording lacks a part.
     """
-    measured = measure_path(estimate.cell, estimate, trace, index=index, stability=stability, seed=seed)
+    measured = measure_path(estimate, trace, index=index, stability=stability, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     q = trace.q[trace.path][measured.places]
     rows = model.rows(np.repeat(q[:1], len(q), axis=0), q)
@@ -208,21 +207,14 @@ def check(
 
 
 def check_rows(
-    cell: Cell,
-    estimate: Estimate,
-    trace: PathTrace,
-    measured: PathError,
-    *,
-    session: str,
-    time_h: float,
-    points: int = 0,
+    estimate: Estimate, trace: PathTrace, measured: PathError, *, session: str, time_h: float, points: int = 0
 ) -> Sweeps:
     """A row of kind ``path``, the peak to peak of the error without sign, then sweeps to `points` points of it.
 
     These are one group: the reading at the start, and the signal's drift, which counts as part of it, are common to
     them.
     """
-    q, model = trace.q[trace.path], CavityModel.of(cell, estimate.parameters, estimate.vector())
+    q, model = trace.q[trace.path], CavityModel.of(estimate.cell, estimate.parameters, estimate.vector())
     name = Path(trace.file).name or "path"
     # Without the start; the path's end too unless it is the start again.
     chosen = np.unique(np.linspace(0, len(measured.places) - 1, points + 2).round().astype(np.int64)[1:-1])

@@ -57,13 +57,8 @@ class Levels:
         Returns shapes (7,) and (7, 7), in V and rad.
         """
         first, last = self.first, self.last
-        turn = np.array(
-            [
-                [1.0, 0.0, 0.0],
-                [0.0, np.cos(first.phase), np.sin(first.phase)],
-                [0.0, -np.sin(first.phase) / first.amplitude, np.cos(first.phase) / first.amplitude],
-            ]
-        )
+        c, s = np.cos(first.phase), np.sin(first.phase)
+        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s / first.amplitude, c / first.amplitude]])
         begin = turn @ first.covariance @ turn.T
         expected = np.array([first.mean, first.amplitude, first.mean, first.amplitude, first.phase, 0.0, 0.0])
         covariance = np.zeros((7, 7))

@@ -10,7 +10,7 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.fringes.count import CountDecision, Reading, SignSource, decide
 from fpcal_bayes.fringes.fit import CALM, LIVELY, Fit, Nuisance
 from fpcal_bayes.fringes.follow import DOUBTED, UNLIKELY, Followed, follow, hidden
-from fpcal_bayes.fringes.misfit import fringes_seen
+from fpcal_bayes.fringes.misfit import PhaseErrors, fringes_seen
 from fpcal_bayes.fringes.profile import DisplacementProfile, lengths_at, slopes_at
 from fpcal_bayes.fringes.samples import Samples, fault
 from fpcal_bayes.fringes.solve import FringeSolution, path_fringes, rescaled, solve, with_noise
@@ -100,28 +100,27 @@ def read_traces(
             continue
         if solution is not None:
             sd = pool.noise_of(solution.best)[0] if pool else solution.best.noise
-            if abs(np.log(sd / solution.best.noise)) > 0.05:
-                solution = with_noise(solution, each.profile, each.phase_per_um, sd, mirror_light)
-            else:
-                solution = rescaled(solution, sd)
-        found = _followed(each, solution, noise, mirror_light)
-        if found is None or _faint(found.solution.best, each.samples):
+            other = abs(np.log(sd / solution.best.noise)) > 0.05
+            again = partial(with_noise, profile=each.profile, phase_per_um=each.phase_per_um, mirror_light=mirror_light)
+            solution = again(solution, noise=sd) if other else rescaled(solution, sd)
+        course = _followed(each, solution, noise, mirror_light)
+        if course is None or _faint(course[0].solution.best, each.samples):
             readings.append(Reading(each.label, refused=_unseen(each), phase_per_um=each.phase_per_um))
             continue
-        readings.append(_reading(each, found, _excess(found, pool, noise)))
+        readings.append(_reading(each, *course, _excess(course[0], pool, noise)))
     return readings
 
 
 def _followed(
     each: Recorded, solution: FringeSolution | None, noise: float | None, mirror_light: float
-) -> Followed | None:
-    """The course of the mirror: the joint's where that explains the trace."""
+) -> tuple[Followed, PhaseErrors] | None:
+    """The course of the mirror, the joint's where that explains the trace, and what its fit leaves."""
     smooth = None if solution is None or _faint(solution.best, each.samples) else Followed(solution, each.phase_per_um)
     if smooth is not None and smooth.errors.probability > DOUBTED and not each.errs:
         both = [hidden(smooth.solution.best, each.samples, each.phase_per_um, end) for end in (-1.0, 1.0)]
         # The start and the end are fitted where it matters.
         if not any(likely and variance > _SHORT**2 for likely, variance in both):
-            return _widened(smooth, both[0][1] + both[1][1])
+            return _widened(smooth, both[0][1] + both[1][1]), smooth.errors
     nuisance = CALM if smooth is None else smooth.solution.best.nuisance
     sd = noise or 0.005 * float(np.ptp(each.samples.signal))
     course = None if smooth is None else smooth.solution
@@ -144,7 +143,7 @@ def _followed(
         if jumps:
             # A hop leaves half of itself to either side, at half height of the fringe.
             added += 4.0 * errors.worst * (best.noise / best.amplitude / each.phase_per_um) ** 2
-    return _widened(replace(found, solution=solution), added)
+    return _widened(replace(found, solution=solution), added), errors
 
 
 def _widened(found: Followed, variance: float) -> Followed:
@@ -217,7 +216,7 @@ class _Pool:
         return float(np.sqrt(square)), float(excess)
 
 
-def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
+def _reading(each: Recorded, found: Followed, errors: PhaseErrors, excess: float) -> Reading:
     solution, late, missing = found.solution, *found.missed()
     prior = SignSource(each.profile.dl, 1.5 * each.profile.dl_sd, "prior")
     # A mirror that goes its own way may change by another length than the joint lets expect.
@@ -262,7 +261,8 @@ def _reading(each: Recorded, found: Followed, excess: float) -> Reading:
         stop=found.stop,
         late=(found.set_out - found.stop + 2.0) / 2.0 * abs(each.end - each.start),
         uneven=found.uneven,
-        doubt=_strayed(each, found, verdict, sd) or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
+        doubt=_strayed(each, found, errors, verdict, sd)
+        or _doubt(verdict, sd, excess, fringes, each.errs or found.astray),
         alternatives=verdict.alternatives if verdict.doubtful else (),
         profile=sign * fit.profile,
         profile_covariance=fit.covariance,
@@ -282,11 +282,10 @@ def _doubt(verdict: CountDecision, sd: float, excess: float, fringes: float, ast
     return ""
 
 
-def _strayed(each: Recorded, found: Followed, verdict: CountDecision, sd: float) -> str:
+def _strayed(each: Recorded, found: Followed, errors: PhaseErrors, verdict: CountDecision, sd: float) -> str:
     """Why a reading is not relied on by what the mirror did."""
     late, missing = found.missed()
     fringe = 2.0 * np.pi / each.phase_per_um
-    errors = found.errors
     if np.sqrt(np.mean(errors.phase**2)) > _OFF_PHASE or errors.excess > _OFF_SQUARE:
         return f"the signal does not follow a smooth sweep (phase errors {errors.excess**0.5:.1f} times the noise)"
     if found.astray and errors.worst > _JUMP:

@@ -72,8 +72,7 @@ def lay_out(trace: Trace, start: float, end: float, *, unit: str, scale: float, 
     unit, scale: of that joint as a person reads it, and internal units per shown unit. place: begins a message without
     file.
     """
-    travel = end - start
-    s = (2.0 * trace.joint - start - end) / travel
+    s = (2.0 * trace.joint - start - end) / (end - start)
     wanted = [f"{value / scale:.6g}" for value in (start, end)]
     beyond = np.abs(s) > 1.0 + 4.0 * END_TOLERANCE
     why, found = "", trace.joint[int(np.argmax(beyond))] / scale
@@ -98,8 +97,7 @@ def fault(samples: Samples, full_scale: float | None = None) -> str:
     signal = samples.signal
     if signal.max() == signal.min():
         return "the signal is constant"
-    clipped = _clipped(signal, full_scale)
-    if clipped:
+    if clipped := _clipped(signal, full_scale):
         return clipped
     steps = np.abs(np.diff(samples.s))
     widest = int(np.argmax(steps))

@@ -82,7 +82,7 @@ def _by_transform(
     if power.size == 0:
         return np.zeros((0, DEGREE)), np.zeros(0)
     b, a = _peaks(power)
-    return _combined(split, frequency[order][a], bends[b]), power[b, a]
+    return np.column_stack([np.ones(len(a)), frequency[order][a], bends[b]]) @ split, power[b, a]
 
 
 def _by_fits(
@@ -110,11 +110,7 @@ def _by_fits(
     explained = (seen * np.linalg.solve(gram, seen[..., None])[..., 0]).sum(axis=2)
     explained /= float((used.count * signal**2).sum())
     a, b = _peaks(explained)
-    return _combined(split, slopes[a], bends[b]), explained[a, b]
-
-
-def _combined(split: Floats, slopes: Floats, bends: Floats) -> Floats:
-    return np.asarray(split[0] + np.outer(slopes, split[1]) + np.outer(bends, split[2]))
+    return np.column_stack([np.ones(len(a)), slopes[a], bends[b]]) @ split, explained[a, b]
 
 
 def _peaks(values: Floats, most: int = 24, least: float = 0.4) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -26,7 +26,6 @@ FEWEST_FRINGES, SPARSE = 2.0, 3.0
 _RISK = 1e-3
 #: The cell's prior of the length is widened by this factor, and is at least this share of the length.
 _WIDENED, _LEAST_SHARE = 2.0, 0.2
-
 #: A length known less well, in um, and a mean square of errors that no explanation comes below, are refused.
 _VAGUE, _UNEXPLAINED = 0.4, 30.0
 
@@ -76,8 +75,7 @@ def read_wavelength_scan(
     middle, half = wave_number[[0, -1]].mean(), abs(wave_number[-1] - wave_number[0]) / 2.0
     s = (wave_number - middle) / half
     samples = Samples(s, s, scan.irradiance, np.ones(len(scan)))
-    why = fault(samples, full_scale)
-    if why:
+    if why := fault(samples, full_scale):
         return ScanReading(refused=why)
     sd = max(_WIDENED * expected_sd, _LEAST_SHARE * expected)
     mean, covariance = np.zeros(DEGREE), np.zeros((DEGREE, DEGREE))
@@ -95,9 +93,8 @@ def _reading(solution: FringeSolution, samples: Samples, middle: float, half: fl
     if best.amplitude < 3.0 * best.noise:
         return ScanReading(refused="no fringes are seen")
     if len(samples) < SPARSE * fringes:
-        return ScanReading(
-            refused=f"sparse: {len(samples) / fringes:.2g} samples a fringe, expected {SPARSE:g} or more"
-        )
+        seen = f"{len(samples) / fringes:.2g} samples a fringe"
+        return ScanReading(refused=f"sparse: {seen}, expected {SPARSE:g} or more")
     slope, sd = float(best.profile[0]), float(np.sqrt(best.covariance[0, 0]))
     errors = PhaseErrors.of(best, solution.samples, 4.0 * np.pi)
     bent, bent_sd, rest = errors.straightened(half / middle)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fpcal_bayes.core.errors import InputError, largest
+from fpcal_bayes.core.errors import InputError, largest, located
 from fpcal_bayes.core.files import CONTENT_HASH, content_sha256, read_text
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.io.sweeps import unpacked
@@ -50,9 +50,7 @@ def require_unchanged(path: str | Path, content: dict[str, Any]) -> None:
     """Raise `InputError` if the content of a result file is not what its hash says."""
     rest = {key: value for key, value in content.items() if key != CONTENT_HASH}
     if content.get(CONTENT_HASH) != content_sha256(rest):
-        raise InputError(
-            f"{path}: key {CONTENT_HASH}: the content is not what the program wrote: expected an unchanged file"
-        )
+        raise located(path, f"key {CONTENT_HASH}: the content is not what the program wrote, expected it unchanged")
 
 
 def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Estimate:

@@ -105,14 +105,11 @@ def _axes(cell: Cell) -> dict[tuple[str, str], int]:
     axes: dict[tuple[str, str], int] = {}
     for j, joint in enumerate(cell.joints):
         if joint.controller is None:
-            raise InputError(
-                f"cell {cell.name!r}: q{j + 1} names no controller, expected the key controller in its table"
-            )
+            raise InputError(f"cell {cell.name!r}: q{j + 1} names no controller, expected that key in its table")
         key = (joint.controller.name, joint.controller.channel)
         if key in axes:
-            raise InputError(
-                f"cell {cell.name!r}: q{axes[key] + 1} and q{j + 1} share {key[0]} {key[1]}, expected a channel each"
-            )
+            both = f"q{axes[key] + 1} and q{j + 1}"
+            raise InputError(f"cell {cell.name!r}: {both} share {key[0]} {key[1]}, expected a channel each")
         axes[key] = j
     return axes
 

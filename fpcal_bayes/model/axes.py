@@ -33,13 +33,12 @@ class Sight:
 
 def joint_axes(cell: Cell, vector: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Direction of each joint's positive motion or right-hand turn, and a point of its axis, (n_joints, 3) each."""
-    pose, directions, points = np.eye(4), [], []
+    poses = [np.eye(4)]
     for i, joint in enumerate(cell.joints):
         link = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        pose = pose @ chain.link_transform(link, q[i], joint.kind == "prismatic")
-        directions.append(pose[:3, 2])
-        points.append(pose[:3, 3])
-    return np.array(directions), np.array(points)
+        poses.append(poses[-1] @ chain.link_transform(link, q[i], joint.kind == "prismatic"))
+    found = np.array(poses[1:])
+    return found[:, :3, 2].copy(), found[:, :3, 3].copy()
 
 
 def sight(cell: Cell, vector: Floats, q: Floats) -> Sight:

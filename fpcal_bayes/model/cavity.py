@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fpcal_bayes.core.errors import InputError
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
@@ -30,8 +31,8 @@ from fpcal_bayes.model.kernels.pull import joint_pulls
 from fpcal_bayes.model.parameters import ParameterSet
 
 
-@dataclass(frozen=True)
-class PoseGroups:
+@dataclass(frozen=True, repr=False)
+class PoseGroups(Brief):
     """Distinct poses, sorted by group."""
 
     q: Floats  # distinct joint vectors, shape (n_poses, n_joints), in um and rad
@@ -82,8 +83,8 @@ def _changes(rows: Floats) -> Bools:
     return new
 
 
-@dataclass(frozen=True)
-class Rows:
+@dataclass(frozen=True, repr=False)
+class Rows(Brief):
     """Rows to predict, laid out for the kernels: each is L(end) - L(start), or L(end) where start is -1."""
 
     poses: PoseGroups

@@ -59,7 +59,7 @@ class FewJoints:
         if len(self.met) < len(cell.joints):
             status[:] = SINGULAR
         for _ in range(_STEPS):
-            error = self._error(targets, q)[:, self.met]
+            error = self._twists(self._poses(q), targets)[:, self.met]
             met = np.abs(error).max(axis=1) < _GOAL
             status[met & (status == OUT_OF_REACH)] = OK
             if met.all():
@@ -77,20 +77,16 @@ class FewJoints:
 
     def missed(self, targets: Floats, q: Floats) -> Floats:
         """What joint values leave undone of tool poses (n_poses, 4, 4), in um, turns times `LEVER`; (n_poses, 6)."""
-        error = self._error(targets, q)
+        error = self._twists(self._poses(q), targets)
         error[:, self.met] = 0.0
         return error
-
-    def _error(self, targets: Floats, q: Floats) -> Floats:
-        """Twists from where joints `q` put the mirror point to `targets`, in the fibre frame, shape (n_poses, 6)."""
-        return self._twists(self._poses(q), targets)
 
     def _poses(self, q: Floats) -> Floats:
         vectors, joints = (np.ascontiguousarray(a, dtype=float)[None] for a in (self.vector, q))
         return np.asarray(batch_tool_poses(vectors, self.cell.revolute, joints)[0])
 
     def _twists(self, start: Floats, end: Floats) -> Floats:
-        """Shift and turn from tool frames to others (n, 4, 4), in um and rad times `LEVER`; shape (n, 6)."""
+        """Shift and turn of the mirror point between tool frames (n, 4, 4), in fibre axes; um, rad times `LEVER`."""
         start, end = start @ self.point, end @ self.point
         good = np.isfinite(start).all(axis=(1, 2))
         turns = np.full((len(start), 3), np.nan)
@@ -100,9 +96,6 @@ class FewJoints:
 
     def _jacobian(self, q: Floats) -> Floats:
         """Twists by each joint, shape (n_poses, 6, n_joints)."""
-        columns = []
-        for i in range(q.shape[1]):
-            step = np.zeros(q.shape[1])
-            step[i] = _STEP
-            columns.append(self._twists(self._poses(q - step), self._poses(q + step)) / (2.0 * _STEP))
+        steps = _STEP * np.eye(q.shape[1])
+        columns = [self._twists(self._poses(q - step), self._poses(q + step)) / (2.0 * _STEP) for step in steps]
         return np.stack(columns, axis=-1)

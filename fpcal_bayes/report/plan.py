@@ -32,7 +32,8 @@ def accuracy_table(expected: TaskForecast, title: str) -> Table:
 def sweeps_table(cell: Cell, sweeps: Sweeps, title: str, names: Sequence[str] | None = None) -> Table:
     """One line per sweep: which joints move, and where each stands or where it begins and ends; um and deg."""
     table = plain_table(title, ["sweep", "moves", *[f"q{i} {joint.unit}" for i, joint in enumerate(cell.joints, 1)]])
-    starts, ends = sweeps.q_start / cell.joint_scales, sweeps.q_end / cell.joint_scales
+    # Adding zero turns -0 into 0.
+    starts, ends = sweeps.q_start / cell.joint_scales + 0.0, sweeps.q_end / cell.joint_scales + 0.0
     for name, start, end in zip(names or sweeps.label.tolist(), starts.tolist(), ends.tolist(), strict=True):
         moving = [f"q{i}" for i, (a, b) in enumerate(zip(start, end, strict=True), 1) if a != b]
         shown = [f"{a:.4g}" if a == b else f"{a:.4g} .. {b:.4g}" for a, b in zip(start, end, strict=True)]

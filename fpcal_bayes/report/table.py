@@ -10,9 +10,10 @@ from io import StringIO
 
 import numpy as np
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.markup import escape
 from rich.table import Table as TerminalTable
+from rich.text import Text
 
 #: Colours of the terminal; on a page the style is a class of the style sheet.
 _COLOURS = {
@@ -56,14 +57,16 @@ class Table:
         """Append a row of as many cells as there are columns."""
         self.rows.append([cell if isinstance(cell, TableCell) else TableCell(cell) for cell in cells])
 
-    def __rich__(self) -> TerminalTable:
-        shown = TerminalTable(title=escape(self.title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        # Rich would break a title that is wider than its table.
+        yield Text(self.title, style="table.title", overflow="fold")
+        shown = TerminalTable(box=box.SIMPLE_HEAD, pad_edge=False)
         for column in self.columns:
             head = f"{column.name} {column.unit}".rstrip()
             shown.add_column(escape(head), justify="left" if column.words else "right", no_wrap=True)
         for row in self.rows:
             shown.add_row(*map(_coloured, row))
-        return shown
+        yield shown
 
     def __str__(self) -> str:
         text = StringIO()

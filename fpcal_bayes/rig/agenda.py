@@ -88,7 +88,8 @@ class Agenda:
             self._read_journal()
         elif output.exists():
             raise InputError(f"{output}: exists: a session that is measured is not measured again")
-        self.require_valid()
+        if expired := self._expired():
+            raise InputError(f"{ticket.file}: {expired}: ask for a new one")
 
     @property
     def folder(self) -> Path:
@@ -105,12 +106,6 @@ class Agenda:
         """The order that was driven and kept last."""
         kept = [number for number, outcome in self.outcomes.items() if not outcome["doubt"]]
         return self.orders[kept[-1]] if kept else None
-
-    def require_valid(self) -> None:
-        """Raise `InputError` if the ticket is out of date."""
-        expired = self._expired()
-        if expired:
-            raise InputError(f"{self.ticket.file}: {expired}: ask for a new one")
 
     def begin(self) -> None:
         """Begin the journal, unless an earlier run left one."""

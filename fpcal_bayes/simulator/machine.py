@@ -151,9 +151,8 @@ class Machine:
         own = np.where(drive.absolute, np.sqrt(2.0), 1.0) * noise[beam, ends]
         dl: Floats = lengths[beam, ends] + own * sigma / np.sqrt(2.0)
         dl -= np.where(drive.absolute, 0.0, lengths[beam, starts] + noise[beam, starts] * sigma / np.sqrt(2.0))
-        slow = np.array([self._slow(len(drive)) for _ in beams])
-        dl += slow[beam, np.arange(len(drive))]
-        return dl
+        slow: Floats = np.array([self._slow(len(drive)) for _ in beams])
+        return dl + slow[beam, np.arange(len(drive))]
 
     def path(self, start: Floats, q: Floats, minutes: float) -> Floats:
         """True L(q) - L(start) along a path that is driven point by point, in um, shape (n_points,)."""
@@ -163,8 +162,31 @@ class Machine:
         return np.asarray(lengths[1:] - lengths[0])
 
     def tools(self, q: Floats, reached: Floats) -> tuple[Floats, Floats]:
-        """Orientation (n, 3, 3) and origin (n, 3) of the tool, as in `lengths`."""
-        return _chain(self.cell, self.vector, q, reached, self.motions, self.lever)
+        """Orientation (n, 3, 3) and origin (n, 3) of the tool as in `lengths`, each error motion applied as it is."""
+        n, zero, (ex, ey, ez) = len(q), _nominal_bases(self.cell), np.eye(3)
+        turn, at = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
+        for i, joint in enumerate(self.cell.joints):
+            beta, alpha, d, theta, r, gain, runout_cos, runout_sin = self.vector[_STRIDE * i : _STRIDE * (i + 1)]
+            turn = turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0]
+            at = at + d * turn[:, :, 0]
+            moved = np.array([f(q[:, i]) for f in self.motions[i]])
+            shifts, tilts = moved[:3], moved[3:]
+            axes = zero[i].T @ _axes(zero[i])
+            travel = q[:, i] * (1 + gain) + reached[:, i]
+            angle, along = np.full(n, theta), np.full(n, r)
+            if joint.kind == "prismatic":
+                along = along + travel
+            else:
+                angle = angle + travel + tilts[0]
+                along = along + runout_cos * np.cos(travel) + runout_sin * np.sin(travel)
+                tilts = np.vstack([np.zeros((1, n)), tilts[1:]])
+            tilt = _turn(axes[:, 0], tilts[0]) @ _turn(axes[:, 1], tilts[1]) @ _turn(axes[:, 2], tilts[2])
+            # In the base frame: the carriage, tilted about the sheet's point, which is the lever behind the mirror.
+            arm = zero[i].T @ self.lever[i]
+            carried = along[:, None] * ez + (axes @ shifts).T + (tilt @ arm - arm)
+            at = at + (turn @ carried[:, :, None])[:, :, 0]
+            turn = turn @ tilt @ _turn(ez, angle)
+        return turn, at
 
     def length_change(self, q: Floats, approach: Floats, time_h: float) -> float:
         """What error motions, reversal and encoders add to L at a pose (n_joints,), in um; `approach`: a sign each."""
@@ -200,11 +222,8 @@ def _beam(cell: Cell, beta_wf: float, theta_wf: float) -> Floats:
 
 def _poses(drive: Drive) -> tuple[Floats, Floats, Ints, Ints]:
     """Poses of rows one after the other with their minutes, and the place of each row's start and end among them."""
-    poses: list[Floats] = []
-    minutes: list[float] = []
-    starts: list[int] = []
-    ends: list[int] = []
-    sweep = -1
+    poses, minutes = list[Floats](), list[float]()
+    starts, ends, sweep = list[int](), list[int](), -1
     for i in range(len(drive)):
         if drive.sweep[i] != sweep and not drive.absolute[i]:
             starts.append(len(poses))
@@ -242,9 +261,9 @@ def _draw_joint(cell: Cell, i: int, sizes: JointMechanics, rng: np.random.Genera
             (2 * sizes.wobble_urad, "full"),
         ]
     made = []
-    for direction, (size, shape) in enumerate(sized):
-        size = size * (1e-3 if direction < 3 else 1e-6) * np.exp(rng.uniform(-1, 1) * np.log(spread))
-        made.append(_draw_function(cell.low[i], cell.high[i], float(size), shape, rng))
+    for (size, shape), unit in zip(sized, [1e-3] * 3 + [1e-6] * 3, strict=True):
+        drawn = float(size * unit * np.exp(rng.uniform(-1, 1) * np.log(spread)))
+        made.append(_draw_function(cell.low[i], cell.high[i], drawn, shape, rng))
     return made
 
 
@@ -272,9 +291,7 @@ def _draw_function(low: float, high: float, size: float, shape: str, rng: np.ran
 
     grid = np.linspace(low, high, _GRID)
     values = raw(grid)
-    line = np.zeros(2)
-    if shape == "bent":
-        line = np.polyfit(grid, values, 1)
+    line = np.polyfit(grid, values, 1) if shape == "bent" else np.zeros(2)
     factor = size / np.ptp(values - np.polyval(line, grid))
     middle = float(values.mean())
 
@@ -290,37 +307,6 @@ def _turn(axis: Floats, angle: Floats) -> Floats:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
     return np.asarray(np.eye(3) + s * cross + (1 - c) * (cross @ cross))
-
-
-def _chain(
-    cell: Cell, vector: Floats, q: Floats, reached: Floats, motions: list[list[Function]], lever: Floats
-) -> tuple[Floats, Floats]:
-    """Orientation (n, 3, 3) and origin (n, 3) of the tool, each joint's error motion applied as it is."""
-    n = len(q)
-    turn, at = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
-    zero = _nominal_bases(cell)
-    ex, ey, ez = np.eye(3)
-    for i, joint in enumerate(cell.joints):
-        beta, alpha, d, theta, r, gain, runout_cos, runout_sin = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        turn = turn @ (_turn(ey, np.array([beta])) @ _turn(ex, np.array([alpha])))[0]
-        at = at + d * turn[:, :, 0]
-        shifts, tilts = np.array([f(q[:, i]) for f in motions[i][:3]]), np.array([f(q[:, i]) for f in motions[i][3:]])
-        axes = zero[i].T @ _axes(zero[i])
-        travel = q[:, i] * (1 + gain) + reached[:, i]
-        angle, along = np.full(n, theta), np.full(n, r)
-        if joint.kind == "prismatic":
-            along = along + travel
-        else:
-            angle = angle + travel + tilts[0]
-            along = along + runout_cos * np.cos(travel) + runout_sin * np.sin(travel)
-            tilts = np.vstack([np.zeros((1, n)), tilts[1:]])
-        tilt = _turn(axes[:, 0], tilts[0]) @ _turn(axes[:, 1], tilts[1]) @ _turn(axes[:, 2], tilts[2])
-        # In the base frame: the carriage, tilted about the sheet's point, which is the lever behind the mirror.
-        arm = zero[i].T @ lever[i]
-        carried = along[:, None] * ez + (axes @ shifts).T + (tilt @ arm - arm)
-        at = at + (turn @ carried[:, :, None])[:, :, 0]
-        turn = turn @ tilt @ _turn(ez, angle)
-    return turn, at
 
 
 def _axes(base: Floats) -> Floats:

@@ -100,10 +100,9 @@ def record_sweeps(
     before, after = scanned(q_start, swept, at_start), scanned(q_end, swept | sweeps.absolute, at_end)
     # What an index does not hold: changes of length, and which signs are known; the scans tell these.
     plan = replace(sweeps.with_measurement(np.full(n, np.nan), np.nan), signed=np.ones(n, dtype=bool))
-    celsius, pressure, humidity = (
-        np.full(n, value) for value in (settings.temperature_c, settings.pressure_hpa, settings.humidity_pct)
-    )
-    return TraceIndex(plan, np.full(n, np.nan), celsius, pressure, humidity, traces, before, after)
+    air = (np.nan, settings.temperature_c, settings.pressure_hpa, settings.humidity_pct)
+    time, celsius, pressure, humidity = (np.full(n, value) for value in air)
+    return TraceIndex(plan, time, celsius, pressure, humidity, traces, before, after)
 
 
 def _reached(machine: Machine, sweeps: Sweeps, seed: int) -> tuple[Reached, Reached]:
@@ -173,14 +172,9 @@ def record_path(
         along[:, joint] += fitted.to_quadrature(room.min(), room.max()) / slope
     last = scan_at(along[-1])
     later, later_read = record(np.vstack([along, last]), slice(n_reference, None))
-    return PathTrace(
-        time_s=np.arange(len(reference)) / rig.settings.rate_hz,
-        q=np.vstack([first, along, last]),
-        irradiance=np.concatenate([read, later_read]),
-        reference=reference,
-        time_h=time_h,
-        length=np.concatenate([length, later]),
-    )
+    time_s, q = np.arange(len(reference)) / rig.settings.rate_hz, np.vstack([first, along, last])
+    irradiance, length = np.concatenate([read, later_read]), np.concatenate([length, later])
+    return PathTrace(time_s=time_s, q=q, irradiance=irradiance, reference=reference, time_h=time_h, length=length)
 
 
 def reference_joint(cell: Cell, q: Floats) -> tuple[int, float]:

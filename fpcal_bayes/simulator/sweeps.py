@@ -50,9 +50,7 @@ def noise_free(
     return dl
 
 
-def simulate(
-    cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma_nm: float | Floats, seed: int, machine_seed: int | None = None
-) -> Sweeps:
+def simulate(cell: Cell, truth: Truth, sweeps: Sweeps, *, sigma_nm: float | Floats, seed: int) -> Sweeps:
     """Measure sweeps on the simulated cell with noise of `sigma_nm`; all else as in `simulate_um`.
 
     Parameters
@@ -66,9 +64,7 @@ def simulate(
         As `simulate_um` and `require_drivable`.
     """
     require_drivable(cell, truth, sweeps)
-    return simulate_um(
-        cell, truth, sweeps, sigma=1e-3 * np.asarray(sigma_nm, dtype=float), seed=seed, machine_seed=machine_seed
-    )
+    return simulate_um(cell, truth, sweeps, sigma=1e-3 * np.asarray(sigma_nm, dtype=float), seed=seed)
 
 
 def simulate_um(
@@ -97,9 +93,7 @@ def simulate_um(
         machine = machine_of(cell, truth, seed if machine_seed is None else machine_seed)
         dl = _on_machine(machine, truth, sweeps, sigma, np.random.default_rng([seed, 6]))
         return sweeps.with_measurement(np.where(sweeps.signed | sweeps.absolute, dl, np.abs(dl)), sigma)
-    generator = np.random.default_rng(seed)
-    shape = sweeps.q_start.shape
-    sharing = Sharing.of(sweeps)
+    generator, shape, sharing = np.random.default_rng(seed), sweeps.q_start.shape, Sharing.of(sweeps)
     start_joints = generator.standard_normal(shape)[sharing.start]
     end_joints = generator.standard_normal(shape)[sharing.end]
     start_reading = generator.standard_normal(len(sweeps))[sharing.reading]

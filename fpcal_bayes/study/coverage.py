@@ -47,13 +47,11 @@ class Coverage(Study):
     sigma: float = 0.005  # standard deviation of each change of cavity length, in um
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Names and shapes of the numbers that one replicate gives; in um and rad."""
         n, edges = len(QUANTITIES), (len(QUANTITIES), len(SHARES), 2)
         fit = dict.fromkeys(("converged", "chi2_data", "p_value", "sum_of_squares"), ())
         return fit | {"true": (n,), "rank": (n,)} | dict.fromkeys(METHODS, edges)
 
     def settings(self) -> dict[str, Any]:
-        """The sweeps and their noise."""
         return {"sweeps_sha256": sweeps_sha256(self.plan), "sigma_um": self.sigma}
 
     def replicate(self, number: int) -> dict[str, Floats]:
@@ -108,7 +106,6 @@ class Coverage(Study):
         return task if task.finite.all() else None
 
     def summary(self, results: Results) -> Summary:
-        """Share of the truths in each band, with a test against what is stated."""
         return summarise(results)
 
 
@@ -116,8 +113,7 @@ def summarise(results: Results) -> Summary:
     """Share of the truths in each band, with a test against what is stated."""
     kept = results["converged"] > 0
     rows: list[dict[str, str | int | float]] = []
-    least = 1.0
-    tests = 0
+    least, tests = 1.0, 0
     for i, (task, freedom) in enumerate(QUANTITIES):
         if not np.isfinite(results["true"][kept, i]).any():
             continue
@@ -125,12 +121,8 @@ def summarise(results: Results) -> Summary:
         for method in METHODS:
             edges, true = results[method][kept, i], results["true"][kept, i]
             seen = np.isfinite(edges).all(axis=(1, 2)) & np.isfinite(true)
-            row: dict[str, str | int | float] = {
-                "task": task,
-                "freedom": freedom,
-                "method": method,
-                "n": int(seen.sum()),
-            }
+            row: dict[str, str | int | float] = {"task": task, "freedom": freedom, "method": method}
+            row["n"] = int(seen.sum())
             for share, (low, high) in zip(SHARES, edges[seen].transpose(1, 2, 0), strict=True):
                 inside = int(((low <= true[seen]) & (true[seen] <= high)).sum())
                 row[f"in_{100 * share:g}_percent"] = 100.0 * inside / seen.sum() if seen.any() else 0.0

@@ -84,9 +84,8 @@ def follow_week(
 ) -> Followed:
     """Follow the week with the filter, live it again under the policy, and judge both beside the paper's protocol.
 
-    `sweeps` and `identifications` are of the paper's sessions, in order of time; the first is day 0. `sigma` in um and
-    `seed` are of the policy's sweeps; `progress` is told what is done next. `InputError` if the cell states no drift,
-    or the tolerance cannot be met.
+    `sweeps` and `identifications` are of the paper's sessions, in order of time; `sigma` in um and `seed` are of the
+    policy's sweeps. `InputError` if the cell states no drift, or the tolerance cannot be met.
     """
     drift = DriftModel.of(cell)
     model = CavityModel.of(cell, drift.parameters)
@@ -122,24 +121,14 @@ def follow_week(
         if cell.mechanics is not None:
             return _machine_peaks(cell, truth, estimates, goal, times, seed)
         values = [(time_h, found.vector()[drift.parameters.slots]) for time_h, found in estimates]
-        driven: Floats = task_peaks(model, truth, values, goal.tasks, times, radius=goal.radius_um)[0]
-        return driven
+        return np.asarray(task_peaks(model, truth, values, goal.tasks, times, radius=goal.radius_um)[0])
 
-    courses = tuple(
-        Scenario(
-            name,
-            np.array([time for time, _ in estimates]),
-            counts,
-            sum(costs.minutes(int(count)) for count in counts[1:]),
-            times,
-            peaks(estimates),
-            goal.tolerance_um,
-        )
-        for name, (estimates, counts) in held.items()
-    )
+    courses = []
+    for name, (estimates, counts) in held.items():
+        when, spent = np.array([time for time, _ in estimates]), sum(costs.minutes(int(n)) for n in counts[1:])
+        courses.append(Scenario(name, when, counts, spent, times, peaks(estimates), goal.tolerance_um))
     everything = join([first, *loop.sweeps], file="policy.h5")
-    policy_track = replace(followed, outcomes=loop.outcomes)
-    return Followed(followed, policy_track, everything, goal, courses)
+    return Followed(followed, replace(followed, outcomes=loop.outcomes), everything, goal, tuple(courses))
 
 
 def _within_reach(policy: Policy, followed: Track) -> Policy:
@@ -166,7 +155,5 @@ def _machine_peaks(
     paths = [find_task(cell, e.vector(), goal.tasks[0], radius=goal.radius_um, n_points=PATH_POINTS) for _, e in held]
     tasks = [compensated(estimate, path.driven()) for (_, estimate), path in zip(held, paths, strict=True)]
     number = np.searchsorted([begin for begin, _ in held], times + 1e-9) - 1
-    errors = (
-        driven_error(cell, truth, tasks[i], held[i][1], float(t), seed) for i, t in zip(number, times, strict=True)
-    )
-    return np.array([np.ptp(error) for error in errors])
+    driven = zip(number, times.tolist(), strict=True)
+    return np.array([np.ptp(driven_error(cell, truth, tasks[i], held[i][1], t, seed)) for i, t in driven])

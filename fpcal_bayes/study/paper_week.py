@@ -54,11 +54,7 @@ def check_circles(cell: Cell, truth: Truth, name: str, estimate: Estimate, seed:
 def renewed_circles(
     cell: Cell, truth: Truth, estimates: dict[str, Estimate], seed: int, machine_seed: int
 ) -> list[Circle]:
-    """The circle of each identification at its own time, and before it with that of the identification before.
-
-    The estimates are by session, in order of time; `seed` is of the recordings' noise, `machine_seed` of the
-    machine.
-    """
+    """The circle of each identification, by session, at its own time; before it, that of the one before."""
     drives, before = [], ""
     for name, estimate in estimates.items():
         for held, when in ((before, "before"), (name, "after")):
@@ -87,11 +83,9 @@ def driven_error(cell: Cell, truth: Truth, task: Task, estimate: Estimate, time_
     model = CavityModel.of(cell, truth.parameters)
     expected = estimate.vector()[truth.parameters.slots]
     if cell.mechanics is None:
-        driven: Floats = task_errors(model, truth.at(time_h), expected, task)[0]
-        return driven
+        return np.asarray(task_errors(model, truth.at(time_h), expected, task)[0])
     machine = replace(machine_of(cell, truth, seed), vector=vector_at(cell, truth, time_h))
-    true = machine.path(task.start, task.q, 0.0)
-    missed: Floats = true - model.predict(expected, task_rows(model, task))
+    missed: Floats = machine.path(task.start, task.q, 0.0) - model.predict(expected, task_rows(model, task))
     return missed if task.added is None else missed + task.added
 
 
@@ -129,10 +123,7 @@ class Week:
 
 
 def measure_week(cell: Cell, *, sigma: float, seed: int) -> tuple[Truth, Sweeps]:
-    """The truth through the week, and simulated sweeps of all sessions in order of time.
-
-    `sigma` is the standard deviation of each change of cavity length in um, `seed` that of the noise.
-    """
+    """The truth through the week, and simulated sweeps of all sessions in order of time; `sigma` in um."""
     truth = paper_truth(cell)
     plan = join([paper_protocol(cell, session=s.name, time_h=24.0 * s.day) for s in SESSIONS], file="week")
     return truth, simulate_um(cell, truth, plan, sigma=sigma, seed=seed)

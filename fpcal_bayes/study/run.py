@@ -37,9 +37,8 @@ def run_study(
 ) -> tuple[Results, int]:
     """All of the first `replicates`, in the order of their numbers, and how many of them were not in the file.
 
-    Those that are missing are run by so many processes of this machine, or by this one if `workers` is 0. `anew`
-    forgets what the file holds; `progress` is told how many are there. `InputError` if the file is of another study, or
-    a replicate fails; what came before it stays in the file.
+    Those are run by so many processes, or by this one if `workers` is 0; `progress` is told how many are there.
+    `InputError` if the file is of another study, or a replicate fails; what came before it stays in the file.
     """
     if replicates > MOST:
         raise InputError(f"{replicates} replicates: expected at most {MOST}")

@@ -32,10 +32,7 @@ FAMILY_WISE = 0.01
 
 
 def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> dict[str, Any]:
-    """Test the ranks (n_replicates,), 0 to `RANKED`, of one quantity, by their distribution and by central intervals.
-
-    The smallest of the p-values is corrected for their number.
-    """
+    """Test the ranks (n_replicates,), 0 to `RANKED`, of a quantity, by their distribution and by central intervals."""
     counts = np.bincount(ranks * BINS // (RANKED + 1), minlength=BINS)
     spread = (ranks + random.random(len(ranks))) / (RANKED + 1)
     uniform = {
@@ -48,6 +45,7 @@ def judge(name: str, ranks: NDArray[np.int64], random: np.random.Generator) -> d
         inside = int(((ranks >= tail - 1e-9) & (ranks < RANKED + 1 - tail - 1e-9)).sum())
         covered[f"in_{100 * share:g}_percent"] = 100.0 * inside / len(ranks)
         p_values.append(float(stats.binomtest(inside, len(ranks), share).pvalue))
+    # The smallest of the p-values is corrected for their number.
     return {"quantity": name} | uniform | covered | {"p_corrected": min(1.0, len(p_values) * min(p_values))}
 
 
@@ -60,8 +58,7 @@ def sbc_plan(protocol: str, cell: Cell) -> Sweeps:
     """The sweeps of one of `PROTOCOLS`."""
     if protocol == "random":
         random = np.random.default_rng(20)
-        parts = [_random_sweep(cell, random) for _ in range(69)]
-        return join(parts)
+        return join([_random_sweep(cell, random) for _ in range(69)])
     return paper_protocol(cell, midpoints=protocol == "paper-mid")
 
 
@@ -90,19 +87,14 @@ class PosteriorRanks(Study):
     steps: int | None = None  # of each walker at most, or None for as many as it takes
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Names and shapes of the numbers that one replicate gives."""
         return {"identified": (), "sampled": (), "charts": (), "ranks": (len(quantities(self.cell)),)}
 
     def settings(self) -> dict[str, Any]:
-        """The sweeps, their noise, and the length of each walk."""
         own = {"sigma_um": self.sigma, "draws": self.draws, "steps": self.steps}
         return {"sweeps_sha256": sweeps_sha256(self.plan)} | own
 
     def replicate(self, number: int) -> dict[str, Floats]:
-        """Ranks of one truth, NaN if it was not identified; whether its draws converged (1 or 0).
-
-        With `steps` the walkers go so far and no further: the ranks are those of an exact sampler if the start is.
-        """
+        # With `steps` the walkers go so far and no further: the ranks are those of an exact sampler if the start is.
         cell, random = self.cell, self.random(number)
         truth = drawn_truth(cell, random)
         noise_seed, sampler_seed = random.integers(2**31, size=2).tolist()
@@ -116,7 +108,6 @@ class PosteriorRanks(Study):
         return {name: np.array(flag) for name, flag in flags.items()} | {"ranks": ranks}
 
     def summary(self, results: Results) -> Summary:
-        """Tests of each quantity's ranks."""
         kept = results["identified"] > 0
         ranks = results["ranks"][kept].astype(np.int64)
         names = quantities(self.cell)
@@ -160,5 +151,4 @@ def _ranks(posterior: Posterior, truth: Floats) -> Floats:
         log_density = target.log_density(target.data_residuals(unknowns), unknowns)
         return np.column_stack([unknowns, lengths, log_density])
 
-    ranks: Floats = (ranked(chosen) < ranked(problem.unknowns(truth)[None])).sum(axis=0).astype(float)
-    return ranks
+    return np.asarray((ranked(chosen) < ranked(problem.unknowns(truth)[None])).sum(axis=0).astype(float))

@@ -171,16 +171,15 @@ def findings(monitor: Monitor, limits: Limits, drift: DriftModel, step_gain: flo
 
     def several(verdict: SessionVerdict, total: float, what: str) -> None:
         if total > CUSUM_LIMIT:
-            text = f"{what} for several sessions (cumulative sum {total:.1f}, limit {CUSUM_LIMIT:g})"
-            found.append(Finding(verdict, 0.0, text))
+            said = f"{what} for several sessions (cumulative sum {total:.1f}, limit {CUSUM_LIMIT:g})"
+            found.append(Finding(verdict, 0.0, said))
 
     explained, seen = _explained(last, drift.extrinsic)
     text = "after the best move of mirror and fibre before session {session} a chi-square of {value:.1f} is left "
     text += "for {free}"
     allowed = (1.0 - _SINGLE_SHARE) * _allowed(limits.full_per_week, last.hours)
     chi_square("intrinsics-moved", last.squared - explained, last.dof - seen, allowed, text)
-    text = "what no move of mirror and fibre explains has been too large"
-    several("intrinsics-moved", monitor.cusum_residual, text)
+    several("intrinsics-moved", monitor.cusum_residual, "what no move of mirror and fibre explains has been too large")
     # Innovation alone, extrinsic part alone, window: a third of the alarms each.
     allowed = _allowed(limits.extrinsic_per_week, last.hours) / 3.0
     text = "normalised innovation squared {value:.1f} for {free}"
@@ -234,8 +233,7 @@ def _shares(limits: Limits, drift: DriftModel) -> Floats:
     weight = np.where(drift.extrinsic, 0.0, (drift.walk / limits.jump(drift)) ** 2)
     even = np.where(drift.extrinsic, 0.0, 1.0)
     drifting = weight if weight.any() else even
-    result: Floats = 0.9 * drifting / max(drifting.sum(), 1e-300) + 0.1 * even / max(even.sum(), 1.0)
-    return result
+    return np.asarray(0.9 * drifting / max(drifting.sum(), 1e-300) + 0.1 * even / max(even.sum(), 1.0))
 
 
 def _explained(onset: Onset, extrinsic: NDArray[np.bool_]) -> tuple[float, int]:

@@ -113,8 +113,7 @@ def correct_slips(
 
     Gives dL (n_rows,), in um, corrected or not, and what is to be said; `jumps` (n_states,) are sd of likely ones.
     """
-    half_wave = measurement.model.half_waves(measurement.rows)
-    count = len(sweeps)
+    half_wave, count = measurement.model.half_waves(measurement.rows), len(sweeps)
     rows, dl = row_changes(measurement, predicted), sweeps.dl.copy()
     changes = np.zeros(count, dtype=np.int64)
     log_odds = float(np.log(_SLIP / (2 * MOST_HALF_WAVES * count)))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cell.cell import Cell
@@ -22,8 +23,8 @@ HOURS_PER_DAY = 24.0
 _WORTH_SAYING = 1.5
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, repr=False)
+class State(Brief):
     """What is known at a time."""
 
     time_h: float  # hours since the campaign began
@@ -41,8 +42,8 @@ class Transition:
     shift: Floats  # shape (n_states,)
 
 
-@dataclass(frozen=True)
-class DriftModel:
+@dataclass(frozen=True, repr=False)
+class DriftModel(Brief):
     """Drift of a set of parameters.
 
     The state holds the parameters, from nominal in prior standard deviations, the error motions, which stay, then what
@@ -99,11 +100,6 @@ class DriftModel:
         return np.array([size.walk for size in self.sizes]) * np.where(self.extrinsic, *self.pace[::-1]) / self.scale
 
     @cached_property
-    def _walks(self) -> Floats:
-        """Variance that the random walks add in a day, shape (n_states, n_states)."""
-        return np.diag(np.concatenate([self.walk**2, np.zeros(self.n_states - self.n_parameters)]))
-
-    @cached_property
     def drifting(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of the parameters that walk: of the robot, and of mirror and fibre."""
         walks = [(p.name, p.kind) for p, size in zip(self.parameters, self.sizes, strict=True) if size.walk]
@@ -153,7 +149,8 @@ class DriftModel:
     def transition(self, hours: float, kelvin: float = 0.0) -> Transition:
         """The step over some hours, in which the logged temperature changed by `kelvin`."""
         n, days = self.n_parameters, hours / HOURS_PER_DAY
-        noise, shift = days * self._walks, np.zeros(self.n_states)
+        noise, shift = np.zeros((self.n_states, self.n_states)), np.zeros(self.n_states)
+        noise[np.arange(n), np.arange(n)] = days * self.walk**2
         if self.hidden is not None:
             noise[:n, :n] += self.hidden * days
         if kelvin:

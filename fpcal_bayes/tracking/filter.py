@@ -14,6 +14,7 @@ from filterpy.kalman import update as kalman_update
 from scipy.linalg import lapack
 
 from fpcal_bayes.core.linalg import covariance_root, identity, symmetric
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.measurement import LinearMeasurement, Measurement, equivalent_rows
@@ -31,8 +32,8 @@ _LOG_2_PI = float(np.log(2.0 * np.pi))
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class Innovation:
+@dataclass(frozen=True, repr=False)
+class Innovation(Brief):
     """What rows say beyond the prediction, linearised at it; of many rows the `equivalent_rows`."""
 
     misfit: Floats  # whitened measurement minus prediction, shape (n_equivalent,)
@@ -73,8 +74,8 @@ class Innovation:
         return self.log_volume - log_factor - 0.5 * (self.squared + self.dof * _LOG_2_PI)
 
 
-@dataclass(frozen=True)
-class Update:
+@dataclass(frozen=True, repr=False)
+class Update(Brief):
     """Result of `update`."""
 
     state: State  # after the rows

@@ -93,10 +93,7 @@ def _log_likelihood(found: Track, parts: list[Sweeps], first: int, paces: Floats
 
 
 def with_learnt_pace(found: Track, parts: list[Sweeps], follow: Callable[[Track], Track]) -> Track:
-    """The track with the pace that its last sessions show, where they contradict the stated sizes; else as it is.
-
-    Sessions whose outcomes depend on the pace are taken in again.
-    """
+    """The track with the pace that its last sessions show, taken in again, where they contradict the stated sizes."""
     count, drifts = len(found.outcomes), [len(part) > 0 for part in found.drift.drifting]
     if count == 1 or not any(drifts):
         return found

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening, whitening_of
 from fpcal_bayes.infer.mechanics.rows import with_scale
@@ -16,13 +17,11 @@ _ROWS_PER_STATE = 2
 
 
 def equivalent_rows(misfit: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
-    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states).
-
-    A triangle of ``[jacobian, misfit]``, rows of zeros dropped (square-root information filter, Bierman 1977).
-    """
+    """Few whitened rows that say the same about the state as many: misfit (n_rows,), derivatives (n_rows, n_states)."""
     n_rows, n_states = jacobian.shape
     if n_rows <= _ROWS_PER_STATE * n_states:
         return misfit, jacobian
+    # Square-root information filter (Bierman 1977), rows of zeros dropped.
     triangle = np.linalg.qr(np.column_stack([jacobian, misfit]), mode="r")
     return triangle[:, n_states], triangle[:, :n_states]
 
@@ -44,8 +43,8 @@ class LinearMeasurement:
         return self.misfit(mean), self.h
 
 
-@dataclass(frozen=True)
-class SweepMeasurement:
+@dataclass(frozen=True, repr=False)
+class SweepMeasurement(Brief):
     """The changes of cavity length of a session's sweeps."""
 
     drift: DriftModel  # what the state means

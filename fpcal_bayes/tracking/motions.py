@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.mechanics.fit import MechanicsFit
 from fpcal_bayes.infer.mechanics.known import numbered, random_poses
@@ -40,8 +41,8 @@ _DRAWS = 400
 _REMEMBERED, _FEW = 256, 64
 
 
-@dataclass(frozen=True)
-class MotionStates:
+@dataclass(frozen=True, repr=False)
+class MotionStates(Brief):
     """What the states of the error motions stand for."""
 
     terms: Terms  # the weights of the cell
@@ -56,11 +57,9 @@ class MotionStates:
 
     @cached_property
     def factors(self) -> Floats:
-        """Factors on the stated sizes (n_scales,): those that the calibration found, drawn back to the sheet.
-
-        A calibration's few points on a function tell little of it between them: none is taken as smaller than stated,
-        and all as large as the root mean square over what remains unknown of their size.
-        """
+        """Factors on the stated sizes (n_scales,): those that the calibration found, drawn back to the sheet."""
+        # A calibration's few points on a function tell little of it between them: none is taken as smaller than stated,
+        # and all as large as the root mean square over what remains unknown of their size.
         found, prior = self.log_scales.var(axis=0), np.full(self.log_scales.shape[1], LOG_SD**2)
         prior[-1] = LOG_SD_NOISE**2
         told = np.maximum(1.0 / found - 1.0 / prior, 0.0) + 1.0 / LOG_SD_NOISE**2
@@ -144,14 +143,10 @@ class MotionStates:
     def pose_path(
         self, model: CavityModel, values: Floats, mean: Floats, task: Task, n_draws: int
     ) -> tuple[Floats, Floats]:
-        """The same for the mirror's place and direction, as changes of pose (see `PoseErrors`).
-
-        Shapes (n_states, n_points, 5) and (n_draws, n_points, 5).
-        """
+        """The same for changes of pose (see `PoseErrors`): (n_states, n_points, 5) and (n_draws, n_points, 5)."""
         paths = pose_designs(self.terms, model.vector(values), task.start, task.q)
         states, new = (np.stack(part, axis=-1) for part in zip(*(self._along(p, n_draws) for p in paths), strict=True))
-        states = without_common_turn(model, values, task, np.moveaxis(states, 1, 0))
-        new = without_common_turn(model, values, task, np.moveaxis(new, 1, 0))
+        states, new = (without_common_turn(model, values, task, np.moveaxis(x, 1, 0)) for x in (states, new))
         return states, new + np.tensordot(mean, states, axes=1)
 
     def _along(self, path: PathDesign, n_draws: int) -> tuple[Floats, Floats]:
@@ -161,21 +156,15 @@ class MotionStates:
         rng, log = np.random.default_rng(6), np.repeat(np.log(self.factors)[None], n_draws, axis=0)
         drift = self.factors[self.terms.scales.index("drift")] * rng.standard_normal((n_draws, 3 * DRIFT_ORDER))
         new = drifted(self.terms, path, drift, self.session_min, rng)
-        for part in (
-            *approached(self.terms, path, log, rng).values(),
-            *returned_errors(self.terms, path, log, rng).values(),
-        ):
-            new += part
+        for kind in (approached, returned_errors):
+            new = sum(kind(self.terms, path, log, rng).values(), new)
         rest = felt - states @ self.directions.T
         return states, (new + rng.standard_normal((n_draws, rest.shape[1])) @ rest.T).T
 
     def knowledge(
         self, parameters: ParameterSet, scale: Floats, mean: Floats, covariance: Floats
     ) -> MechanicsKnowledge:
-        """What a state says of `parameters` in units of `scale`, and of the weights.
-
-        `mean` and `covariance` are those of the states that cavity lengths depend on.
-        """
+        """What the states that lengths depend on say of `parameters` in units of `scale`, and of the weights."""
         made, n = self._any_row, len(parameters)
         drifting = [i for i, name in enumerate(made.names) if name.startswith("drift along")]
         root, count = covariance_root(covariance), len(drifting)
@@ -183,17 +172,7 @@ class MotionStates:
         factor = to_names @ linalg.block_diag(root, np.eye(count))
         at = np.concatenate([np.zeros(n), mean[n:], np.zeros(count)])
         draws = np.random.default_rng(5).standard_normal((_DRAWS, factor.shape[1]))
-        return MechanicsKnowledge(
-            sizes=self.terms.sizes,
-            free=self.terms.free,
-            names=(
-                *parameters.names,
-                *numbered([*made.names[: made.motion_count], *(made.names[i] for i in drifting)]),
-            ),
-            mean=to_names @ at,
-            factor=factor,
-            draws=draws,
-            scales=self.terms.scales,
-            log_scales=self.log_scales[np.arange(_DRAWS) % len(self.log_scales)],
-            session_min=self.session_min,
-        )
+        weights = numbered([*made.names[: made.motion_count], *(made.names[i] for i in drifting)])
+        names, log = (*parameters.names, *weights), self.log_scales[np.arange(_DRAWS) % len(self.log_scales)]
+        known = self.terms.sizes, self.terms.free, names, to_names @ at, factor, draws
+        return MechanicsKnowledge(*known, self.terms.scales, log, self.session_min)

@@ -9,14 +9,13 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.files import content_sha256
-from fpcal_bayes.core.linalg import chi2_tail
 from fpcal_bayes.measure.campaign import TrackRecord
 from fpcal_bayes.measure.sweeps import Sweeps
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.mechanics import Mechanics, Terms
 from fpcal_bayes.model.mechanics.terms import HARMONICS, LEGENDRE
-from fpcal_bayes.model.trust import POOR_FIT_BELOW, Reason, Trust, trust_of
+from fpcal_bayes.model.trust import trust_of
 from fpcal_bayes.tracking.alarms import Limits, Monitor, Onset
 from fpcal_bayes.tracking.drift import DriftModel, State
 from fpcal_bayes.tracking.filter import predict
@@ -42,10 +41,7 @@ def settings_sha256(drift: DriftModel, limits: Limits, sizes: Mechanics | None =
 
 
 def record_of(track: Track, sweeps: Sweeps, limits: Limits) -> TrackRecord:
-    """A track as a campaign file holds it.
-
-    Hashes of the `sweeps` of all its sessions tell later which sessions the states hold.
-    """
+    """A track as a campaign file holds it; hashes of the `sweeps` tell later which sessions the states hold."""
     if track.drift.motions is not None:
         # The memory of the tests is large then, and kept for the last session alone.
         before = [replace(outcome, monitor=replace(outcome.monitor, onsets=())) for outcome in track.outcomes[:-1]]
@@ -177,18 +173,8 @@ def _motions(stated: dict[str, Any] | None, cell: Cell, drift: DriftModel) -> Mo
     return MotionStates(terms, log_scales, float(stated["session_min"]))
 
 
-def _saved_trust(stated: dict[str, Any], *, calibration: bool) -> Trust:
-    """What a saved session says; of one that an older program saved, what its sum of squares says."""
-    if "trust" in stated or not calibration:
-        return trust_of(stated.get("trust", Trust().content()))
-    if chi2_tail(stated["nis"], stated["dof"]) < POOR_FIT_BELOW:
-        text = f"poor fit: sum of squares {stated['nis']:.1f} over data and prior, expected {stated['dof']}"
-        return Trust((Reason("poor-fit", text),))
-    return trust_of(None)
-
-
 def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: DriftModel) -> Track | None:
-    if "sessions" in summary and "solutions" not in summary:
+    if "sessions" in summary and not all("trust" in stated for stated in summary["sessions"]):
         return None
     outcomes: list[SessionOutcome] = []
     pace = tuple(float(each) for each in summary.get("pace", (1.0, 1.0)))
@@ -217,7 +203,7 @@ def _track(record: TrackRecord, summary: dict[str, Any], cell: Cell, drift: Drif
                 predicted=predicted,
                 state=state,
                 monitor=monitor,
-                trust=_saved_trust(stated, calibration=not outcomes),
+                trust=trust_of(stated["trust"]),
                 motions=None if outcomes else drift.motions,
             )
         )

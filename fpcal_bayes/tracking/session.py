@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fpcal_bayes.core.linalg import chi2_tail, counted
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.measure.sharing import sweep_numbers
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -27,8 +28,8 @@ _STEP_SIZES = (1.0, 3.0, 10.0)
 _MOST_OUTLIERS, _SET_ASIDE = 2, 1e3
 
 
-@dataclass(frozen=True)
-class SessionOutcome:
+@dataclass(frozen=True, repr=False)
+class SessionOutcome(Brief):
     """What a session said and what was made of it."""
 
     session: str  # its name
@@ -103,7 +104,9 @@ def take_in(
         wide = inflate(predicted, jump)
         taken = update(wide, judged.measurement)
         evidence = tuple(finding.evidence for finding in found)
-        after = judge.restarted(wide, taken, verdict)
+        # After a change of the robot nothing is remembered; else only one at this session is still looked for.
+        moved = verdict in ROBOT_MOVED
+        after = Monitor() if moved else judge.extended(Monitor(), taken.linearised(wide), taken.gain)
         outcome = replace(outcome, jump=jump, verdict=verdict, evidence=evidence, monitor=after)
     if taken.converged:
         return replace(outcome, state=taken.state)
@@ -147,7 +150,7 @@ class _Judge:
     def judged(self, measurement: SweepMeasurement) -> _Judged:
         """The session as it is taken in without a jump."""
         taken = update(self.predicted, measurement)
-        after = self._extend(self.monitor, taken.linearised(self.predicted), taken.gain)
+        after = self.extended(self.monitor, taken.linearised(self.predicted), taken.gain)
         return _Judged(measurement, taken, after, findings(after, self.limits, self.drift))
 
     def without_outliers(self, used: Sweeps, as_it_is: _Judged) -> tuple[_Judged, list[str]]:
@@ -182,7 +185,7 @@ class _Judge:
         # Kalman gain of the linearisation.
         spread = innovation.jacobian @ self.predicted.covariance
         gain = np.linalg.solve(innovation.factor.T, innovation.whiten(spread)).T
-        again = self._extend(self.monitor, innovation, gain)
+        again = self.extended(self.monitor, innovation, gain)
         anew = findings(again, self.limits, self.drift, knocked.log_likelihood - innovation.log_likelihood)
         intrinsic = [finding for finding in anew if finding.verdict == "intrinsics-moved"]
         if intrinsic:
@@ -215,13 +218,8 @@ class _Judge:
         finding = replace(found[0], verdict="mechanics-moved", evidence=text)
         return "mechanics-moved", [finding, *found], np.maximum(every, moved)
 
-    def restarted(self, wide: State, taken: Update, verdict: SessionVerdict) -> Monitor:
-        """The memory after a jump was allowed for: only a change of the robot at this session is still looked for."""
-        if verdict in ROBOT_MOVED:
-            return Monitor()
-        return self._extend(Monitor(), taken.linearised(wide), taken.gain)
-
-    def _extend(self, monitor: Monitor, innovation: Innovation, gain: Floats) -> Monitor:
+    def extended(self, monitor: Monitor, innovation: Innovation, gain: Floats) -> Monitor:
+        """The memory with this session in it."""
         return extend(monitor, self.session_name, self.hours, innovation, gain, self.matrix, self.limits, self.drift)
 
     def _states(self, parameters: Floats) -> Floats:

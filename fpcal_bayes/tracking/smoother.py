@@ -56,18 +56,18 @@ def smooth(drift: DriftModel, outcomes: Sequence[SessionOutcome]) -> Smoothed:
     cost, converged = course.cost(trajectory), False
     for _ in range(_MOST_STEPS):
         wanted = course.smoothed(*course.filtered(trajectory.means))
-        step = wanted.less(trajectory)
-        length = float(np.sqrt(course.squares(step)))
+        step, pull = wanted.means - trajectory.means, wanted.pulls - trajectory.pulls
+        length = float(np.sqrt(course.squares(pull)))
         share = 1.0
         for _ in range(_MOST_HALVINGS):
-            trial = trajectory.moved(step, share)
+            trial = replace(wanted, means=trajectory.means + share * step, pulls=trajectory.pulls + share * pull)
             trial_cost = course.cost(trial)
             if trial_cost <= cost + _ROUNDING * (1.0 + cost):
                 break
             share /= 2.0
         else:
             break
-        trajectory, cost = replace(trial, covariances=wanted.covariances, gains=wanted.gains), trial_cost
+        trajectory, cost = trial, trial_cost
         if length < _STEP_TOLERANCE:
             converged = True
             break
@@ -103,14 +103,6 @@ class _Trajectory:
     # pull; shape (n_times, n_states)
     pulls: Floats
     gains: Floats  # see `Smoothed`
-
-    def less(self, other: "_Trajectory") -> "_Trajectory":
-        """The way from `other` to this one."""
-        return replace(self, means=self.means - other.means, pulls=self.pulls - other.pulls)
-
-    def moved(self, step: "_Trajectory", share: float) -> "_Trajectory":
-        """A share of a way further on."""
-        return replace(self, means=self.means + share * step.means, pulls=self.pulls + share * step.pulls)
 
 
 @dataclass(frozen=True)
@@ -176,15 +168,14 @@ class _Course:
             pulls[0] = np.linalg.solve(self.start.covariance, smoothed[0] - self.start.mean)
         return _Trajectory(smoothed, spread, pulls, gains)
 
-    def squares(self, trajectory: _Trajectory) -> float:
+    def squares(self, pulls: Floats) -> float:
         """Sum of squares of what drives a trajectory, in its standard deviations."""
-        pulls = trajectory.pulls
         noises = np.concatenate([self.start.covariance[None], self.noises[1:]])
         return max(float(np.einsum("ki,kij,kj->", pulls, noises, pulls)), 0.0)
 
     def cost(self, trajectory: _Trajectory) -> float:
         """Sum of squares of what drives the trajectory and of the rows."""
-        total = self.squares(trajectory)
+        total = self.squares(trajectory.pulls)
         for place, measurement in zip(trajectory.means + self.shifts, self.measurements, strict=True):
             if measurement is not None:
                 misfit = measurement.misfit(place)

@@ -134,6 +134,7 @@ def make_app(served: Served) -> FastAPI:
                     raise
                 await asyncio.sleep(_LOOK_S)
 
+    @app.get("/", response_class=HTMLResponse, include_in_schema=False)
     @app.get("/report", response_class=HTMLResponse)
     async def report() -> Response:
         """The campaign's page, which loads itself again."""

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve_triangular
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 from fpcal_bayes.infer.fit.kernels import whiten_groups
 from fpcal_bayes.measure.sharing import Sharing
@@ -61,8 +62,8 @@ class Batch:
         return factor[:, row, column].ravel(), self.members[:, row].ravel(), self.members[:, column].ravel()
 
 
-@dataclass(frozen=True)
-class Whitening:
+@dataclass(frozen=True, repr=False)
+class Whitening(Brief):
     """Linear map under which the rows have unit covariance."""
 
     scale: Floats  # one over the standard deviation of each row, shape (n_rows,)

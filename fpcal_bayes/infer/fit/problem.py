@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import covariance_root, posterior_triangle, symmetric
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.noise import Whitening
 from fpcal_bayes.infer.fit.prior import Prior
@@ -77,8 +78,8 @@ def held_reasons(problem: "Problem", unknowns: Floats, *, exact: bool) -> list[R
     return []
 
 
-@dataclass(frozen=True)
-class Problem:
+@dataclass(frozen=True, repr=False)
+class Problem(Brief):
     """Whitened residuals and Jacobian of data and prior rows."""
 
     model: CavityModel  # model of the free parameters

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import chi2_tail
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.problem import Problem
 
@@ -22,8 +23,8 @@ GAUGE_SHARE = 0.1
 WEAK_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class Spectrum:
+@dataclass(frozen=True, repr=False)
+class Spectrum(Brief):
     """Singular values and vectors of a whitened, prior-scaled Jacobian."""
 
     singular_values: Floats  # descending, shape (n,): prior over noise standard deviations of each direction

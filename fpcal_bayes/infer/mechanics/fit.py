@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.minimise import Solution, descended, minimise
 from fpcal_bayes.infer.fit.problem import Problem
@@ -33,8 +34,8 @@ class MechanicsDraws:
     log_scales: Floats  # logarithms of the factors on the stated sizes, shape (n_draws, n_scales)
 
 
-@dataclass(frozen=True)
-class MechanicsFit:
+@dataclass(frozen=True, repr=False)
+class MechanicsFit(Brief):
     """A geometry fitted under the covariance of its mechanics."""
 
     problem: Problem  # whose whitening marginalises the mechanics at the typical scales
@@ -81,10 +82,7 @@ class MechanicsFit:
         return [self.density.factor(log) for log in self.scales.log]
 
     def moments(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the geometry's scores over the mixture of scales, shapes (n,) and (n, n).
-
-        Parameters that are held and considered keep their own (Schmidt): the rows do not move them.
-        """
+        """Mean (n,) and covariance (n, n) of the geometry's scores over the scales; considered ones stay (Schmidt)."""
         n_free = self.problem.n_free
         means, spread = [], np.zeros((self.problem.n_unknowns,) * 2)
         geometry = self.rows.geometry
@@ -102,18 +100,9 @@ class MechanicsFit:
 
 
 def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = None, seed: int = 0) -> MechanicsFit:
-    """Fit the geometry of `problem` with the mechanics of `sizes` marginalised.
+    """Fit the geometry of `problem`, rows of one session, with the mechanics of `sizes` marginalised.
 
-    Parameters
-    ----------
-    problem
-        Of one session's rows; its whitening is replaced.
-    sizes
-        By default those of the problem's cell.
-    start
-        Scaled unknowns to start from, shape (n_unknowns,); by default the middle of the prior.
-    seed
-        Of the scales' draws and of `MechanicsFit.draws`.
+    start: scaled unknowns, shape (n_unknowns,); by default the middle of the prior.
     """
     began = time.perf_counter()
     terms = Terms.of(problem.model.cell, sizes, problem.model.free.names)
@@ -133,19 +122,8 @@ def fit_mechanics(problem: Problem, sizes: Mechanics, *, start: Floats | None = 
     typical = scales.log.mean(axis=0)
     problem = replace(problem, whitening=scaled_whitening(noise, made, typical), log_scales=typical)
     solution = minimise(problem, unknowns)
-    return MechanicsFit(
-        problem=problem,
-        solution=solution,
-        terms=terms,
-        drive=drive,
-        design=made,
-        noise=noise,
-        rows=rows,
-        density=density,
-        scales=scales,
-        seed=seed,
-        seconds=time.perf_counter() - began,
-    )
+    taken = time.perf_counter() - began
+    return MechanicsFit(problem, solution, terms, drive, made, noise, rows, density, scales, seed, taken)
 
 
 def many_rows(cell: Cell, sweeps: Sweeps) -> bool:

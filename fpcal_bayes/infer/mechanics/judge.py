@@ -45,10 +45,7 @@ def whitened_residuals(fit: MechanicsFit) -> tuple[Floats, MarginalWhitening]:
 
 
 def term_tests(fit: MechanicsFit) -> list[tuple[str, float]]:
-    """Whether the rows hold more of a term than the fit allows: its name, and the probability of as much by chance.
-
-    The likeliest terms come first.
-    """
+    """Terms of which the rows hold more than the fit allows, likeliest first: name, probability of that by chance."""
     white, whitening = whitened_residuals(fit)
     tests = [(name, _p_value(white, whitening.apply(columns))) for name, columns in _alternatives(fit)]
     n = len(white)
@@ -126,8 +123,7 @@ def _alternatives(fit: MechanicsFit) -> list[tuple[str, Floats]]:
         along = int(fit.terms.told.along_beam[i])
 
         def of(q: Floats, at: Responses, i: int = i, along: int = along) -> Floats:
-            values: Floats = _beyond(fit, q[:, i], i) * at.motion[:, i, along, None]
-            return values
+            return np.asarray(_beyond(fit, q[:, i], i) * at.motion[:, i, along, None])
 
         found.append((f"function of q{i + 1}", of(drive.q_end, end) - begun * of(drive.q_start, start)))
         sided = end.drive[:, i] * drive.end_side[:, i] - begun[:, 0] * start.drive[:, i] * drive.start_side[:, i]
@@ -141,5 +137,4 @@ def _beyond(fit: MechanicsFit, q: Floats, joint: int) -> Floats:
     if group_of(cell, joint) == "rotary":
         return np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in _HARMONICS]).T
     x = (2.0 * q - cell.low[joint] - cell.high[joint]) / (cell.high[joint] - cell.low[joint])
-    values: Floats = legendre.legvander(x, max(_POLYNOMIALS))[:, list(_POLYNOMIALS)]
-    return values
+    return np.asarray(legendre.legvander(x, max(_POLYNOMIALS))[:, list(_POLYNOMIALS)])

@@ -1,7 +1,8 @@
 """What a fit with mechanics knows, small enough to travel with an estimate."""
 
-from collections import Counter
-from collections.abc import Collection
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator
+from itertools import count
 
 import numpy as np
 from scipy import linalg
@@ -30,8 +31,8 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     """
     problem, terms = fit.problem, fit.terms
     draws = fit.few_draws
-    kept = [i for i, name in enumerate(fit.design.names) if i < fit.design.motion_count or _drifts(name)]
-    names = numbered([fit.design.names[i] for i in kept])
+    n, names = fit.design.motion_count, fit.design.names
+    kept = [i for i, name in enumerate(names) if i < n or name.startswith("drift along")]
     geometry, known = _deviations(fit, draws.scores, free)
     changes = np.hstack([geometry, draws.weights[:, kept]])
     mean = changes.mean(axis=0)
@@ -44,26 +45,18 @@ def knowledge_of_fit(fit: MechanicsFit, parameters: ParameterSet, free: Collecti
     rows = model.rows(np.repeat(middle[None], _POSES, axis=0), poses)
     _, jacobian = model.predict_with_jacobian(vector[model.free.slots], rows)
     path = path_design(terms, vector, middle, poses)
-    drift = np.zeros((_POSES, len(kept) - fit.design.motion_count))
+    drift = np.zeros((_POSES, len(kept) - n))
     for k in range(drift.shape[1]):
         drift[:, k] = path.drift[:, k % 3] * terms.sizes.drift_nm_per_min * 1e-3 * fit.drive.session_min
     effects = changes @ np.hstack([jacobian, path.motions, drift]).T
     # The pose rests on more of the geometry than lengths feel: one standard deviation of the prior counts as 1 um.
     scores = np.sqrt(_POSES) * geometry / np.where(model.free.prior_sd > 0, model.free.prior_sd, np.inf)
     left, sizes, _ = linalg.svd(np.hstack([effects, scores - scores.mean(axis=0)]), full_matrices=False)
-    count = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
-    z = left[:, : min(count, _MOST_DIRECTIONS)] * np.sqrt(len(changes))
-    return MechanicsKnowledge(
-        sizes=terms.sizes,
-        free=problem.model.free.names,
-        names=(*known, *names),
-        mean=mean,
-        factor=changes.T @ z / len(changes),
-        draws=z,
-        scales=terms.scales,
-        log_scales=draws.log_scales,
-        session_min=fit.drive.session_min,
-    )
+    felt = int((sizes > _NEGLIGIBLE * np.sqrt(effects.size)).sum())
+    z = left[:, : min(felt, _MOST_DIRECTIONS)] * np.sqrt(len(changes))
+    directions = (*known, *numbered(names[i] for i in kept)), mean, changes.T @ z / len(changes), z
+    scales = terms.scales, draws.log_scales, fit.drive.session_min
+    return MechanicsKnowledge(terms.sizes, problem.model.free.names, *directions, *scales)
 
 
 def random_poses(cell: Cell, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -97,15 +90,7 @@ def _deviations(fit: MechanicsFit, scores: Floats, moved: Collection[str]) -> tu
     return np.hstack([free, held]), (*problem.model.free.names, *problem.considered.parameters.names)
 
 
-def _drifts(name: str) -> bool:
-    return name.startswith("drift along")
-
-
-def numbered(names: list[str]) -> list[str]:
+def numbered(names: Iterable[str]) -> list[str]:
     """Names with the number of the weight within its term, in brackets."""
-    met: Counter[str] = Counter()
-    result = []
-    for name in names:
-        met[name] += 1
-        result.append(f"{name} [{met[name]}]")
-    return result
+    counts: defaultdict[str, Iterator[int]] = defaultdict(lambda: count(1))
+    return [f"{name} [{next(counts[name])}]" for name in names]

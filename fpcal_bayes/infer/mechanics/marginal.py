@@ -15,7 +15,7 @@ _MOST_DENSE = 1000
 _NEGLIGIBLE = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MarginalWhitening(Whitening):
     """Linear map under which rows with covariance Sigma + B S B' have unit covariance.
 
@@ -54,8 +54,7 @@ class MarginalWhitening(Whitening):
         result = super().apply(rows)
         if rows.ndim == 1:
             return result - self.directions @ (self.shrink * (self.directions.T @ result))
-        whitened: Floats = result - self.directions @ (self.shrink[:, None] * (self.directions.T @ result))
-        return whitened
+        return np.asarray(result - self.directions @ (self.shrink[:, None] * (self.directions.T @ result)))
 
     def unwhiten(self, rows: Floats) -> Floats:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""
@@ -65,8 +64,7 @@ class MarginalWhitening(Whitening):
 
     def weigh(self, rows: Floats) -> Floats:
         """Multiply a vector (n_rows,) by the inverse covariance."""
-        weighed: Floats = self.weigh_each(rows[None])[0]
-        return weighed
+        return np.asarray(self.weigh_each(rows[None])[0])
 
     def weigh_each(self, rows: Floats) -> Floats:
         """Multiply each of many vectors (n_vectors, n_rows) by the inverse covariance."""
@@ -75,8 +73,7 @@ class MarginalWhitening(Whitening):
         double = 1.0 - (1.0 - self.shrink) ** 2
         scaled = scaled - self.directions @ (double[:, None] * (self.directions.T @ scaled))
         mix = self.base_mix
-        result: Floats = scaled.T * self.scale if mix is None else (mix.T @ scaled).T
-        return result
+        return np.asarray(scaled.T * self.scale if mix is None else (mix.T @ scaled).T)
 
     @property
     def only_scales(self) -> bool:

@@ -114,5 +114,4 @@ class ScaleCharts:
     def _log_density(self, charts: Ints, points: Floats, residuals: Floats) -> Floats:
         white = [lapack.dtrtrs(self.factors[k], r, lower=1)[0] for k, r in zip(charts, residuals, strict=True)]
         squares = np.array([float(w @ w) for w in white])
-        result: Floats = -0.5 * (squares + (points**2).sum(axis=1)) - self.log_determinant[charts]
-        return result
+        return np.asarray(-0.5 * (squares + (points**2).sum(axis=1)) - self.log_determinant[charts])

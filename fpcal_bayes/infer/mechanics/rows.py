@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats
 from fpcal_bayes.infer.fit.noise import Whitening, shared_whitening, whitening_of
 from fpcal_bayes.infer.mechanics.marginal import MarginalWhitening
@@ -41,8 +42,8 @@ def scaled_whitening(noise: "RowNoise", made: Design, log: Floats) -> MarginalWh
     return MarginalWhitening.around(base, made.matrix * factors[made.scale])
 
 
-@dataclass(frozen=True)
-class RowNoise:
+@dataclass(frozen=True, repr=False)
+class RowNoise(Brief):
     """What is new in each row: the noise of its readings and the return errors of the joints."""
 
     sigma: Floats  # stated standard deviation of the rows' readings in um, shape (n,)

@@ -16,20 +16,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 
 #: One standard deviation of a scale's logarithm: a factor 3, of the noise 1.5.
 LOG_SD, LOG_SD_NOISE = float(np.log(3.0)), float(np.log(1.5))
 _DOF = 7.0
-_FIRST, _SECOND = 200, 400
+_POOL, _N_DRAWS = (200, 400), 100
 _SWELL = 1.15
 #: Numbers in the covariances that are made together.
 _AT_ONCE = 1_000_000
 _MODE_STEPS, _LONGEST, _MODE_GAIN = 20, 1.0, 1e-2
 
 
-@dataclass(frozen=True)
-class LinearRows:
+@dataclass(frozen=True, repr=False)
+class LinearRows(Brief):
     """The linearised problem of the scales."""
 
     target: Floats  # r, measured minus predicted at v = 0 on the tangent, shape (n,), in um
@@ -51,12 +52,10 @@ class ScalePosterior:
     names: tuple[str, ...]  # of the scales, n of them
     log: Floats  # logarithms of equally likely draws, shape (n_draws, n)
     mode: Floats  # where the posterior is highest, shape (n,)
-    effective: float  # how many independent draws they are worth
 
-    def quantiles(self, share: float = 0.95) -> Floats:
-        """Lower edge, median and upper edge of each factor, shape (3, n)."""
-        edges = [(1.0 - share) / 2.0, 0.5, (1.0 + share) / 2.0]
-        return np.exp(np.quantile(self.log, edges, axis=0))
+    def quantiles(self) -> Floats:
+        """Lower edge of the 95 % band, median and upper edge of each factor, shape (3, n)."""
+        return np.exp(np.quantile(self.log, [(1.0 - 0.95) / 2.0, 0.5, (1.0 + 0.95) / 2.0], axis=0))
 
 
 class ScaleDensity:
@@ -87,17 +86,14 @@ class ScaleDensity:
         """K(s), shape (n, n)."""
         n = len(self.rows.target)
         total = np.exp(2.0 * log) @ self._parts.reshape(len(log), -1)
-        result: Floats = total.reshape(n, n)
-        result += self._fixed
-        return result
+        return np.asarray(total.reshape(n, n) + self._fixed)
 
     def factor(self, log: Floats) -> Floats:
         """Lower Cholesky factor of K(s)."""
         lower, failed = linalg.lapack.dpotrf(self.covariance(log), lower=1, overwrite_a=1, clean=1)
         if failed:
             raise linalg.LinAlgError("the covariance of the rows is not positive definite")
-        result: Floats = lower
-        return result
+        return np.asarray(lower)
 
     def at(self, log_scales: Floats) -> Iterator[tuple[float, Floats]]:
         """The log posterior at points (n_points, n_scales), each with the lower Cholesky factor of C(s) = K(s) - J J'.
@@ -196,12 +192,13 @@ class ScaleDensity:
         return float(-0.5 * self.rows.rest * np.exp(-2.0 * log_noise) - self.rows.rest_dof * log_noise)
 
 
-def sample_scales(
-    density: ScaleDensity, mode: Floats, rng: np.random.Generator, *, n_draws: int = 100
-) -> ScalePosterior:
+def sample_scales(density: ScaleDensity, mode: Floats, rng: np.random.Generator) -> ScalePosterior:
     """Draw scales from their posterior by importance sampling, adapted once."""
-    pool = _Pool(density, mode, (_FIRST, _SECOND), rng)
-    return ScalePosterior(density.names, pool.log[pool.resample(n_draws, rng)], mode, pool.effective)
+    pool = _Pool(density, mode, rng)
+    # Systematic resampling: equally likely draws.
+    places = (np.arange(_N_DRAWS) + rng.random()) / _N_DRAWS
+    chosen = np.minimum(np.searchsorted(np.cumsum(pool.weights), places), len(pool.log) - 1)
+    return ScalePosterior(density.names, pool.log[chosen], mode)
 
 
 @dataclass(frozen=True)
@@ -214,7 +211,7 @@ class ScaleProposal:
     @classmethod
     def of(cls, density: ScaleDensity, mode: Floats, rng: np.random.Generator) -> "ScaleProposal":
         """Adapted on a few hundred draws."""
-        return cls(*_Pool(density, mode, (_FIRST, _SECOND), rng).adapted)
+        return cls(*_Pool(density, mode, rng).adapted)
 
     def draw(self, count: int, rng: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draws (count, n_scales) and their log densities (count,)."""
@@ -229,16 +226,16 @@ class ScaleProposal:
 class _Pool:
     """Draws from Student-t proposals around the mode, adapted once, with their densities."""
 
-    def __init__(self, density: ScaleDensity, mode: Floats, counts: tuple[int, int], rng: np.random.Generator) -> None:
+    def __init__(self, density: ScaleDensity, mode: Floats, rng: np.random.Generator) -> None:
         centre, covariance = mode, np.linalg.inv(density.curvature(mode))
         proposals: list[tuple[Floats, Floats]] = []
         self.log, self.values = np.empty((0, len(mode))), np.empty(0)
-        for count in counts:
+        for count in _POOL:
             proposals.append((centre, np.linalg.cholesky(_SWELL**2 * covariance)))
             drawn = _draw_t(*proposals[-1], count, rng)
             self.log = np.concatenate([self.log, drawn])
             self.values = np.concatenate([self.values, [value for value, _ in density.at(drawn)]])
-            shares = np.array(counts[: len(proposals)], dtype=float)
+            shares = np.array(_POOL[: len(proposals)], dtype=float)
             each = np.array([_log_t(self.log, *proposal) for proposal in proposals])
             self.log_mixture = np.logaddexp.reduce(each + np.log(shares / shares.sum())[:, None], axis=0)
             # Tempered for the adaptation, so that few heavy draws do not make it narrow.
@@ -252,29 +249,15 @@ class _Pool:
         """Normalised importance weights."""
         ratio = self.values - self.log_mixture
         weights = np.exp(ratio - ratio.max())
-        result: Floats = weights / weights.sum()
-        return result
-
-    @property
-    def effective(self) -> float:
-        """How many independent draws they are worth."""
-        return float(1.0 / (self.weights**2).sum())
-
-    def resample(self, count: int, rng: np.random.Generator) -> Ints:
-        """Positions of equally likely draws (systematic resampling)."""
-        places = (np.arange(count) + rng.random()) / count
-        found: Ints = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.log) - 1)
-        return found
+        return np.asarray(weights / weights.sum())
 
 
 def _draw_t(centre: Floats, factor: Floats, count: int, rng: np.random.Generator | np.random.RandomState) -> Floats:
     normal = rng.standard_normal((count, len(centre))) @ factor.T
-    drawn: Floats = centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None]
-    return drawn
+    return np.asarray(centre + normal / np.sqrt(rng.chisquare(_DOF, count) / _DOF)[:, None])
 
 
 def _log_t(points: Floats, centre: Floats, factor: Floats) -> Floats:
     white = linalg.solve_triangular(factor, (points - centre).T, lower=True, check_finite=False)
     distance = (white**2).sum(axis=0)
-    result: Floats = -0.5 * (_DOF + len(centre)) * np.log1p(distance / _DOF) - np.log(np.diag(factor)).sum()
-    return result
+    return np.asarray(-0.5 * (_DOF + len(centre)) * np.log1p(distance / _DOF) - np.log(np.diag(factor)).sum())

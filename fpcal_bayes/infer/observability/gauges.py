@@ -13,6 +13,7 @@ from scipy import linalg
 
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import spectrum_of
+from fpcal_bayes.infer.observability.measures import pivots_of
 from fpcal_bayes.model.cavity import CavityModel
 from fpcal_bayes.model.cell.beams import AT
 
@@ -36,19 +37,9 @@ class Gauge:
     explanation: str  # A sentence about the cause
     remedy: str  # A sentence about what makes it visible, if anything
 
-    def content(self) -> dict[str, object]:
-        """For JSON."""
-        return {
-            "parameters": list(self.parameters),
-            "direction": list(self.direction),
-            "layer": self.layer,
-            "explanation": self.explanation,
-            "remedy": self.remedy,
-        }
-
 
 def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[Gauge]:
-    """Take apart orthonormal directions (k, n), prior-scaled, that sweeps linearised at `values` (n,) do not see."""
+    """Take apart the `null_space` (k, n), orthonormal in prior units, of sweeps linearised at `values` (n,)."""
     if not len(null_space):
         return []
     poses = random_poses(model, np.random.default_rng(0), _RANDOM_POSES)
@@ -69,10 +60,7 @@ def find_gauges(model: CavityModel, values: Floats, null_space: Floats) -> list[
         basis = np.vstack([basis, found])
         pivots += new
         layers += [layer] * len(new)
-    gauges = []
-    for direction, pivot, layer in zip(basis, pivots, layers, strict=True):
-        gauges.append(_describe(model, values, poses, direction, pivot, layer))
-    return gauges
+    return [_describe(model, values, poses, *each) for each in zip(basis, pivots, layers, strict=True)]
 
 
 def random_poses(model: CavityModel, rng: np.random.Generator, n: int) -> Floats:
@@ -94,18 +82,6 @@ def null_space_within(space: Floats, jacobian: Floats) -> Floats:
     return spectrum.directions[unseen] @ space
 
 
-def pivots_of(directions: Floats) -> list[int]:
-    """As many columns as rows by pivoting; among equals the first, so that rounding decides nothing."""
-    reduced, chosen = directions.copy(), []
-    for _ in range(len(directions)):
-        size = np.linalg.norm(reduced, axis=0)
-        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
-        chosen.append(column)
-        unit = reduced[:, column] / size[column]
-        reduced = reduced - np.outer(unit, unit @ reduced)
-    return chosen
-
-
 def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Floats, list[int]]:
     """Directions that complete `known` to `space`, each with one at its own pivot parameter and zero at the others'."""
     remainder = space
@@ -115,10 +91,7 @@ def sparse_basis(space: Floats, known: Floats, pivots: list[int]) -> tuple[Float
     _, values, rows = linalg.svd(remainder, full_matrices=False)
     remainder = rows[values > 1e-6]
     chosen = pivots_of(remainder)
-    if not chosen:
-        return remainder, []
-    found: Floats = linalg.solve(remainder[:, chosen], remainder)
-    return found, chosen
+    return np.asarray(linalg.solve(remainder[:, chosen], remainder)) if chosen else remainder, chosen
 
 
 def _describe(model: CavityModel, values: Floats, poses: Floats, direction: Floats, pivot: int, layer: Layer) -> Gauge:
@@ -159,7 +132,9 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
     if not others:
         return f"no cavity length depends on {first}"
     turns = sorted(n for n in names if n.startswith("theta_") and n[6:].isdigit())
-    if len(turns) == 2 and set(_leading(model, direction, names)) == set(turns):
+    size = {name: abs(direction[model.free.position(name)]) for name in names}
+    leading = {name for name in names if size[name] >= 0.1 * max(size.values())}
+    if len(turns) == 2 and leading == set(turns):
         moved = [direction[model.free.position(n)] for n in turns]
         shows = "sum" if moved[0] * moved[1] < 0 else "difference"
         rest = [n for n in names if n not in turns]
@@ -181,17 +156,10 @@ def _explain(model: CavityModel, direction: Floats, names: tuple[str, ...], laye
     return f"{_join(names)} can change together without any effect on the mirror as the fibre sees it"
 
 
-def _leading(model: CavityModel, direction: Floats, names: tuple[str, ...]) -> list[str]:
-    """Members that move by at least a tenth of the largest, in prior units."""
-    size = {name: abs(direction[model.free.position(name)]) for name in names}
-    return [name for name in names if size[name] >= 0.1 * max(size.values())]
-
-
 def _stem(name: str) -> str:
     """A parameter's name without that of its beam."""
     return name.partition(AT)[0]
 
 
 def _join(names: list[str] | tuple[str, ...]) -> str:
-    names = list(names)
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

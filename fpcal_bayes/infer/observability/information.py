@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from fpcal_bayes.core.linalg import posterior_triangle
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.measure.sharing import Sharing
 from fpcal_bayes.measure.sweeps import Sweeps
@@ -19,8 +20,8 @@ REDUNDANT_BITS = 0.1
 _MOST_POINTS = 200
 
 
-@dataclass(frozen=True)
-class Information:
+@dataclass(frozen=True, repr=False)
+class Information(Brief):
     """Information of sweeps, one entry a sweep; rows of a group, or read at one moment, are one sweep."""
 
     labels: tuple[str, ...]
@@ -43,7 +44,7 @@ def information_of(jacobian: Floats, sweeps: Sweeps) -> Information:
     leverage = (spread**2).sum(axis=1)
     bits = -0.5 * np.log2(np.clip(1.0 - leverage, 1e-300, None))
     first = np.ones(len(jacobian), dtype=bool)
-    labels = [str(label) for label in sweeps.label]
+    labels = sweeps.label.tolist()
     for members in Sharing.of(sweeps).blocks:
         block = np.eye(len(members)) - spread[members] @ spread[members].T
         bits[members[0]] = -0.5 * np.linalg.slogdet(block)[1] / np.log(2.0)

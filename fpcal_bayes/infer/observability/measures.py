@@ -8,7 +8,6 @@ from scipy import linalg
 from fpcal_bayes.core.linalg import posterior_triangle
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.spectrum import Spectrum, spectrum_of
-from fpcal_bayes.infer.observability.gauges import pivots_of
 from fpcal_bayes.model.parameters import ParameterSet
 
 
@@ -88,6 +87,18 @@ class BaseParameter:
 
     def __str__(self) -> str:
         return self.name + "".join(f" {factor:+.4g} {name}" for name, factor in self.shares)
+
+
+def pivots_of(rows: Floats) -> list[int]:
+    """A column of independent `rows` (k, n) each, by column pivoting; among equals, within rounding, the first wins."""
+    reduced, chosen = rows.copy(), []
+    for _ in range(len(rows)):
+        size = np.linalg.norm(reduced, axis=0)
+        column = int(np.flatnonzero(size >= (1 - 1e-6) * size.max())[0])
+        chosen.append(column)
+        unit = reduced[:, column] / size[column]
+        reduced = reduced - np.outer(unit, unit @ reduced)
+    return chosen
 
 
 def base_parameters(spectrum: Spectrum, parameters: ParameterSet) -> tuple[BaseParameter, ...]:

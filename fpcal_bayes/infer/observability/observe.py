@@ -1,7 +1,7 @@
 """Everything that a set of sweeps, measured or planned, can tell about a cell, in one report."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.linalg import finite
-from fpcal_bayes.core.notebook import Result
+from fpcal_bayes.core.notebook import Brief, Result
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.fit.identify import Identification, identify
 from fpcal_bayes.infer.fit.prior import Prior
@@ -38,24 +38,14 @@ _ABSOLUTE_SD = 0.125
 _DRAWS = 16
 
 
-@dataclass(frozen=True)
-class Block:
+@dataclass(frozen=True, repr=False)
+class Block(Brief):
     """What a part of the sweeps, or the sweeps with an addition, tells."""
 
     name: str
     n_rows: int
     spectrum: Spectrum
     indices: Indices
-
-    def content(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "name": self.name,
-            "n_rows": self.n_rows,
-            "rank": self.spectrum.rank,
-            "condition": finite(self.indices.condition),
-            "indices": self.indices.content(),
-        }
 
 
 @dataclass(frozen=True)
@@ -103,8 +93,7 @@ class Observability(Result):
     def correlation(self) -> Floats:
         """Posterior correlations, shape (n, n)."""
         sd = np.sqrt(np.diag(self.covariance))
-        correlation: Floats = self.covariance / np.outer(sd, sd)
-        return correlation
+        return np.asarray(self.covariance / np.outer(sd, sd))
 
     def strongest_correlations(self, name: str, n: int = 3) -> list[tuple[str, float]]:
         """The parameters most correlated with one, strongest first."""
@@ -132,6 +121,7 @@ class Observability(Result):
             for free, (chosen, b) in self.bounds.items()
         }
         fit = self.identification.content()["fit"] if self.identification is not None else None
+        told = self.information
         return {
             **({} if self.mechanics is None else {"mechanics": self.mechanics}),
             "parameters": {
@@ -162,31 +152,30 @@ class Observability(Result):
                 "singular_values": self.spectrum.singular_values.tolist(),
                 "indices": self.indices.content(),
                 "condition": finite(self.indices.condition),
-                "gauges": [gauge.content() for gauge in self.gauges],
+                "gauges": [asdict(gauge) for gauge in self.gauges],
                 "base_parameters": [base.content() for base in self.base],
-                "blocks": [block.content() for block in self.blocks],
+                "blocks": [
+                    {"name": block.name, "n_rows": block.n_rows, "rank": block.spectrum.rank}
+                    | {"condition": finite(block.indices.condition), "indices": block.indices.content()}
+                    for block in self.blocks
+                ],
                 "bounds": bounds,
                 "weak_share": WEAK_SHARE,
             },
             "information": {
                 "sweeps": [
                     {"label": label, "leverage": float(leverage), "bits": float(bits)}
-                    for label, leverage, bits in zip(
-                        self.information.labels, self.information.leverage, self.information.bits, strict=True
-                    )
+                    for label, leverage, bits in zip(told.labels, told.leverage, told.bits, strict=True)
                 ],
-                "redundant": self.information.redundant,
-                "cumulative": {
-                    "rows": self.information.cumulative_rows.tolist(),
-                    "bits": self.information.cumulative_bits.tolist(),
-                },
+                "redundant": told.redundant,
+                "cumulative": {"rows": told.cumulative_rows.tolist(), "bits": told.cumulative_bits.tolist()},
                 "candidates": [{"label": label, "bits": bits} for label, bits in self.candidates],
             },
             "warnings": list(self.warnings),
         }
 
 
-def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) -> Observability:
+def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005) -> Observability:
     """Analyse what sweeps can tell about the free parameters of a cell.
 
     Parameters
@@ -198,8 +187,6 @@ def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) 
         the prior.
     sigma
         Standard deviation supposed for a plan's rows that have none, in um.
-    seed
-        Seed of the prior draws.
     """
     used = sweeps.take(sweeps.kind != "path")
     if len(used) == 0:
@@ -207,8 +194,7 @@ def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) 
     identification = identify(cell, used) if used.measured else None
     if identification is None:
         used = replace(used, sigma=np.where(np.isfinite(used.sigma), used.sigma, sigma))
-        rng = np.random.default_rng(seed)
-        points = Prior.of(cell.free).values(rng.standard_normal((_DRAWS, len(cell.free))))
+        points = Prior.of(cell.free).values(np.random.default_rng(0).standard_normal((_DRAWS, len(cell.free))))
     else:
         points = identification.problem.values(identification.solution.unknowns)[None]
 
@@ -219,10 +205,10 @@ def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) 
     # A draw may fall on a symmetry by chance; the rank that the sweeps have in general is the largest.
     chosen = int(np.argmax(ranks))
     jacobian, spectrum, values = jacobians[chosen], spectra[chosen], points[chosen]
-    covariance = np.mean([_posterior(j) for j in jacobians], axis=0)
+    covariance = np.mean([(s.directions.T / (1.0 + s.singular_values**2)) @ s.directions for s in spectra], axis=0)
     # Statuses of a plan: what is to be expected, on average over the prior.
-    null_share = np.mean([s.null_share for s in spectra], axis=0)
-    status = statuses(null_share, np.diag(covariance))
+    status = statuses(np.mean([s.null_share for s in spectra], axis=0), np.diag(covariance))
+    parts = [(free or "full", cell.select(free or "all")) for free in ("", "extrinsic", "intrinsic")]
     warnings = list(identification.warnings) if identification is not None else []
     if spectrum.gap < 1e3:
         warnings.append(
@@ -244,7 +230,9 @@ def observe(cell: Cell, sweeps: Sweeps, *, sigma: float = 0.005, seed: int = 0) 
         base=base_parameters(spectrum, cell.free),
         blocks=_blocks(model, used, values, jacobian),
         information=information_of(jacobian, used),
-        bounds=_bounds(cell, jacobian),
+        bounds={
+            free: (part, bounds_of(jacobian[:, cell.free.positions(part.names)])) for free, part in parts if len(part)
+        },
         candidates=_worth(model, used, values, jacobian, sigma),
         warnings=tuple(warnings),
     )
@@ -258,17 +246,11 @@ def whitened_jacobian(model: CavityModel, sweeps: Sweeps, values: Floats) -> Flo
 def _whitened_jacobians(model: CavityModel, sweeps: Sweeps, points: Floats) -> Iterator[Floats]:
     """The same at several points (n_points, n)."""
     rows = sweeps.laid_out(model)
-    whitening = row_whitening(model, sweeps, points[0])
     moves = model.cell.mechanics is not None or model.cell.repeatability.any()
     for number, point in enumerate(points):
-        if moves and number:
+        if moves or not number:
             whitening = row_whitening(model, sweeps, point)
         yield whitening.apply(model.predict_with_jacobian(point, rows)[1] * model.free.prior_sd)
-
-
-def _posterior(jacobian: Floats) -> Floats:
-    spectrum = spectrum_of(jacobian)
-    return (spectrum.directions.T / (1.0 + spectrum.singular_values**2)) @ spectrum.directions
 
 
 def _absolute_row(cell: Cell, sweeps: Sweeps) -> Sweeps:
@@ -306,15 +288,6 @@ def _blocks(model: CavityModel, sweeps: Sweeps, values: Floats, jacobian: Floats
             spectrum = spectrum_of(rows)
             blocks.append(Block(title, len(rows), spectrum, indices_of(spectrum, len(rows))))
     return tuple(blocks)
-
-
-def _bounds(cell: Cell, jacobian: Floats) -> dict[str, tuple[ParameterSet, Bounds]]:
-    bounds = {}
-    for free, names in (("full", "all"), ("extrinsic", "extrinsic"), ("intrinsic", "intrinsic")):
-        chosen = cell.select(names)
-        if len(chosen):
-            bounds[free] = (chosen, bounds_of(jacobian[:, cell.free.positions(chosen.names)]))
-    return bounds
 
 
 def _worth(

@@ -77,9 +77,7 @@ def _reading(path: Path, cell: Cell) -> Iterator[Reader]:
                 f"expected {cell.name!r}, opd {cell.opd!r}, {cell.sha256[:12]}"
             )
         if "converged" in root.attrs and not reader.integer_attribute(root, "converged"):
-            raise InputError(
-                f"{path}: attribute converged: the sampling did not converge, expected draws to be trusted"
-            )
+            raise InputError(f"{path}: attribute converged: the sampling did not converge, expected draws that did")
         yield reader
 
 

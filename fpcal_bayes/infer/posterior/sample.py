@@ -225,9 +225,7 @@ class _MachineEnsemble(_Ensemble):
 def _require_dense(identification: Identification, likelihood: Likelihood) -> None:
     file, rows = identification.problem.sweeps.file, len(identification.problem.target)
     if likelihood != "gaussian":
-        raise InputError(
-            f"{file}: --likelihood {likelihood}: with mechanics rows are Gaussian, expected --mechanics none with it"
-        )
+        raise InputError(f"{file}: --likelihood {likelihood} needs --mechanics none: with mechanics rows are Gaussian")
     if rows > MOST_ROWS:
         raise InputError(f"{file}: {rows} rows, with mechanics at most {MOST_ROWS} are sampled; use --mechanics none")
 

@@ -83,9 +83,12 @@ class Budget:
         return float(np.sqrt(max(float(contributions @ self.correlation @ contributions), 0.0)))
 
 
-def budget_of(estimate: Estimate, task: Task, *, conditions: Conditions | None = None) -> Budget:
+#: Of an ordinary laboratory.
+_USUAL = Conditions()
+
+
+def budget_of(estimate: Estimate, task: Task, *, conditions: Conditions = _USUAL) -> Budget:
     """The uncertainty budget, at its worst point, of a task whose joint path was found with `estimate`."""
-    conditions = Conditions() if conditions is None else conditions
     if estimate.mechanics is not None:
         return _machine_budget(estimate, task, conditions)
     model = CavityModel.of(estimate.cell, estimate.parameters)
@@ -110,28 +113,21 @@ def _machine_budget(estimate: Estimate, task: Task, conditions: Conditions) -> B
     least = _LEAST_SHARE * float(made.total[:, worst].std())
     small = [name for name, errors in effects.items() if errors.std() < least]
     if small:
-        rest = np.sum([effects.pop(name) for name in small], axis=0)
-        effects["all others"] = rest
+        effects["all others"] = np.sum([effects.pop(name) for name in small], axis=0)
     values = np.array(list(effects.values()))
     sd = values.std(axis=1)
     correlation = np.atleast_2d(np.corrcoef(values[sd > 0]))
-    lines = [
-        Line(name, "A, B", "normal", "um", 0.0, float(size), 1.0)
-        for name, size in zip(effects, sd, strict=True)
-        if size > 0
-    ]
-    change_along = float(model.predict(estimate.values, task_rows(model, task))[worst])
-    lines += _scale_lines(conditions, change_along)
+    shown = [(name, float(size)) for name, size in zip(effects, sd, strict=True) if size > 0]
+    lines = [Line(name, "A, B", "normal", "um", 0.0, size, 1.0) for name, size in shown]
+    lines += _scale_lines(conditions, float(model.predict(estimate.values, task_rows(model, task))[worst]))
     lines += [line for line in _joint_lines(estimate, model, task, worst) if line.name.startswith("resolution")]
     return _budget(task, worst, lines, correlation)
 
 
 def _scale_lines(conditions: Conditions, scale: float) -> list[Line]:
     """Laser and air, which scale every length."""
-    return [
-        Line("laser wavelength", "B", "rectangular", "ppm", 0.0, conditions.wavelength_ppm / 3**0.5, 1e-6 * scale),
-        Line("air index", "B", "rectangular", "ppm", 0.0, conditions.index_ppm / 3**0.5, 1e-6 * scale),
-    ]
+    widths = {"laser wavelength": conditions.wavelength_ppm, "air index": conditions.index_ppm}
+    return [Line(name, "B", "rectangular", "ppm", 0.0, w / 3**0.5, 1e-6 * scale) for name, w in widths.items()]
 
 
 def _budget(task: Task, worst: int, lines: list[Line], correlation: Floats) -> Budget:
@@ -168,16 +164,15 @@ def _joint_lines(estimate: Estimate, model: CavityModel, task: Task, worst: int)
     """Repeatability and resolution of the joints at the aligned pose and at the worst point."""
     slopes = model.joint_jacobian(estimate.values, np.array([task.start, task.q[worst]]))
     sensitivity = np.hypot(slopes[0], slopes[1])
-    lines = []
-    for kind, distribution, sizes in (
+    units = np.where(model.cell.revolute, "rad", "um").tolist()
+    # Half a step is the half width of the distribution of a resolution.
+    kinds = (
         ("repeatability", "normal", model.cell.repeatability),
-        # Half a step is the half width of the distribution.
         ("resolution", "rectangular", model.cell.resolution / 12**0.5),
-    ):
-        for i, size in enumerate(sizes):
-            if size > 0:
-                unit = "rad" if model.cell.revolute[i] else "um"
-                lines.append(
-                    Line(f"{kind} of q{i + 1}", "B", distribution, unit, 0.0, float(size), float(sensitivity[i]))
-                )
-    return lines
+    )
+    return [
+        Line(f"{kind} of q{i + 1}", "B", distribution, units[i], 0.0, float(size), float(sensitivity[i]))
+        for kind, distribution, sizes in kinds
+        for i, size in enumerate(sizes)
+        if size > 0
+    ]

@@ -29,27 +29,23 @@ def task_rows(model: CavityModel, task: Task) -> Rows:
 
 def task_jacobian(model: CavityModel, values: Floats, task: Task) -> Floats:
     """Derivatives of L(q) - L(q0) along a task by the free parameters, at `values` (n_free,), (n_points, n_free)."""
-    _, jacobian = model.predict_with_jacobian(values, task_rows(model, task))
-    return jacobian
+    return model.predict_with_jacobian(values, task_rows(model, task))[1]
 
 
 def linear_task_sd(jacobian: Floats, covariance: Floats) -> Floats:
     """First-order sd of the task error along the path, in um, (n_points,), by `task_jacobian` and a covariance."""
     variance = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian, optimize=True)
     # Rounding may leave a variance of zero slightly below it.
-    sd: Floats = np.sqrt(np.clip(variance, 0.0, None))
-    return sd
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
 
 
 def task_errors(model: CavityModel, truth_values: Floats, estimate_values: Floats, task: Task) -> Floats:
-    """Task error along the path for many truths, in um, shape (n_draws, n_points), in the model's path model.
+    """Task error along the path for many truths (n_draws, n_free), in um and rad, shape (n_draws, n_points), in um.
 
-    `truth_values` (n_draws, n_free) are in um and rad; `estimate_values` (n_free,) those that the controller holds, or
-    one set a truth (n_draws, n_free); `task` is the joint path that was found with the estimate.
+    `estimate_values` (n_free,), or one set per truth, are those that the controller holds and found the path with.
     """
     rows = task_rows(model, task)
-    truths = np.atleast_2d(truth_values)
-    return model.predict(truths, rows) - model.predict(estimate_values, rows)
+    return model.predict(np.atleast_2d(truth_values), rows) - model.predict(estimate_values, rows)
 
 
 def peak_to_peak(errors: Floats) -> Floats:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import task_rows
 from fpcal_bayes.model.cavity import CavityModel
@@ -25,8 +26,8 @@ FREEDOMS = ("x", "z", "rx", "ry", "rz")
 _LEAST_MOVE = 1.0
 
 
-@dataclass(frozen=True)
-class PoseErrors:
+@dataclass(frozen=True, repr=False)
+class PoseErrors(Brief):
     """Errors of the mirror's place and direction along a path."""
 
     normal: Floats  # angle between true and expected normal, each from its fibre frame, rad, (n_draws, n_points)

@@ -99,7 +99,11 @@ def predict_from_covariance(estimate: Estimate, task: Task, *, draws: int = 10_0
     InputError
         If the task belongs to another cell or a point of it is out of reach.
     """
-    _require_cell(estimate, task)
+    if estimate.cell.sha256 != task.cell.sha256:
+        raise InputError(
+            f"the task is of cell {task.cell.name!r}, opd {task.cell.opd!r}, the estimate of {estimate.cell.name!r}, "
+            f"opd {estimate.cell.opd!r}: expected the same cell"
+        )
     if estimate.mechanics is not None:
         return _on_machine(estimate, task, draws, seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
@@ -121,13 +125,12 @@ def covariance_sd(estimate: Estimate, task: Task) -> Floats:
 
 
 def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPrediction:
-    task_rows(CavityModel.of(estimate.cell, estimate.parameters), task)
-    made, _, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     model = CavityModel.of(estimate.cell, estimate.parameters)
+    task_rows(model, task)
+    made, _, _ = known_task_errors(estimate, task.start, task.q, added=task.added, draws=draws, seed=seed)
     change, added = known_pose_errors(estimate, task.start, task.q, draws=min(draws, _POSE_DRAWS), seed=seed)
     pose = pose_errors(model, estimate.values + change, estimate.values, task, linear=True)
-    changes = pose.changes + without_common_turn(model, estimate.values, task, added)
-    pose = replace(pose, changes=changes)
+    pose = replace(pose, changes=pose.changes + without_common_turn(model, estimate.values, task, added))
     sd = covariance_sd(estimate, task)
     without = None
     if task.plain is not None:
@@ -139,11 +142,7 @@ def _on_machine(estimate: Estimate, task: Task, draws: int, seed: int) -> TaskPr
 def predict_from_draws(
     model: CavityModel, draws: Floats, values: Floats, task: Task, trust: Trust | None = None
 ) -> TaskPrediction:
-    """Predict the error of a task from posterior draws of the truth, (n_draws, n_free) in um and rad.
-
-    The controller holds `values` (n_free,), with which the joint path of the task was found. `InputError` if a point of
-    the task is out of reach.
-    """
+    """Predict the error of a task, found with the `values` held (n_free,), from true draws (n_draws, n_free)."""
     errors = task_errors(model, draws, values, task)
     sd = np.sqrt((errors**2).mean(axis=0))
     pose = pose_errors(model, draws[:: -(-len(draws) // _POSE_DRAWS)], values, task)
@@ -155,13 +154,4 @@ def central_draw(model: CavityModel, draws: Floats, task_name: str, *, radius: f
     task = find_task(model.cell, model.vector(draws[0]), task_name, radius=radius)
     changes = task_errors(model, draws, draws[0], task)
     nearest = int(np.argmin(((changes - changes.mean(axis=0)) ** 2).sum(axis=1)))
-    result: Floats = draws[nearest].copy()
-    return result
-
-
-def _require_cell(estimate: Estimate, task: Task) -> None:
-    if estimate.cell.sha256 != task.cell.sha256:
-        raise InputError(
-            f"the task is of cell {task.cell.name!r}, opd {task.cell.opd!r}, the estimate of {estimate.cell.name!r}, "
-            f"opd {estimate.cell.opd!r}: expected the same cell"
-        )
+    return np.asarray(draws[nearest].copy())

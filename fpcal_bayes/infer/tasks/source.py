@@ -110,10 +110,7 @@ class Knowledge:
 def read_knowledge(
     path: str | Path, cell: Cell, *, held: str | Path | None = None, text: str | None = None
 ) -> Knowledge:
-    """Read an estimate JSON or its `text`, with the draws that it may hold, or a posterior netCDF file (``.nc``).
-
-    `held`: an estimate that the controller holds beside posterior draws. `InputError` if a file cannot be used.
-    """
+    """Read an estimate JSON or its `text`, or posterior draws (``.nc``) with the estimate that a controller `held`."""
     estimate = None if held is None else read_estimate(held, cell)
     if Path(path).suffix.lower() == ".nc":
         return Knowledge(cell, estimate, read_posterior(path, cell).thinned(_MOST_DRAWS))

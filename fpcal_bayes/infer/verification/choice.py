@@ -21,6 +21,7 @@ from fpcal_bayes.model.margin import estimate_draws
 
 #: Sweeps that are chosen from, and readings of each.
 _CANDIDATES, READINGS = 300, 4
+_TOLERANCE = 0.05
 #: What the strength of an error that is surely found already counts beside the power.
 _BEYOND = 1e-3
 
@@ -42,7 +43,6 @@ def validation_plan(
     sigma: float = 5e-3,
     limits: SweepLimits | None = None,
     tasks: Sequence[str] | None = None,
-    tolerance: float = 0.05,
     radius: float | None = None,
     candidates: int = _CANDIDATES,
     seed: int = 0,
@@ -57,8 +57,8 @@ def validation_plan(
         Of each sweep, and the standard deviation of a reading in um.
     limits
         Of the sweeps; the cell's envelope narrows them.
-    tasks, tolerance, radius
-        As of `verify`.
+    tasks, radius
+        As of `verify`, each with the cell's own tolerance, or 0.05 um.
     candidates
         Random sweeps to choose from.
 
@@ -78,37 +78,31 @@ def validation_plan(
     read = read_often(whole, readings).with_measurement(np.zeros(number * readings), sigma)
     rows = pool([fitted, read])
     expected = Expected.of(found, rows, np.arange(len(rows)) < len(fitted))
-    effects = effects_of(expected, worthwhile(estimate, tasks, tolerance, radius), seed=seed)
+    effects = effects_of(expected, worthwhile(estimate, tasks, _TOLERANCE, radius), seed=seed)
     sweep = np.repeat(np.arange(number), readings)
     chosen = choose(expected, effects, sweep, n)
     sweeps = in_short_order(
         cell, replace(whole.take(np.array(chosen)), label=np.array([f"v{i + 1}" for i in range(n)]))
     )
     require_within_envelope(model, draws, sweeps.q_start, sweeps.q_end, file="plan")
-    fresh = np.flatnonzero(np.isin(sweep, chosen))
-    covariance = expected.covariance[np.ix_(fresh, fresh)]
-    power = {task: Effects(kind.names, kind.rows[:, fresh]).power(covariance) for task, kind in effects.items()}
+    rows_of = np.flatnonzero(np.isin(sweep, chosen))
+    covariance: Floats = expected.covariance[np.ix_(rows_of, rows_of)]
+    power = {task: Effects(kind.names, kind.rows[:, rows_of]).power(covariance) for task, kind in effects.items()}
     return ValidationPlan(sweeps, readings, power)
 
 
 def choose(expected: Expected, effects: Mapping[str, Effects], sweep: Ints, n: int) -> list[int]:
-    """Numbers of the `n` candidate sweeps that together find the errors of every task with the largest power.
-
-    `expected` and `effects` hold the candidates as fresh rows; `sweep` numbers the sweep of each, (n_fresh,).
-    """
+    """The `n` sweeps that find most errors of the tasks; `sweep` numbers those of the fresh rows, shape (n_fresh,)."""
     together = [kind.rows for kind in effects.values()]
     shares = np.concatenate([np.full(len(rows), 1.0 / max(len(rows), 1)) for rows in together])
     n_sweeps, n_each = int(sweep.max()) + 1, int((sweep == 0).sum())
     # What is left of covariance and errors once the chosen rows are known.
-    covariance = expected.covariance.copy()
-    left = np.vstack(together)
+    covariance, left, chosen = expected.covariance.copy(), np.vstack(together), list[int]()
     excess = np.zeros(len(left))
-    chosen: list[int] = []
     for step in range(n):
         blocks = covariance.reshape(n_sweeps, n_each, n_sweeps, n_each)
-        own = blocks[np.arange(n_sweeps), :, np.arange(n_sweeps), :]
+        own = blocks[np.arange(n_sweeps), :, np.arange(n_sweeps), :] + np.eye(n_each) * 1e-15
         tall = left.reshape(len(left), n_sweeps, n_each).transpose(1, 2, 0)
-        own = own + np.eye(n_each) * 1e-15
         white = np.linalg.solve(np.linalg.cholesky(own), tall)
         gains = (white**2).sum(axis=1)
         worth = _likely(excess + gains, (step + 1) * n_each) @ shares + _BEYOND * np.log1p(excess + gains) @ shares

@@ -67,9 +67,7 @@ class Expected:
         joint = replace(
             problem, sweeps=sweeps, rows=rows, target=target, whitening=Whitening(1.0 / sweeps.sigma), sensitivity=None
         )
-        drifting = np.zeros((len(sweeps), 0))
-        if drift is not None:
-            drifting = np.where(fitted[:, None], 0.0, jacobian @ drift)
+        drifting = np.zeros((len(sweeps), 0)) if drift is None else np.where(fitted[:, None], 0.0, jacobian @ drift)
         made, terms, log = None, None, np.zeros((1, 0))
         if found.machine is not None:
             terms = found.machine.terms
@@ -88,23 +86,19 @@ class Expected:
     def innovation(self) -> Floats:
         """The fresh rows minus what is expected of them, to first order, in um, shape (n_fresh,)."""
         at = self.unknowns
-        miss = self.problem.target - self.problem.model.predict(self.problem.values(at), self.problem.rows)
-        miss = miss + self.geometry @ at
-        return np.asarray(miss[~self.fitted] - self.gain @ miss[self.fitted])
+        predicted = self.problem.model.predict(self.problem.values(at), self.problem.rows)
+        miss = self.problem.target - predicted + self.geometry @ at
+        return np.asarray(miss[~self.fitted] - self.known[0] @ miss[self.fitted])
 
     @cached_property
-    def _known(self) -> tuple[Floats, Floats]:
+    def known(self) -> tuple[Floats, Floats]:
+        """`conditional` at the typical scales: the gain K_FR K_RR^-1, and S in um^2."""
         return self.conditional(self.typical)
-
-    @property
-    def gain(self) -> Floats:
-        """K_FR K_RR^-1 at the typical scales, shape (n_fresh, n_fitted)."""
-        return self._known[0]
 
     @property
     def covariance(self) -> Floats:
         """S at the typical scales, in um^2, shape (n_fresh, n_fresh)."""
-        return self._known[1]
+        return self.known[1]
 
     @cached_property
     def taken_up(self) -> Floats:
@@ -117,8 +111,7 @@ class Expected:
     def conditional(self, log: Floats) -> tuple[Floats, Floats]:
         """Gain (n_fresh, n_fitted) and covariance (n_fresh, n_fresh) of the fresh rows at scales exp(log)."""
         columns, base = self._parts(log)
-        noise = base.unwhiten(np.eye(len(self.fitted)))
-        columns = np.hstack([self.geometry, columns, noise])
+        columns = np.hstack([self.geometry, columns, base.unwhiten(np.eye(len(self.fitted)))])
         fitted, fresh = columns[self.fitted], columns[~self.fitted]
         factor = linalg.cho_factor(fitted @ fitted.T, lower=True)
         gain = linalg.cho_solve(factor, fitted @ fresh.T).T
@@ -137,13 +130,9 @@ class Expected:
         both = replace(self.problem, whitening=MarginalWhitening.around(base, columns))
         # Whitened alone, the fitted rows know nothing of the fresh ones.
         kept = np.flatnonzero(self.fitted)
-        alone = replace(
-            self.problem,
-            sweeps=self.problem.sweeps.take(kept),
-            rows=self.problem.sweeps.take(kept).laid_out(self.problem.model),
-            target=self.problem.target[kept],
-            whitening=MarginalWhitening.around(self._base(self.typical, kept), columns[kept]),
-        )
+        sweeps, whitening = self.problem.sweeps.take(kept), self._base(self.typical, kept)
+        rows, whitening = sweeps.laid_out(self.problem.model), MarginalWhitening.around(whitening, columns[kept])
+        alone = replace(self.problem, sweeps=sweeps, rows=rows, target=self.problem.target[kept], whitening=whitening)
         before = minimise(alone, self.unknowns)
         after = minimise(both, before.unknowns)
         return max(after.sum_of_squares - before.sum_of_squares, 0.0)

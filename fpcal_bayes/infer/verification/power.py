@@ -15,7 +15,6 @@ from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.infer.tasks.error import task_jacobian
 from fpcal_bayes.infer.verification.expected import Expected
 from fpcal_bayes.measure.sharing import drive_of_sweeps
-from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
 from fpcal_bayes.model.mechanics import Terms, design
 from fpcal_bayes.model.mechanics.design import path_design
@@ -66,16 +65,18 @@ def effects_of(expected: Expected, tasks: Sequence[tuple[Task, float, float]], *
     """Errors that bring each of `tasks` (path, tolerance, upper edge of the band, in um) beyond it, by its name."""
     problem, rng = expected.problem, np.random.default_rng([seed, 7])
     model, cell = problem.model, problem.model.cell
-    values = problem.values(expected.unknowns)
-    vector = model.vector(values)
+    vector = model.vector(values := problem.values(expected.unknowns))
     sizes = Mechanics(tuple(_unseen(cell.mechanics, i, joint.kind) for i, joint in enumerate(cell.joints)))
     terms = Terms.of(cell, sizes, model.free.names)
     driven = drive_of_sweeps(problem.sweeps, sizes.minutes_per_sweep, terms.still)
     made = design(terms, vector, driven, problem.sweeps.sigma)
-    kinds = [_kind(cell, name) for name in made.names[: made.motion_count]]
+    # A weight's word and the group of its joint say the kind of error.
+    parts = [name.partition(" of q") for name in made.names[: made.motion_count]]
+    groups = [group_of(cell, int("".join(c for c in joint if c.isdigit())) - 1) for _, _, joint in parts]
+    kinds = [f"{w.partition(',')[0]} of the {_GROUPS[g]}" for (w, *_), g in zip(parts, groups, strict=True)]
     matrix = made.matrix[:, : made.motion_count]
     fitted = expected.fitted
-    left_in_rows = matrix[~fitted] - expected.gain @ matrix[fitted]
+    left_in_rows = matrix[~fitted] - expected.known[0] @ matrix[fitted]
 
     known = expected.taken_up
     n_weights = len(known) - expected.geometry.shape[1]
@@ -106,10 +107,3 @@ def _unseen(sizes: Mechanics | None, joint: int, kind: str) -> JointMechanics:
     if sizes is not None and sizes.joints[joint].any:
         return replace(sizes.joints[joint], return_sd=0.0, encoder=0.0)
     return _UNSEEN[kind]
-
-
-def _kind(cell: Cell, name: str) -> str:
-    """The kind of error of a weight: its word and the group of its joint."""
-    word, _, joint = name.partition(" of q")
-    group = group_of(cell, int("".join(c for c in joint if c.isdigit())) - 1)
-    return f"{word.partition(',')[0]} of the {_GROUPS[group]}"

@@ -112,15 +112,10 @@ def read_verification(path: str | Path, calibration: Estimate) -> Verification:
             f"{path}: verifies the calibration of session {session!r} at {at:g} h, expected that of {own!r} at "
             f"{calibration.time_h:g} h"
         )
-    return Verification(
-        n_rows=made["n_rows"],
-        score=made["score"],
-        p_value=made["p_value"],
-        coverage=made["coverage_95"],
-        kinds={kind: (each["n_rows"], each["p_value"]) for kind, each in made["kinds"].items()},
-        power={task: each["power"] for task, each in made["tasks"].items()},
-        scope=tuple(made["scope"]),
-    )
+    kinds = {kind: (each["n_rows"], each["p_value"]) for kind, each in made["kinds"].items()}
+    power = {task: each["power"] for task, each in made["tasks"].items()}
+    rows, coverage = made["n_rows"], made["coverage_95"]
+    return Verification(rows, made["score"], made["p_value"], coverage, kinds, power, tuple(made["scope"]))
 
 
 def verify(
@@ -167,22 +162,14 @@ def verify(
         rows = np.flatnonzero(moving == kind)
         own = innovation[rows] @ linalg.solve(covariance[np.ix_(rows, rows)], innovation[rows], assume_a="pos")
         kinds[kind] = (len(rows), chi2_tail(float(own), len(rows)))
-    return Verification(
-        n_rows=len(fresh),
-        score=score,
-        p_value=expected.p_value(score, seed=seed),
-        coverage=float((np.abs(innovation) < _INSIDE * np.sqrt(np.diag(covariance))).mean()),
-        kinds=kinds,
-        power={name: found.power(covariance) for name, found in effects.items()},
-        scope=_scope(found, fresh, [task for task, *_ in paths]),
-    )
+    coverage = float((np.abs(innovation) < _INSIDE * np.sqrt(np.diag(covariance))).mean())
+    power, scope = {name: each.power(covariance) for name, each in effects.items()}, _scope(found, fresh, paths)
+    return Verification(len(fresh), score, expected.p_value(score, seed=seed), coverage, kinds, power, scope)
 
 
 def kept_rows(sweeps: Sweeps, share: float) -> Bools:
-    """Rows that stay when a share of the sweeps verifies the calibration, shape (n,); `InputError` if none is left out.
-
-    Whole sweeps are left out, spread over the session, of each set of moving joints; one at least of each stays.
-    """
+    """Rows that stay when a share of the sweeps verifies the calibration, (n,); `InputError` if none is left out."""
+    # Whole sweeps are left out, spread over the session, of each set of moving joints; one at least of each stays.
     number = sweep_numbers(sweeps)
     first = np.unique(number, return_index=True)[1]
     moved = (sweeps.q_start != sweeps.q_end)[first]
@@ -211,7 +198,7 @@ def worthwhile(
     return found
 
 
-def _scope(found: Identification, fresh: Sweeps, tasks: Sequence[Task]) -> tuple[str, ...]:
+def _scope(found: Identification, fresh: Sweeps, paths: Sequence[tuple[Task, float, float]]) -> tuple[str, ...]:
     """Sentences: up to which tilt it holds, and where tasks go that no sweep has tried."""
     cell: Cell = found.estimate.cell
     poses = np.vstack([fresh.q_start[~fresh.absolute], fresh.q_end])
@@ -220,7 +207,7 @@ def _scope(found: Identification, fresh: Sweeps, tasks: Sequence[Task]) -> tuple
     for i, column in enumerate(cell.joint_columns):
         unit = column.rpartition("_")[2]
         low, high = poses[:, i].min(), poses[:, i].max()
-        driven = np.concatenate([poses[:1, i], *(task.q[:, i] for task in tasks)])
+        driven = np.concatenate([poses[:1, i], *(task.q[:, i] for task, *_ in paths)])
         beyond = _BEYOND * max(float(np.ptp(driven)), 1e-9)
         if driven.min() < low - beyond or driven.max() > high + beyond:
             ends = np.array([low, high, driven.min(), driven.max()]) / cell.joint_scales[i]

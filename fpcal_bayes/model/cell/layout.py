@@ -65,9 +65,8 @@ def read_axes(text: str) -> tuple[AxisWord, ...]:
     for word in words:
         found = _WORD.fullmatch(word.lower())
         if found is None or (found["inner"] and not found["turns"]) or (found["sign"] and found["inner"]):
-            raise InputError(
-                f"axis {word!r:.40}: expected x, y or z (moves along), rx, ry or rz (turns about), with - in front"
-            )
+            allowed = "x, y or z (moves along), rx, ry or rz (turns about), with - in front"
+            raise InputError(f"axis {word!r:.40}: expected {allowed}")
         sign = -1 if "-" in (found["sign"], found["inner"]) else 1
         direction = [0, 0, 0]
         direction["xyz".index(found["axis"])] = sign
@@ -84,9 +83,7 @@ def read_side(text: str) -> Floats:
     except (InputError, ValueError):
         axis = AxisWord("revolute", (0, 0, 1))
     if axis.kind != "prismatic":
-        raise InputError(
-            f"side {text!r:.40}: expected +x, -x, +y, -y, +z or -z, where the fibre stands from the mirror"
-        )
+        raise InputError(f"side {text!r:.40}: expected +x, -x, +y, -y, +z or -z, from the mirror to the fibre")
     return axis.vector
 
 

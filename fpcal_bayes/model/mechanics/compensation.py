@@ -53,8 +53,10 @@ def compensated_path(
         return as_it_is
 
     def driven(made: PathDesign) -> tuple[Floats, float, Floats]:
-        motions = made.motions[len(first) :]
-        return geometry + motions @ weights, return_factor**2 * _new_each_time(made), motions
+        motions, moving = made.motions[len(first) :], np.ptp(made.steps, axis=0) > 0
+        # What is new each time: return errors of the joints that move.
+        returned = float((made.returned_point[:, moving] ** 2).sum(axis=1).mean())
+        return geometry + motions @ weights, return_factor**2 * returned, motions
 
     plain, new, motions = driven(made)
     if _spread(plain) < _WORTH**2 * _spread(motions).sum():
@@ -73,9 +75,3 @@ def compensated_path(
 def _spread(errors: Floats) -> Floats:
     """Variance along a path (n_points, ...); of one point alone its square, in um^2."""
     return np.asarray(np.var(errors, axis=0) if len(errors) > 1 else errors[0] ** 2)
-
-
-def _new_each_time(path: PathDesign) -> float:
-    """Mean variance along a path of return errors of joints that move on it, in um^2."""
-    moving = path.steps.max(axis=0, initial=0) > path.steps.min(axis=0, initial=0)
-    return float((path.returned_point[:, moving] ** 2).sum(axis=1).mean())

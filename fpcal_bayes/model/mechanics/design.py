@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.mechanics.drive import Drive, sides_after
 from fpcal_bayes.model.mechanics.response import ACROSS, UP, Responses, pose_responses, responses
@@ -23,8 +24,8 @@ _OWN = ("drift", "slow", "wavelength", "first approach", "return of", "position 
 _MOST_SHARED, _FELT, _LONG = 120, 0.02, 1000
 
 
-@dataclass(frozen=True)
-class Design:
+@dataclass(frozen=True, repr=False)
+class Design(Brief):
     """What weights of unit prior variance add to rows, to first order."""
 
     matrix: Floats  # in um, shape (n_rows, n_weights)
@@ -83,9 +84,8 @@ def _elliptic(terms: Terms, q: Floats, at: Responses) -> list[Floats]:
     """Of endless joints: the part of the fundamental radial motion that runs against the turn, (n, 2) each."""
     made = []
     for motion in terms.elliptic:
-        i = motion.joint
         # The second harmonic stands at half the fundamental's size.
-        sd = 2.0 * motion.sd[2]
+        i, sd = motion.joint, 2.0 * motion.sd[2]
         up, across = at.motion[:, i, UP], at.motion[:, i, ACROSS]
         c, s = np.cos(q[:, i]), np.sin(q[:, i])
         made.append(sd * np.column_stack([c * up - s * across, s * up + c * across]))
@@ -136,12 +136,8 @@ def design(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> Design:
     if len(parts) == 1:
         return parts[0]
     back, shared = np.argsort(np.concatenate([np.flatnonzero(mine) for mine in chosen])), parts[-1].motion_count
-    matrix = np.hstack(
-        [
-            np.vstack([part.matrix[:, :shared] for part in parts]),
-            linalg.block_diag(*(part.matrix[:, shared:] for part in parts)),
-        ]
-    )
+    own = linalg.block_diag(*(part.matrix[:, shared:] for part in parts))
+    matrix = np.hstack([np.vstack([part.matrix[:, :shared] for part in parts]), own])
     # A task is driven after the last session, and shares nothing with what passed in those before.
     before = [_EARLIER + name for part in parts[:-1] for name in part.names[shared:]]
     return Design(
@@ -181,11 +177,9 @@ def _of_session(terms: Terms, vector: Floats, drive: Drive, sigma: Floats) -> De
         parts.append(drifting * seen[:, None])
         names += [f"drift{of}{name.removeprefix('drift')}" for name in drift_names]
         scales += [index["drift"]] * drifting.shape[1]
-        slow = np.zeros((len(drive), 0))
-        if seen.any():
-            errors = _slow(terms, int(seen.sum()), sigma[seen])
-            slow = np.zeros((len(drive), errors.shape[1]))
-            slow[seen] = errors
+        errors = _slow(terms, int(seen.sum()), sigma[seen])
+        slow = np.zeros((len(drive), errors.shape[1]))
+        slow[seen] = errors
         parts.append(slow)
         names += ["slow reading error"] * slow.shape[1]
         scales += [index["slow noise"]] * slow.shape[1]
@@ -248,26 +242,23 @@ def _drift(terms: Terms, drive: Drive, start: Responses, end: Responses, begun: 
         return np.zeros((len(drive), 0)), []
     last = max(float(drive.end_min.max()), 1e-9)
     parts, names = [], []
-    for order in range(1, DRIFT_ORDER + 1):
-        sd = rate * last / 2.0 / 2.0 ** (order - 1)
+    for order, sd in enumerate(drift_sd(terms, last), 1):
         late, early = (2.0 * minutes / last - 1.0 for minutes in (drive.end_min, drive.start_min))
         late, early = (x if order == 1 else 1.5 * x**2 - 0.5 for x in (late, early))
         parts.append(sd * (end.fibre * late[:, None] - begun * start.fibre * early[:, None]))
         names += [f"drift along {axis}" for axis in "xyz"]
     if drive.span_min.any():
         beam = np.linalg.norm(end.fibre, axis=1)
-        parts.append((0.5 * rate * drive.span_min * beam)[:, None])
-        names.append("drift within a sweep")
-        parts.append((0.5 * rate * np.where(drive.span_min > 0, drive.span_min.max(), 0.0) * beam)[:, None])
-        names.append("drift between readings")
+        longest = np.where(drive.span_min > 0, drive.span_min.max(), 0.0)
+        parts += [(0.5 * rate * span * beam)[:, None] for span in (drive.span_min, longest)]
+        names += ["drift within a sweep", "drift between readings"]
     return np.hstack(parts), names
 
 
 def drift_sd(terms: Terms, last_min: float) -> Floats:
     """Standard deviations of the drift's polynomials in um, shape (DRIFT_ORDER,)."""
-    orders = np.arange(DRIFT_ORDER)
     rate = terms.sizes.drift_nm_per_min * 1e-3
-    return np.asarray(rate * last_min / 2.0 / 2.0**orders, dtype=np.float64)
+    return np.asarray(rate * last_min / 2.0 / 2.0 ** np.arange(DRIFT_ORDER), dtype=np.float64)
 
 
 def _slow(terms: Terms, n: int, sigma: Floats) -> Floats:
@@ -315,17 +306,8 @@ def _path_design(terms: Terms, start_q: Floats, q: Floats, at: Responses) -> Pat
     scales += [terms.scales.index("approach")] * len(reversing)
     # Until a joint has moved, the side from which the start was reached counts at the point too.
     unknown = drive[1:] * (side == 0) - drive[:1]
-    returned = at.drive * terms.return_sd
-    moved = np.vstack([np.zeros(len(start_q), dtype=bool), np.diff(poses, axis=0) != 0])
-    return PathDesign(
-        motions=np.hstack(parts),
-        scale=np.array(scales, dtype=np.int64),
-        unknown_side=unknown,
-        drift=at.fibre[1:] - at.fibre[:1],
-        returned_start=np.repeat(returned[:1], len(q), axis=0),
-        returned_point=returned[1:],
-        encoded=at.drive * _unknown_encoder(terms),
-        poses=poses,
-        drive=at.drive,
-        steps=np.cumsum(moved, axis=0)[1:].astype(np.int64),
-    )
+    returned, encoded = at.drive * terms.return_sd, at.drive * _unknown_encoder(terms)
+    steps = np.cumsum(np.diff(poses, axis=0) != 0, axis=0).astype(np.int64)
+    motions, numbers, drift = np.hstack(parts), np.array(scales, dtype=np.int64), at.fibre[1:] - at.fibre[:1]
+    begun = np.repeat(returned[:1], len(q), axis=0)
+    return PathDesign(motions, numbers, unknown, drift, begun, returned[1:], encoded, poses, at.drive, steps)

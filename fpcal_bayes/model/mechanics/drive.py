@@ -5,11 +5,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Bools, Floats, Ints
 
 
-@dataclass(frozen=True)
-class Drive:
+@dataclass(frozen=True, repr=False)
+class Drive(Brief):
     """Rows in the order in which they were driven; joint vectors in um and rad."""
 
     # q_start, q_end: shape (n, n_joints)
@@ -42,9 +43,7 @@ class Drive:
     @property
     def moved(self) -> Bools:
         """Joints that move between start and end, shape (n, n_joints)."""
-        different: Bools = self.start_reach != self.end_reach
-        different[self.absolute] = True
-        return different
+        return np.asarray((self.start_reach != self.end_reach) | self.absolute[:, None])
 
     @property
     def session_min(self) -> float:
@@ -97,8 +96,7 @@ def drive_of(
 
 def sides_after(steps: Floats) -> Floats:
     """Directions of approach after each step (n, n_joints), zero before a joint's first: the last one not zero."""
-    n = len(steps)
-    latest = np.where(steps != 0, np.arange(1, n + 1)[:, None], 0)
+    latest = np.where(steps != 0, np.arange(1, len(steps) + 1)[:, None], 0)
     latest = np.maximum.accumulate(latest, axis=0)
     known = np.vstack([np.zeros(steps.shape[1]), np.sign(steps)])
     return np.take_along_axis(known, latest, axis=0)
@@ -145,6 +143,5 @@ def _fractions(q_start: Floats, q_end: Floats, absolute: Bools, sweep: Ints) -> 
     length = np.linalg.norm(q_end - q_start, axis=1)
     longest = np.zeros(int(sweep.max(initial=0)) + 1)
     np.maximum.at(longest, sweep, length)
-    share: Floats = np.where(longest[sweep] > 0, length / np.where(longest[sweep] > 0, longest[sweep], 1.0), 1.0)
-    share[absolute] = 0.0
-    return share
+    share = np.where(longest[sweep] > 0, length / np.where(longest[sweep] > 0, longest[sweep], 1.0), 1.0)
+    return np.where(absolute, 0.0, share)

@@ -39,12 +39,8 @@ def known_task_errors(
     Returns the errors; the deviations of the parameters, (n_draws, n_parameters); and what each cause adds, by name.
     """
     drawn = _Drawn.of(estimate, draws, seed)
-    rng = drawn.rng()
-    terms, parameters = drawn.terms, estimate.parameters
-    model = CavityModel.of(estimate.cell, parameters)
-    rows = model.rows(np.repeat(start[None], len(q), axis=0), q)
-    _, jacobian = model.predict_with_jacobian(estimate.values, rows)
-    path = path_design(terms, estimate.vector(), start, q)
+    rng, terms = drawn.rng(), drawn.terms
+    jacobian, path = _along(estimate, terms, start, q)
     weights, moved = drawn.weights, np.flatnonzero(~drawn.drifting)
     parts = {"geometry": drawn.change @ jacobian.T}
     if len(moved) != path.motions.shape[1]:
@@ -64,10 +60,9 @@ def known_task_errors(
 def known_pose_errors(
     estimate: Estimate, start: Floats, q: Floats, *, draws: int = 10_000, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """What error motions and return add to place and direction of the mirror; as `known_task_errors`.
+    """Deviations of the parameters; what is added to the mirror's pose, (n_draws, n_points, 5), as `pose_responses`.
 
-    Returns the deviations of the parameters and what is added, in the order of `pose_responses`, shape (n_draws,
-    n_points, 5). Weights that no length feels are drawn as the cell states them.
+    Weights that no length feels are drawn as the cell states them.
     """
     drawn, total = _Drawn.of(estimate, draws, seed), []
     paths = pose_designs(drawn.terms, estimate.vector(), start, q)
@@ -77,6 +72,13 @@ def known_pose_errors(
         parts = drawn.others(path, rng) | returned_errors(drawn.terms, path, drawn.log_scales, rng)
         total.append(np.sum([weights @ path.motions.T, *parts.values()], axis=0))
     return drawn.change, np.stack(total, axis=-1)
+
+
+def _along(estimate: Estimate, terms: Terms, start: Floats, q: Floats) -> tuple[Floats, PathDesign]:
+    """Derivatives of L along a path by the parameters (n_points, n_parameters), and by the weights."""
+    model = CavityModel.of(estimate.cell, estimate.parameters)
+    rows = model.rows(np.repeat(start[None], len(q), axis=0), q)
+    return model.predict_with_jacobian(estimate.values, rows)[1], path_design(terms, estimate.vector(), start, q)
 
 
 @dataclass(frozen=True)
@@ -115,9 +117,8 @@ class _Drawn:
 
     def others(self, path: PathDesign, rng: np.random.Generator) -> dict[str, Floats]:
         """What is the same each time but no weight that a task shares: first approach, encoders, drift."""
-        parts = approached(self.terms, path, self.log_scales, rng) | encoder_errors(
-            self.terms, path, self.log_scales, rng
-        )
+        known = self.terms, path, self.log_scales, rng
+        parts = approached(*known) | encoder_errors(*known)
         if self.drifting.any():
             assert self.estimate.mechanics is not None
             session_min = self.estimate.mechanics.session_min
@@ -142,9 +143,7 @@ def known_task_sd(estimate: Estimate, start: Floats, q: Floats, added: Floats | 
     if knowledge is None:
         raise InputError("the estimate knows nothing of the cell's mechanics")
     terms, names = knowledge.terms(estimate.cell), estimate.parameters.names
-    model = CavityModel.of(estimate.cell, estimate.parameters)
-    _, jacobian = model.predict_with_jacobian(estimate.values, model.rows(np.repeat(start[None], len(q), axis=0), q))
-    path = path_design(terms, estimate.vector(), start, q)
+    jacobian, path = _along(estimate, terms, start, q)
     factors = np.exp(2.0 * knowledge.log_scales).mean(axis=0)
     scale = dict(zip(terms.scales, factors.tolist(), strict=True))
 
@@ -186,9 +185,8 @@ def encoder_errors(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.r
     factor, found = np.exp(log_scales[:, terms.scales.index("encoder")])[:, None], {}
     for joint in np.flatnonzero(path.encoded.any(axis=0)).tolist():
         places = path.places[:, joint]
-        drawn = (
-            factor * rng.standard_normal((len(log_scales), int(places.max()) + 1))[:, places] * path.encoded[:, joint]
-        )
+        normal = rng.standard_normal((len(log_scales), int(places.max()) + 1))
+        drawn = factor * normal[:, places] * path.encoded[:, joint]
         found[f"encoder of q{joint + 1}"] = drawn[:, 1:] - drawn[:, :1]
     return found
 
@@ -197,12 +195,10 @@ def drifted(terms: Terms, path: PathDesign, weights: Floats, session_min: float,
     """Where the fibre had drifted to at some time of the session."""
     if not weights.shape[1]:
         return np.zeros((len(weights), len(path.drift)))
-    sd = drift_sd(terms, session_min)
-    when = rng.uniform(-1.0, 1.0, len(weights))
+    sd, when = drift_sd(terms, session_min), rng.uniform(-1.0, 1.0, len(weights))
     values = np.column_stack([when, 1.5 * when**2 - 0.5])[:, :DRIFT_ORDER]
     by_order = weights.reshape(len(weights), DRIFT_ORDER, 3)
-    moved: Floats = (by_order * (values * sd)[:, :, None]).sum(axis=1)
-    return moved @ path.drift.T
+    return np.asarray((by_order * (values * sd)[:, :, None]).sum(axis=1) @ path.drift.T)
 
 
 def returned_errors(terms: Terms, path: PathDesign, log_scales: Floats, rng: np.random.Generator) -> dict[str, Floats]:

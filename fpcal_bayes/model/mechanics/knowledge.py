@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import Mechanics
@@ -17,8 +18,8 @@ from fpcal_bayes.model.parameters import ParameterSet
 _DRAWN, _WEIGHT, _FACTOR, _DIGITS = 2, 4, 3, 6
 
 
-@dataclass(frozen=True)
-class MechanicsKnowledge:
+@dataclass(frozen=True, repr=False)
+class MechanicsKnowledge(Brief):
     """Geometry and weights of the error motions, x = mean + factor z; z is drawn, and has unit variance."""
 
     sizes: Mechanics  # what the cell states

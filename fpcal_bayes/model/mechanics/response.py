@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model import chain
 from fpcal_bayes.model.cell.cell import Cell
@@ -28,8 +29,8 @@ _STRIDE = len(LINK_SLOTS)
 _STEEP = 0.9
 
 
-@dataclass(frozen=True)
-class Directions:
+@dataclass(frozen=True, repr=False)
+class Directions(Brief):
     """Directions in which the joints' error motions are told."""
 
     in_base: Floats  # columns own axis, upward, across in the joint's base frame, shape (n_joints, 3, 3)
@@ -100,8 +101,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
         beam_to = np.broadcast_to(light, away.shape) if cell.opd == "axis" else away / length[:, None]
 
         def turned_point(points: Floats) -> Floats:
-            turned: Floats = (axes @ np.cross(point[:, None] - points, beam_to[:, None])[..., None])[..., 0]
-            return turned
+            return np.asarray((axes @ np.cross(point[:, None] - points, beam_to[:, None])[..., None])[..., 0])
 
         return made(beam_to[:, None, :], turned_point, -beam_to, length)
     in_tool = np.array([np.sin(theta_et), -np.sin(beta_et) * np.cos(theta_et), np.cos(beta_et) * np.cos(theta_et)])
@@ -120,8 +120,7 @@ def responses(cell: Cell, vector: Floats, told: Directions, q: Floats, beam: Int
 
     def tilted(points: Floats) -> Floats:
         torque = _cross(normal[:, None], points - np.array(fibre)) - turned_beam[:, None]
-        turned: Floats = (axes @ (torque * inverse[:, None, None])[..., None])[..., 0]
-        return turned
+        return np.asarray((axes @ (torque * inverse[:, None, None])[..., None])[..., 0])
 
     return made(across, tilted, -normal * inverse[:, None], length)
 
@@ -164,13 +163,11 @@ def _frames(cell: Cell, vector: Floats, q: Floats) -> _Frames:
     base, pivot, carried = np.empty((n, n_joints, 3, 3)), np.empty((n, n_joints, 3)), np.empty((n, n_joints, 3))
     for i, joint in enumerate(cell.joints):
         beta, alpha, d, theta, r, gain, runout_cos, runout_sin = vector[_STRIDE * i : _STRIDE * (i + 1)]
-        fixed = (chain.rot_y(beta) @ chain.rot_x(alpha))[:3, :3].real
-        turn = turn @ fixed
+        turn = turn @ (chain.rot_y(beta) @ chain.rot_x(alpha))[:3, :3].real
         at = at + d * turn[:, :, 0]
         base[:, i], pivot[:, i] = turn, at
         travel = q[:, i] * (1.0 + gain)
-        angle = np.full(n, theta)
-        along = np.full(n, r)
+        angle, along = np.full(n, theta), np.full(n, r)
         if joint.kind == "prismatic":
             along += travel
         else:

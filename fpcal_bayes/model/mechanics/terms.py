@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.polynomial import legendre
 
+from fpcal_bayes.core.notebook import Brief
 from fpcal_bayes.core.typing import Floats, Ints
 from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.cell.error_motions import JointMechanics, Mechanics
@@ -47,13 +48,7 @@ def polynomials(q: Floats, low: float | Floats, high: float | Floats) -> Floats:
 def harmonics(q: Floats) -> Floats:
     """Cosine and sine of one to four turns per turn, cos q, sin q, cos 2q, ..., shape (..., 8): a full turn closes."""
     angles = q[..., None] * np.arange(1, HARMONICS + 1)
-    values: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * HARMONICS)
-    return values
-
-
-def weight_sd(size: float, shape: Shape) -> Floats:
-    """Standard deviations by k of the weights of a function of peak to valley `size`, shape (5,), (8,) or (4,)."""
-    return size * np.array(WEIGHT_SD[shape])
+    return np.asarray(np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*q.shape, 2 * HARMONICS))
 
 
 #: Scales that are not those of error motions, in their order behind them.
@@ -75,11 +70,10 @@ class Motion:
     name: str  # as residual tests and the budget speak of it
     scale: str  # the scale that it shares: group of joints and kind
     sd: Floats  # standard deviation of the weights in um or rad, in the order of the basis
-    duplicates: str = ""  # what was left out because a geometric parameter says the same
 
 
-@dataclass(frozen=True)
-class Terms:
+@dataclass(frozen=True, repr=False)
+class Terms(Brief):
     """Every weight of a cell's mechanics that acts on the cavity length."""
 
     cell: Cell
@@ -90,20 +84,10 @@ class Terms:
 
     @classmethod
     def of(cls, cell: Cell, sizes: Mechanics, free: Collection[str] = ()) -> "Terms":
-        """The terms of a cell with these geometric parameters `free`.
-
-        A freed gain_j takes the linear term of the joint's own travel out, a freed runout its first axial harmonic.
-        """
+        """The terms of a cell; a `free` gain_j takes the linear term of own travel out, a runout its first harmonic."""
         told = directions(cell, np.array([joint.lever_mm for joint in sizes.joints]))
-        made: list[Motion] = []
-        for i, joint in enumerate(sizes.joints):
-            made += _motions(cell, i, joint, told, free)
+        made = (motion for i, joint in enumerate(sizes.joints) for motion in _motions(cell, i, joint, told, free))
         return cls(cell, sizes, told, tuple(made), tuple(free))
-
-    @cached_property
-    def duplicates(self) -> tuple[str, ...]:
-        """Sentences about weights that stand aside for a geometric parameter."""
-        return tuple(motion.duplicates for motion in self.motions if motion.duplicates)
 
     @cached_property
     def weights(self) -> tuple[Ints, Ints, Ints, Floats]:
@@ -211,17 +195,14 @@ def _motions(cell: Cell, i: int, sizes: JointMechanics, told: Directions, free: 
         shape: Shape = "legendre-bent" if bent else "tilt" if tilts else "legendre"
         if endless:
             shape = "fourier-beyond-first" if radial else "fourier"
-        sd = weight_sd(size * (_NM if direction < ROLL else _URAD), shape)
+        sd = size * (_NM if direction < ROLL else _URAD) * np.array(WEIGHT_SD[shape])
         if endless:
             sd = np.repeat(sd, 2)
-        duplicates = ""
         if direction == own_travel and f"gain_{number}" in free and not endless:
             sd[0] = 0.0
-            duplicates = f"gain_{number} is free: the linear term of the linearity of q{number} stands aside"
         if direction == OWN and endless and {f"runout_cos_{number}", f"runout_sin_{number}"} & set(free):
             sd[:2] = 0.0
-            duplicates = f"runout of q{number} is free: its first axial harmonic stands aside"
         displacement = KINDS[0] if told.along_beam[i] == direction else KINDS[1]
         kind = KINDS[2] if direction >= ROLL else displacement
-        made.append(Motion(i, direction, f"{word} of q{number}", f"{group}, {kind}", sd, duplicates))
+        made.append(Motion(i, direction, f"{word} of q{number}", f"{group}, {kind}", sd))
     return made

@@ -20,11 +20,11 @@ _DIGITS = 4
 
 def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
     """The error of the worst task through time, in nm."""
-    series = {"median": found.median, "low": found.low, "high": found.high}
+    limit = np.full(len(found.hours), facts.goal.tolerance_um)
+    series = {"median": found.median, "low": found.low, "high": found.high, "tolerance": limit}
     return {
         "hours": _numbers(_increasing(found.hours), 9),
         "now": facts.now_h,
-        "tolerance": 1e3 * facts.goal.tolerance_um,
         "series": {name: _numbers(1e3 * values) for name, values in series.items()},
     }
 
@@ -53,10 +53,7 @@ _SLACK_H = 0.1
 
 
 def log_table(facts: CampaignFacts) -> Table | None:
-    """One line per session: until when its estimate held, and what the tests say.
-
-    None where the sessions cannot be followed, or the tasks cannot be judged.
-    """
+    """One line per session: until when its estimate held, what the tests say; None where that cannot be judged."""
     log = session_log(facts)
     if log is None:
         return None

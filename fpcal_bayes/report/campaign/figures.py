@@ -27,11 +27,9 @@ def task_figure(facts: CampaignFacts) -> str:
     if not drawn:
         return ""
     with svg_figure(9.6, 0.6 + 2.3 * n_rows) as (figure, svg):
-        axes = figure.subplots(n_rows, 3, squeeze=False).ravel()
-        for axis in axes[len(drawn) :]:
-            axis.remove()
+        axes = [figure.add_subplot(n_rows, 3, number) for number in range(1, len(drawn) + 1)]
         half = 1e3 * facts.goal.tolerance_um / 2
-        for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=False)):
+        for i, (axis, outlook) in enumerate(zip(axes, drawn, strict=True)):
             found, prediction = outlook.numbers, outlook.prediction
             assert found is not None
             assert prediction is not None
@@ -110,8 +108,7 @@ def _draw_track(axis: Any, facts: CampaignFacts, found: History, i: int) -> None
         axis.axvline(time_h / _HOURS_PER_DAY, color=VERMILION, linewidth=1, label="alarm" if n == 0 else None)
     axis.axvline(facts.now_h / _HOURS_PER_DAY, color="black", linestyle=":", linewidth=0.8)
     # A session that is far off must not flatten the others.
-    low, high = np.min(mean - 2.6 * sd), np.max(mean + 2.6 * sd)
-    axis.set_ylim(low, high)
+    axis.set_ylim(np.min(mean - 2.6 * sd), np.max(mean + 2.6 * sd))
     axis.grid(alpha=0.3)
 
 
@@ -131,9 +128,8 @@ def residual_figure(parts: list[SessionResiduals], alarmed: set[str]) -> str:
             axis.set_ylabel(f"{drawable(part.session)}\n[sigma]", parse_math=False)
             axis.grid(axis="y", alpha=0.3)
             axis.tick_params(labelbottom=False)
-        last = chosen[-1]
-        if len(last.labels) <= _MOST_LABELS:
-            labels = [drawable(label) for label in last.labels]
+        labels = [drawable(label) for label in chosen[-1].labels]
+        if len(labels) <= _MOST_LABELS:
             axes[-1].set_xticks(np.arange(len(labels)), labels, rotation=90, fontsize=6.5, parse_math=False)
         axes[-1].tick_params(labelbottom=True)
         axes[-1].set_xlabel("sweep, in the order of the file")

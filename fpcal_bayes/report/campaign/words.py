@@ -17,7 +17,7 @@ from fpcal_bayes.infer.tasks.prediction import BAND
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.report.table import Table, TableCell, figure_of, number, plain_table
 from fpcal_bayes.report.tasks import angle_text, known
-from fpcal_bayes.report.track import VERDICT_STYLES, decision_sentence, time_text
+from fpcal_bayes.report.track import LEAST_HOURS, VERDICT_STYLES, decision_sentence, time_text
 from fpcal_bayes.tracking.session import SessionOutcome
 
 #: Word of each action, its class in the style sheet, and its meaning.
@@ -32,6 +32,8 @@ _LOOKS = {
     "robot": "The tolerance holds; these sweeps show whether the robot itself has changed.",
     "both": "A few sweeps bring mirror and fibre back into tolerance, and show whether the robot itself has changed.",
 }
+#: Sweeps after which the tolerance does not hold yet.
+_FIRST = "One session is not enough: these sweeps are the first of two that bring mirror and fibre back into tolerance."
 _MOST_RESIDUALS = 12
 _LIBRARIES = ("numpy", "scipy", "numba", "filterpy", "h5py", "matplotlib")
 
@@ -78,7 +80,8 @@ def _action(decision: Decision, facts: CampaignFacts) -> tuple[str, str, str, st
         looked = decision.action == "extrinsic" and decision.purpose == "robot"
         sweeps = counted(0 if decision.sweeps is None else len(decision.sweeps), "sweep")
         title = f"{'Look at the robot' if looked else word} now: {sweeps}, about {decision.minutes:.0f} min"
-        meaning = _LOOKS.get(decision.purpose, meaning) if decision.action == "extrinsic" else meaning
+        if decision.action == "extrinsic":
+            meaning = _LOOKS.get(decision.purpose, meaning if decision.then_hours >= LEAST_HOURS else _FIRST)
     elif decision.hold_hours < facts.costs.horizon_h:
         until = shown_time(decision.now_h + decision.hold_hours, facts)
         # Green is for what needs nobody's attention within the horizon.
@@ -94,13 +97,12 @@ def _task_sentence(facts: CampaignFacts) -> str:
         if not outlook.asked:
             continue
         found = outlook.numbers
-        if found is not None and found.exceeds is None:
-            parts.append(f"{outlook.name} is not known: {facts.trust.against}")
-            continue
         if found is None:
             parts.append(f"{outlook.name} cannot be driven ({outlook.reason})")
-            continue
-        parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
+        elif found.exceeds is None:
+            parts.append(f"{outlook.name} is not known: {facts.trust.against}")
+        else:
+            parts.append(f"{outlook.name} {found.median:.1f} nm peak to peak (at most {found.most:.1f} nm with 97.5 %)")
     return f"Expected now: {'; '.join(parts)}; tolerance {1e3 * facts.goal.tolerance_um:g} nm."
 
 
@@ -145,9 +147,8 @@ def measured_sentence(facts: CampaignFacts) -> str:
     """How much was measured over which time, and how many sessions were as modelled."""
     times, n = facts.sweeps.time_h, len(facts.sweeps.sessions)
     days = float(times.max() - times.min()) / 24.0
-    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}" + (
-        f" over {days:.1f} days" if days > 0 else ""
-    )
+    sentence = f"{counted(len(facts.sweeps), 'row')} in {counted(n, 'session')}"
+    sentence += f" over {days:.1f} days" if days > 0 else ""
     if facts.track is None or n == 1:
         return sentence + "."
     later = facts.track.outcomes[1:]
@@ -182,11 +183,8 @@ def _tested(outcome: SessionOutcome | None, *, first: bool) -> list[str | TableC
     """Headline, innovation and bounds."""
     if outcome is None:
         return ["not followed", "", ""]
-    word = (
-        TableCell("calibration", style="good")
-        if first
-        else TableCell(outcome.verdict, style=VERDICT_STYLES[outcome.verdict])
-    )
+    said, style = ("calibration", "good") if first else (outcome.verdict, VERDICT_STYLES[outcome.verdict])
+    word = TableCell(said, style=style)
     bounds = session_bounds(outcome)
     if bounds is None:
         return [word, "", ""]

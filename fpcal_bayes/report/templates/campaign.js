@@ -6,12 +6,13 @@
   const width = function (box) { return Math.max(260, box.clientWidth - 4); };
   const short = function (value) { return value === null || value === undefined ? "" : String(Number(value.toPrecision(4))); };
   const styles = {
-    "median": { stroke: blue, width: 1.5 }
+    "median": { stroke: blue, width: 1.5 },
+    "tolerance": { stroke: vermilion, width: 1.5, dash: [6, 4] }
   };
   const edge = { stroke: "rgba(0,114,178,.5)", width: 0.5 };
 
-  // A vertical line at the present, and a horizontal one at the tolerance.
-  const marks = function (now, tolerance) {
+  // A vertical line at the present.
+  const marks = function (now) {
     return { hooks: { draw: [function (plot) {
       const c = plot.ctx, b = plot.bbox;
       c.save();
@@ -19,15 +20,14 @@
       c.setLineDash([4, 4]);
       const line = function (colour, x0, y0, x1, y1) { c.strokeStyle = colour; c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1); c.stroke(); };
       if (now !== null) { const x = plot.valToPos(now, "x", true); line("#000", x, b.top, x, b.top + b.height); }
-      if (tolerance !== null) { const y = plot.valToPos(tolerance, "y", true); line(vermilion, b.left, y, b.left + b.width, y); }
       c.restore();
     }] } };
   };
 
   // What the legend says of a series, and at which time where nobody points.
   const said = { "low": "95 % band, from", "high": "to" };
-  const order = ["low", "high", "median"];
-  const timeChart = function (box, title, hours, series, now, tolerance, height, logarithmic) {
+  const order = ["low", "high", "median", "tolerance"];
+  const timeChart = function (box, title, hours, series, now, height, logarithmic) {
     const names = order.filter(function (name) { return series[name]; });
     const list = [{ label: "time [h]", value: function (_, v) { return short(v); } }];
     names.forEach(function (name) {
@@ -40,7 +40,7 @@
       scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
       bands: [{ series: [2, 1], fill: "rgba(0,114,178,.15)" }],
       axes: [{ label: "time [h]" }, { label: title, size: 76 }],
-      plugins: [marks(now, tolerance)],
+      plugins: [marks(now)],
       cursor: { drag: { x: true, y: true, uni: 30 } }
     }, [hours].concat(names.map(function (name) { return series[name]; })), box);
   };
@@ -61,7 +61,7 @@
 
   if (data.outlook) {
     place("chart-outlook", function (box) {
-      return timeChart(box, "peak to peak [nm]", data.outlook.hours, data.outlook.series, data.outlook.now, data.outlook.tolerance, 280, true);
+      return timeChart(box, "peak to peak [nm]", data.outlook.hours, data.outlook.series, data.outlook.now, 280, true);
     });
   }
   if (data.residuals) {

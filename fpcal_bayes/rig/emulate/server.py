@@ -102,7 +102,9 @@ class Server:
         """Serve until `stop`."""
         try:
             while not self._halt.reason:
-                for key, _ in self._selector.select(self._until_next_end()):
+                ends = [end for endpoint in self.endpoints.values() for end in endpoint.faulty.values()]
+                patience = max(0.0, self.clock.wall(min(ends) - self.clock.now())) if ends else 0.05
+                for key, _ in self._selector.select(patience):
                     if isinstance(key.data, Endpoint):
                         self._accept(key.data)
                     elif isinstance(key.fileobj, socket.socket):
@@ -163,10 +165,6 @@ class Server:
                 if of.down:
                     with contextlib.suppress(OSError):
                         connection.shutdown(socket.SHUT_RDWR)
-
-    def _until_next_end(self) -> float | None:
-        ends = [end for endpoint in self.endpoints.values() for end in endpoint.faulty.values()]
-        return max(0.0, self.clock.wall(min(ends) - self.clock.now())) if ends else 0.05
 
     def _end_faults(self) -> None:
         now = self.clock.now()

@@ -116,7 +116,7 @@ def test_update_while_running(femto: Cell, estimate: Estimate) -> None:
 
 
 def test_bad_start_is_refused(estimate: Estimate) -> None:
-    with pytest.raises(InputError, match="column q4_deg: 6 deg is outside the limits"):
+    with pytest.raises(InputError, match="q4 = 6 is outside its limits"):
         Controller(estimate, np.array([0, 0, 0, np.radians(6.0), 0, 0]))
     with pytest.raises(InputError, match="expected 6 finite numbers"):
         Controller(estimate, np.zeros(5))

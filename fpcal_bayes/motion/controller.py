@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fpcal_bayes.core.errors import InputError
 from fpcal_bayes.core.typing import Floats
 from fpcal_bayes.model.cavity import CavityModel
-from fpcal_bayes.model.cell.cell import Cell, check_joints
+from fpcal_bayes.model.cell.cell import Cell
 from fpcal_bayes.model.envelope import require_task_within_envelope, safe_ranges
 from fpcal_bayes.model.estimate import Estimate
 from fpcal_bayes.model.inverse import InverseModel, JointSolutions, check_poses
@@ -281,7 +281,11 @@ def checked_joints(cell: Cell, values: ArrayLike) -> Floats:
     q = np.array(values, dtype=float)
     if q.shape != (len(cell.joints),) or not np.isfinite(q).all():
         raise InputError(f"joint vector of shape {q.shape}, expected {len(cell.joints)} finite numbers")
-    check_joints(cell, q[None], "joint vector", None, cell.joint_columns)
+    slack = 1e-9 * (1.0 + np.abs(q))
+    outside = (q < cell.low - slack) | (q > cell.high + slack)
+    if outside.any():
+        number = int(np.argmax(outside))
+        raise InputError(f"q{number + 1} = {q[number] / cell.joint_scales[number]:g} is outside its limits")
     return q
 
 

@@ -293,8 +293,9 @@ def last_forecast(track: Track, goal: Goal) -> Forecaster:
         if known.drift is track.drift and known.last is track.last and found.goal == goal:
             return found
     model = CavityModel.of(track.cell, track.drift.parameters)
-    _forecasts[:] = [(track, Forecaster.of(track.drift, model, goal, track.last.state.mean))]
-    return _forecasts[0][1]
+    made = Forecaster.of(track.drift, model, goal, track.last.state.mean)
+    _forecasts[:] = [(track, made)]
+    return made
 
 
 def _standing(

@@ -113,8 +113,7 @@ def _reach(cell: Cell, vector: Floats) -> Reach:
             shares = (np.cos(turn), np.sin(turn)) if name == "circle" else (both,)
             for column, share in zip(columns, shares, strict=True):
                 unit[:, column] = share
-            far = _FAR_CIRCLE if name == "circle" else _FAR_TILT
-            found[name] = _largest(cell, vector, unit, far)
+            found[name] = _largest(cell, vector, unit, _FAR_CIRCLE if name == "circle" else _FAR_TILT)
     except InputError as error:
         return Reach(why_not=str(error))
     return Reach(found["circle"], found["tilt_x"], found["tilt_z"])
@@ -147,8 +146,7 @@ def _odd(cell: Cell, axes: tuple[AxisView, ...], seen: Sight) -> list[str]:
     if mirror and np.isfinite(seen.length) and _ODD_TILT < seen.tilt < np.pi / 2:
         found.append(f"the mirror stands {np.degrees(seen.tilt):.3g} deg off the light")
     away = float(np.linalg.norm(seen.point_on_mirror[:2]))
-    radius = _ODD_DISTANCE if cell.envelope is None else cell.envelope.mirror_radius
-    if mirror and away > radius:
+    if mirror and away > (_ODD_DISTANCE if cell.envelope is None else cell.envelope.mirror_radius):
         found.append(f"the light meets the mirror's plane {away:.4g} um from the mirror's origin")
     outside = [f"q{i + 1}" for i in range(len(axes)) if not cell.low[i] <= 0.0 <= cell.high[i]]
     if outside:

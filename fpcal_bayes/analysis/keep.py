@@ -42,8 +42,7 @@ def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed
         try:
-            record = record_of(found, followed.sweeps, Limits())
-            write_campaign(file, replace(followed.campaign, track=record), cell)
+            write_campaign(file, replace(followed.campaign, track=record_of(found, followed.sweeps, Limits())), cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")
         return replace(followed, track=replace(found, data=found.data | {"sha256": file_sha256(Path(file))}))
@@ -124,8 +123,7 @@ class Keeper:
         if self._published is None or self._published[:2] != (notes, self._stamps()):
             self._publish(found, until_h, notes, began)
             self._published = notes, self._stamps(), began
-        ticket = self._issue(decision, sweeps, moment)
-        return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
+        return Round(followed, now_h, until_h, decision, self._issue(decision, sweeps, moment), tuple(notes))
 
     def withdraw(self) -> None:
         """Empty the ticket: what it rests on is in doubt."""

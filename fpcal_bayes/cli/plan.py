@@ -81,9 +81,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
-    ground, check, trust = _grounds(options, cell, tasks)
+    ground, check, trust = _grounds(options, cell, _tasks(options, targets, cell))
     readings, sigma = settings.readings, settings.sigma
     try:
         papers = paper_protocol(cell)
@@ -135,8 +134,7 @@ def _plan(
     if options.frontier is not None:
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
         points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
-    planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
-    plan_validation.write_planned(options, planned, cell)
+    plan_validation.write_planned(options, Ticket(str(options.output), ordered, np.full(len(ordered), readings)), cell)
     if frontier is not None:
         report.save_figure(report.draw_frontier(frontier, points), options.frontier)
     warnings += trust.texts

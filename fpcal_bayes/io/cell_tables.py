@@ -34,8 +34,7 @@ def read_beams(
         other = _shared(reader, table, place, made) if "shares" in table else None
         known = first if other is None else {key: getattr(other, key) for key in first}
         target = reader.choice(table, place, "target", get_args(Target), known["target"])
-        stated = known["opd"] if known["opd"] in PATHS[target] else None
-        opd = reader.choice(table, place, "opd", PATHS[target], stated)
+        opd = reader.choice(table, place, "opd", PATHS[target], known["opd"] if known["opd"] in PATHS[target] else None)
         axis = reader.choice(table, place, "optical_axis", get_args(OpticalAxis), known["optical_axis"])
         shown = 1e3 * known["wavelength"]
         wave = reader.number(table, place, "wavelength_nm", low=1e-3, high=20_000.0, default=shown) * 1e-3

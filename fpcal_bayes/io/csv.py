@@ -44,8 +44,7 @@ class Records:
 
     def require_header(self, names: Sequence[str], others: Sequence[str] = ()) -> None:
         """Raise `InputError` unless the header is `names`, then any of `others`."""
-        rest = self.header[len(names) :]
-        if self.header[: len(names)] != list(names) or not set(rest) <= set(others):
+        if self.header[: len(names)] != list(names) or not set(self.header[len(names) :]) <= set(others):
             then = f", then any of {','.join(others)}" if others else ""
             found = shown(",".join(self.header))
             raise located(self.path, f"expected the header {','.join(names)}{then}, found {found}", row=self.header_row)

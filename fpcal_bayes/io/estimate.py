@@ -104,16 +104,14 @@ class _Reader(Tables):
         for p, variance in zip(parameters, np.diag(covariance).tolist(), strict=True):
             self.agree(stated[p.name], p.name, variance**0.5 / p.scale)
         known = self.mechanics(content.get("mechanics"), parameters)
-        time_h = self.number(content, "", "time_h", default=0.0)
-        until = content.get("valid_until_h")
         return Estimate(
             cell=self.cell,
             parameters=parameters,
             values=np.array(values),
             covariance=covariance,
             status=tuple(status),
-            time_h=time_h,
-            valid_until_h=None if until is None else self.number(content, "", "valid_until_h"),
+            time_h=self.number(content, "", "time_h", default=0.0),
+            valid_until_h=None if content.get("valid_until_h") is None else self.number(content, "", "valid_until_h"),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
             trust=self.trust(content.get("trust"), known is not None),
             mechanics=known,

@@ -76,8 +76,7 @@ def unscaled(values: Floats, scale: float) -> Floats:
 
 def _line(path: Path, sample: int) -> int:
     """Line of a sample in a CSV file, which is looked at again only when a message needs it."""
-    filled = [number for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    return filled[sample + 1]
+    return [number for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()][sample + 1]
 
 
 def path_columns(cell: Cell) -> tuple[str, ...]:
@@ -87,8 +86,7 @@ def path_columns(cell: Cell) -> tuple[str, ...]:
 
 def write_path_trace(path: str | Path, trace: PathTrace, cell: Cell) -> None:
     """Write a recorded path, whole or not at all."""
-    joints = (trace.q / cell.joint_scales).T
-    columns = (np.where(trace.reference, *PARTS), trace.time_s, *joints, trace.irradiance)
+    columns = (np.where(trace.reference, *PARTS), trace.time_s, *(trace.q / cell.joint_scales).T, trace.irradiance)
     write_table(Path(path), dict(zip(path_columns(cell), columns, strict=True)))
 
 

@@ -80,8 +80,7 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     disc = place + (_MIRROR * (np.cos(angle) * first + np.sin(angle) * second)) @ _PAGE.T
     back = disc - 0.16 * _PAGE @ seen.normal
     # What lies behind is drawn first: the mirror's front hides its body, or the body its front.
-    front = float(_TOWARDS_READER @ seen.normal) >= 0
-    axis.fill(*back.T, facecolor="0.55", edgecolor="0.25", zorder=2 if front else 4)
+    axis.fill(*back.T, facecolor="0.55", edgecolor="0.25", zorder=2 if float(_TOWARDS_READER @ seen.normal) >= 0 else 4)
     axis.fill(*disc.T, facecolor="#dceefb", edgecolor="0.25", linewidth=1.2, zorder=3)
     normal = place + 0.95 * _PAGE @ seen.normal
     _arrow(axis, place, normal, GREEN, 2.0, zorder=6)
@@ -100,10 +99,8 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     axis.plot(*zip(root, fibre, strict=True), color="0.5", linewidth=9, solid_capstyle="butt", zorder=5)
     axis.plot(*zip(root, fibre, strict=True), color="white", linewidth=6, solid_capstyle="butt", zorder=5)
     axis.plot(*zip(root, fibre, strict=True), color=ORANGE, linewidth=1.6, solid_capstyle="butt", zorder=5)
-    reach = fibre + (abs(ahead) if ahead > 0 else 1.2) * _PAGE @ seen.light
-    _arrow(axis, fibre, reach, ORANGE, 2.0, zorder=5.5)
-    middle = (root + fibre) / 2.0
-    label = middle + ([0.55, 0.0] if upright else [0.0, 0.32])
+    _arrow(axis, fibre, fibre + (abs(ahead) if ahead > 0 else 1.2) * _PAGE @ seen.light, ORANGE, 2.0, zorder=5.5)
+    label = (root + fibre) / 2.0 + ([0.55, 0.0] if upright else [0.0, 0.32])
     axis.text(label[0], label[1], "fibre", fontsize=9, ha="center", va="center", color="0.3")
     wrong = bool(view.refused) or seen.length < 0 or not np.isfinite(seen.length)
     gap = f"gap {seen.length:.4g} um" if np.isfinite(seen.length) else "no gap"
@@ -120,7 +117,6 @@ def _arrow(axis: Axes, start: Floats, end: Floats, colour: str, width: float, zo
 
 def _across(direction: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors across a direction, right-handed with it."""
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    first = np.cross(helper, direction)
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(direction)))], direction)
     first /= np.linalg.norm(first)
     return first, np.cross(direction, first)

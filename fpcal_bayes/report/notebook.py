@@ -93,8 +93,7 @@ def _(result: Identification) -> Shown:
 @shown.register
 def _(result: Observability) -> Shown:
     def columns() -> dict[str, Any]:
-        names = result.parameters.names
-        return {"parameter": names, "contraction": result.contraction, "status": list(result.status)}
+        return {"parameter": result.parameters.names, "contraction": result.contraction, "status": list(result.status)}
 
     def draw() -> Figure:
         figure, axis = _axes("seen by the data: share of the prior variance taken away", len(result.parameters))

@@ -180,8 +180,7 @@ def bounds_table(result: Observability) -> Table:
 
 def shortened(names: Sequence[str], most: int) -> str:
     """Names in a row, the first `most` of them."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _capital(sentence: str) -> str:

@@ -25,8 +25,7 @@ def spectrum_figure(result: Observability) -> str:
         spectrum, n = result.spectrum, len(result.parameters)
         number = np.arange(1, n + 1)
         # Exact zeros have no place on the scale: they stand at its foot.
-        foot = 1e-18 * max(float(spectrum.singular_values[0]), 1e-300)
-        values = np.maximum(spectrum.singular_values, foot)
+        values = np.maximum(spectrum.singular_values, 1e-18 * max(float(spectrum.singular_values[0]), 1e-300))
         seen = number <= spectrum.rank
         axis.semilogy(number[seen], values[seen], "o", color=BLUE, label=f"seen ({spectrum.rank})")
         if not seen.all():

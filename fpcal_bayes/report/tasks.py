@@ -130,8 +130,7 @@ def freedom_table(predictions: list[TaskPrediction]) -> Table:
         if not prediction.trust.usable:
             table.add_row(prediction.task.name, "not to be used", *[""] * 5)
             continue
-        told = freedom_numbers(prediction, {})
-        table.add_row(prediction.task.name, *(_told(f, f.most) for f in told))
+        table.add_row(prediction.task.name, *(_told(f, f.most) for f in freedom_numbers(prediction, {})))
     return table
 
 

@@ -102,10 +102,9 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
         for name, held in _other_tolerances(goal, track.cell).items()
     ]
     table = plain_table(f"{title}; as a share of the tolerance also {', '.join(others)}" if others else title, heads)
-    after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),
-        (after, decision.after),
+        ("at the end of the hold" if decision.action == "hold" else "after these sweeps", decision.after),
         ("at the horizon, nothing measured", decision.at_horizon),
     ):
         low, high = outlook.band()
@@ -125,8 +124,7 @@ def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
 
 def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
     """One line per sweep, the most useful first."""
-    numbers = [str(i) for i in range(1, len(sweeps) + 1)]
-    return sweeps_table(cell, sweeps, "sweeps, the most useful first", numbers)
+    return sweeps_table(cell, sweeps, "sweeps, the most useful first", [str(i) for i in range(1, len(sweeps) + 1)])
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:

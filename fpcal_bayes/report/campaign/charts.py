@@ -32,8 +32,7 @@ def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
 def residual_chart(parts: list[SessionResiduals]) -> dict[str, Any]:
     """Residuals of the rows of all sessions, one after the other, with their names."""
     names = [f"{part.session}: {label}" for part in parts for label in part.labels][-_MOST_ROWS:]
-    values = np.concatenate([part.values for part in parts])[-_MOST_ROWS:]
-    return {"names": names, "values": _numbers(values, 4)}
+    return {"names": names, "values": _numbers(np.concatenate([part.values for part in parts])[-_MOST_ROWS:], 4)}
 
 
 def _increasing(hours: Floats) -> Floats:

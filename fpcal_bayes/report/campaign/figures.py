@@ -193,5 +193,4 @@ def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) 
 def posterior_figure(found: PosteriorSummary) -> str:
     """Densities of prior and draws of each parameter."""
     names = [f"{parameter.name} [{parameter.unit}]" for parameter in found.parameters]
-    draws = found.draws.reshape(-1, len(names))
-    return svg_text(prior_posterior_figure(names, draws, found.prior))
+    return svg_text(prior_posterior_figure(names, found.draws.reshape(-1, len(names)), found.prior))

@@ -174,12 +174,11 @@ class FittedSweep:
             return None
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
-        time = np.interp(s, samples.s[order], samples.time[order])
         there, places = (np.clip(at, reading.set_out, reading.stop) for at in (s, samples.s))
         lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, there)
         return cls(
             s=s,
-            signal=fit.signal(there, time, phase_per_um),
+            signal=fit.signal(there, np.interp(s, samples.s[order], samples.time[order]), phase_per_um),
             lengths=lengths - lengths[0],
             tops=np.flatnonzero(np.diff(np.floor(fit.phase(there, phase_per_um) / (2.0 * np.pi))) != 0),
             residual=samples.signal - fit.signal(places, samples.time, phase_per_um),

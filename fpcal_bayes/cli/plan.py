@@ -302,10 +302,9 @@ def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -
 
 
 def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
-    readings = (2 if options.midpoints else 1) if options.readings is None else options.readings
     together = cell.envelope is not None and bool(cell.envelope.together)
     return PlanSettings(
-        readings=readings,
+        readings=(2 if options.midpoints else 1) if options.readings is None else options.readings,
         sigma=options.sigma_nm * 1e-3,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,

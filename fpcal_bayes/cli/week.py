@@ -119,9 +119,8 @@ def _write_data(options: argparse.Namespace, week: Week, followed: Followed, com
     save("campaign.h5", week.sweeps, followed.track)
     lived = replace(followed.policy_track, data={"file": "policy.h5", "session": followed.policy_track.last.session})
     estimate = lived.estimate(valid_until(lived, followed.goal)).content() | {"fit": {"converged": lived.converged}}
-    last = {"schema": SCHEMA, "command": "track", **estimate}
     save("policy.h5", followed.policy_sweeps, lived)
-    write_json(folder / "estimate.json", last)
+    write_json(folder / "estimate.json", {"schema": SCHEMA, "command": "track", **estimate})
     for name, found in week.identifications.items():
         write_json(folder / f"{name}.json", {"schema": SCHEMA, "command": "identify", **found.content()})
 

@@ -103,10 +103,7 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
 def _whole(
     reading: Reading, samples: Samples, near: Floats, prior: Floats, mirror_light: float
 ) -> tuple[Floats, Floats, Floats] | None:
-    """Places on a trace, changes in um there, and a square root of their covariance; None where it is no such course.
-
-    The trace is fitted along the course `near` (_MOST,), in um, with covariance `prior`.
-    """
+    """Places, changes there in um, a root of their covariance; fitted along `near` (_MOST,), um, covariance `prior`."""
     if reading.fit is None:
         return None
     # The reading may be the mirror image of the course.

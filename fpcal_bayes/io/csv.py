@@ -121,10 +121,7 @@ def read_blocks(path: Path, expected: str, text: str | None, most: int) -> Itera
 
 
 def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
-    """The columns of a CSV file that holds nothing but finite numbers, shape (n_columns, n).
-
-    There may be millions: they are read in one call, and line by line only when something is wrong.
-    """
+    """The columns of a CSV file of finite numbers, shape (n_columns, n), read in one call unless something is wrong."""
     text = read_text(path)
     head, _, body = text.lstrip("\r\n").partition("\n")
     if tuple(head.strip().split(",")) != names:

@@ -206,10 +206,7 @@ def mechanics_sentences(result: Observability) -> list[str]:
 
 
 def print_observability(result: Observability, title: str, out: Console) -> None:
-    """Print what sweeps can tell about a cell.
-
-    The title says what was analysed: file and session. Nothing in it is taken as markup.
-    """
+    """Print what sweeps can tell about a cell; the title, file and session, is not taken as markup."""
 
     def lines(*sentences: str) -> None:
         for sentence in sentences:

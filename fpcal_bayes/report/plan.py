@@ -49,10 +49,7 @@ def plan_content(
     settings: Mapping[str, Any],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """What ``plan --json`` writes, without schema and command; `ordered` are the sweeps as they are made.
-
-    `expected` is None where the plan is made from what is not to be used.
-    """
+    """What ``plan --json`` writes of the sweeps `ordered`; `expected` is None where what is known is not to be used."""
     return {
         "n_sweeps": len(chosen),
         "should_stop": False,

@@ -69,10 +69,7 @@ def prediction_content(
 
 
 def prediction_table(predictions: list[TaskPrediction], tolerances: list[float | None], title: str) -> Table:
-    """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding.
-
-    tolerances: of each task, in um, or None.
-    """
+    """One line per task: worst sd, peak to peak with its band, angles, probability of exceeding; `tolerances` in um."""
     asked = dict.fromkeys(limit for limit in tolerances if limit is not None)
     exceeds = ["P(> tolerance)"] if len(asked) > 1 else [f"P(> {1e3 * limit:g} nm)" for limit in asked]
     heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]

@@ -128,10 +128,7 @@ def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:
-    """A decision as JSON; errors are medians of the worst task's peak to peak in nm.
-
-    Errors and probabilities are null where the track is not to be used.
-    """
+    """A decision as JSON: medians of the worst peak to peak in nm, chances; null where the track is not to be used."""
     outlooks = {"now": decision.now, "at_horizon": decision.at_horizon, "after": decision.after}
     usable = track.trust.usable
     return {

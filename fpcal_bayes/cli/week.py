@@ -102,8 +102,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     out.say(
         f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/"
     )
-    sampled = posterior is not None and posterior.converged
-    return 0 if sampled and all(result.converged for result in results.values()) else 1
+    return 0 if posterior is not None and posterior.converged and all(r.converged for r in results.values()) else 1
 
 
 def _write_data(options: argparse.Namespace, week: Week, followed: Followed, command: str) -> None:

@@ -31,10 +31,7 @@ from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 
 def read_trace(path: str | Path, scale: float, columns: Mapping[str, str] | None = None) -> Trace:
-    """A trace from a CSV file ``t_s,joint,irradiance_v``, or of another program, whose names `columns` tells.
-
-    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg.
-    """
+    """A trace from a CSV ``t_s,joint,irradiance_v``, or one of names `columns`; `scale` is um or rad per shown unit."""
     path = Path(path)
     other = is_other(path, ",".join(TRACE_COLUMNS))
     table = read_named(path, TRACE_COLUMNS, columns or {}) if other else read_numbers(path, TRACE_COLUMNS)

@@ -79,9 +79,7 @@ def parameter_table(result: Observability) -> Table:
 
 def percent(share: float) -> str:
     """A share from 0 to 1 as a percentage; one and zero are kept for what is exact within rounding."""
-    if share > 0.9995:
-        return "> 99.9 %"
-    return f"{100 * max(share, 0.0):.1f} %"
+    return "> 99.9 %" if share > 0.9995 else f"{100 * max(share, 0.0):.1f} %"
 
 
 def gauge_sentence(gauge: Gauge) -> str:

@@ -14,10 +14,7 @@ TaskForecast = Mapping[str, Mapping[str, float]]
 
 
 def accuracy_table(expected: TaskForecast, title: str) -> Table:
-    """One line per task: expected worst-point standard deviation, a column for each thing that could be measured.
-
-    What is called ``plan`` is compared with the one called ``paper`` if it is there.
-    """
+    """One line per task: expected worst-point sd, a column per thing to measure; ``plan`` compared with ``paper``."""
     ratio = "paper" in expected and "plan" in expected
     heads = ["task", "", *(f"{name} [nm]" for name in expected), *(["plan / paper"] if ratio else [])]
     table = plain_table(title, heads)

@@ -25,12 +25,7 @@ NOT_EVALUATED = (
 def prediction_content(
     prediction: TaskPrediction, tolerance: float | None, task: Task, tolerances: dict[str, float] | None = None
 ) -> dict[str, Any]:
-    """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
-
-    tolerance: in um, or None.
-    task: the whole task, of which the points that are ok are predicted; the others have nulls.
-    tolerances: of every degree of freedom that the cell states one for, in um and rad.
-    """
+    """A prediction in nm and deg as JSON, null where `task` is not ok; `tolerance` in um, `tolerances` um and rad."""
     found = TaskNumbers.of(prediction, tolerance)
     content: dict[str, Any] = {
         "method": "linear" if found.linear else "draws",

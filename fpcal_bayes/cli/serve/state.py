@@ -170,10 +170,7 @@ class Served:
         return current.answers[key]
 
     def joints(self, asked: Asked) -> dict[str, Any]:
-        """Joint values of a path with what is predicted of its error.
-
-        `RefusedError` if the estimate is not to be used, or out of date, and the request does not say the reason.
-        """
+        """Joints of a path and their predicted error; `RefusedError` where the estimate may not be used."""
         current = self.current()
         estimate, cell = current.judged(self.now()), self.cell
         trust = estimate.trust

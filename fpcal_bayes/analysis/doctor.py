@@ -35,8 +35,7 @@ def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
 
 def named(names: Sequence[str]) -> str:
     """Names in a row, the first few of them."""
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
 
 
 def row_names(sweeps: Sweeps, chosen: Bools) -> str:

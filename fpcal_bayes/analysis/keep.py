@@ -102,10 +102,8 @@ class Keeper:
         followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
-        if (sweeps.utc != "").any():
-            now_h = max(found.last.time_h, hours_of(iso(moment), sweeps))
-        else:
-            now_h = max(found.last.time_h, (moment - began) / 3600.0)
+        since_h = hours_of(iso(moment), sweeps) if (sweeps.utc != "").any() else (moment - began) / 3600.0
+        now_h = max(found.last.time_h, since_h)
         if self._until is None:
             self._until = self._valid_until(found)
         until_h, doubts = self._until
@@ -145,9 +143,8 @@ class Keeper:
             fresh = pending.name.startswith(f"{basis_of(sweeps)}-") and moment < pending.expires_utc
             if fresh and str(pending.plan.session[0]) not in sweeps.sessions:
                 return pending
-        ticket = empty_ticket(str(path))
-        if decision is not None:
-            ticket = ticket_of(decision, sweeps, str(path), now_utc=moment)
+        name = str(path)
+        ticket = empty_ticket(name) if decision is None else ticket_of(decision, sweeps, name, now_utc=moment)
         self._write(ticket, pending)
         return ticket
 

@@ -29,8 +29,6 @@ from fpcal_bayes.report.tasks import NOT_EVALUATED, prediction_content, reach_wa
 
 #: What a task's content keeps: no curves along the path.
 _KEPT = ("method", "points", "points_not_ok", "peak_to_peak_nm", "normal_deg", "compensation")
-
-
 #: Of `LINK_SLOTS`, those that every chain has; others stand in the table where they are used.
 _GEOMETRY = 5
 

@@ -138,9 +138,8 @@ def _plan(
     if frontier is not None:
         report.save_figure(report.draw_frontier(frontier, points), options.frontier)
     warnings += trust.texts
-    content = plan_content(
-        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
-    )
+    told = expected if trust.usable else None
+    content = plan_content(chosen, ordered, told, seconds, _record(options, settings), warnings)
     if frontier is not None and trust.usable:
         content["frontier"] = frontier_content(frontier)
     write_result(options.json, "plan", about(cell) | content, trust)
@@ -260,10 +259,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
-        home = np.zeros((1, len(cell.joints)))
-        extra.append(
-            Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
-        )
+        at = np.zeros((1, len(cell.joints)))
+        extra.append(Sweeps.of_um_rad(at, at, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length"))
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
@@ -271,10 +268,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
 
 def _labelled(sweeps: Sweeps) -> Sweeps:
     """Sweeps named by their usefulness and the joints that move."""
-    moved = sweeps.q_start != sweeps.q_end
-    names = [
-        f"p{number:02d}-" + "".join(f"q{i}" for i, m in enumerate(row, 1) if m) for number, row in enumerate(moved, 1)
-    ]
+    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in sweeps.q_start != sweeps.q_end)
+    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
     return replace(sweeps, label=np.array(names, dtype=np.str_))
 
 

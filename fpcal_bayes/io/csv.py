@@ -5,6 +5,7 @@ import io
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,11 +63,8 @@ class Records:
     ) -> Floats:
         """The numbers of column `name`; `InputError` that names the line of the first text that is none."""
         if _NUMBER_CHARACTERS.issuperset("".join(texts)) and "" not in texts:
-            try:
+            with suppress(ValueError):
                 numbers = np.array(list(map(float, texts)))
-            except ValueError:
-                pass
-            else:
                 if not finite or np.isfinite(numbers).all():
                     return numbers
         is_one = [_NUMBER.fullmatch(text) and not (finite and np.isinf(float(text))) for text in texts]

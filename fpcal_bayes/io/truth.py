@@ -10,7 +10,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth (um, deg, ppm) from ``[parameters]``, or ``[[epoch]]`` tables with ``time_h``; the rest is nominal."""
+    """Read a truth (um, deg, ppm) of ``[parameters]``, or ``[[epoch]]`` tables with ``time_h``; the rest is nominal."""
     return read_toml(Path(path), lambda table: _truth(Tables(path, shown), table, cell))
 
 

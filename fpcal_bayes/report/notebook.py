@@ -191,8 +191,4 @@ def _axes(title: str, lines: int) -> tuple[Figure, Axes]:
     return figure, axis
 
 
-def _task_content(result: TaskPrediction) -> dict[str, Any]:
-    return {"tasks": {result.task.name: prediction_content(result, None, result.task)}}
-
-
-CONTENTS[TaskPrediction] = "task-error", _task_content
+CONTENTS[TaskPrediction] = "task-error", lambda r: {"tasks": {r.task.name: prediction_content(r, None, r.task)}}

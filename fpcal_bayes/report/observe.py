@@ -90,11 +90,8 @@ def gauge_sentence(gauge: Gauge) -> str:
 
 def gauge_direction(gauge: Gauge, result: Observability) -> str:
     """How far each parameter moves along one unseen direction."""
-    moves = [
-        f"{name} {move:+.4g} {result.parameters[name].unit}"
-        for name, move in zip(gauge.parameters, gauge.direction, strict=True)
-    ]
-    return shortened(moves, 6)
+    moves = zip(gauge.parameters, gauge.direction, strict=True)
+    return shortened([f"{name} {move:+.4g} {result.parameters[name].unit}" for name, move in moves], 6)
 
 
 def base_sentence(result: Observability) -> str:
@@ -191,10 +188,8 @@ def mechanics_sentences(result: Observability) -> list[str]:
     """What the rows say of the stated error motions, and which terms the residuals show most."""
     if result.mechanics is None:
         return []
-    scales = [
-        f"{name} {one['median']:.2g} ({one['low']:.2g} .. {one['high']:.2g})"
-        for name, one in result.mechanics["scales"].items()
-    ]
+    known = result.mechanics["scales"].items()
+    scales = [f"{name} {one['median']:.2g} ({one['low']:.2g} .. {one['high']:.2g})" for name, one in known]
     tests = [f"{test['term']} (p = {test['p_value']:.2g})" for test in result.mechanics["tests"][:3]]
     return [
         "",

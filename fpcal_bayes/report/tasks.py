@@ -38,12 +38,7 @@ def prediction_content(
         "sd_nm": _whole(found.sd, task),
         "band_nm": {"share": BAND, "low": _whole(found.low, task), "high": _whole(found.high, task)},
         "worst_sd_nm": known(found.worst_sd),
-        "peak_to_peak_nm": {
-            "median": known(found.median),
-            "low": known(found.least),
-            "high": known(found.most),
-            "share": BAND,
-        },
+        "peak_to_peak_nm": _peak_content(found),
         "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
         "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
         "freedoms": {
@@ -122,7 +117,9 @@ def freedom_table(predictions: list[TaskPrediction]) -> Table:
         if not prediction.trust.usable:
             table.add_row(prediction.task.name, "not to be used", *[""] * 5)
             continue
-        table.add_row(prediction.task.name, *(_told(f, f.most) for f in freedom_numbers(prediction, {})))
+        edges = [(found.most, found.unit) for found in freedom_numbers(prediction, {})]
+        told = (angle_text(most) if unit == "deg" else f"{most:.1f}" for most, unit in edges)
+        table.add_row(prediction.task.name, *told)
     return table
 
 
@@ -144,20 +141,14 @@ def tolerance_lines(task: OwnTask, found: dict[str, float | None]) -> list[str]:
     return [f"task {task.name}: {', '.join(told)}"] if told else []
 
 
-def _told(freedom: FreedomNumbers, value: float) -> str:
-    """A number with its digits; what rounding leaves is nothing."""
-    return angle_text(value) if freedom.unit == "deg" else f"{value:.1f}"
+def _peak_content(found: TaskNumbers | FreedomNumbers) -> dict[str, Any]:
+    return {"median": known(found.median), "low": known(found.least), "high": known(found.most), "share": BAND}
 
 
 def _freedom_content(found: FreedomNumbers, task: Task) -> dict[str, Any]:
     unit = found.unit
     content: dict[str, Any] = {
-        f"peak_to_peak_{unit}": {
-            "median": known(found.median),
-            "low": known(found.least),
-            "high": known(found.most),
-            "share": BAND,
-        },
+        f"peak_to_peak_{unit}": _peak_content(found),
         "worst": {
             "along": float(task.along[task.ok][found.worst]) if found.worst_sd == found.worst_sd else None,
             f"sd_{unit}": known(found.worst_sd),

@@ -149,11 +149,9 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "sweeps": [] if decision.sweeps is None else sweeps_content(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {
-            name: [1e3 * edge for edge in outlook.band()] if usable else None for name, outlook in outlooks.items()
+            k: [1e3 * edge for edge in one.band()] if usable else None for k, one in outlooks.items()
         },
-        "probability_out": {
-            name: outlook.exceeds(goal.tolerance_um) if usable else None for name, outlook in outlooks.items()
-        },
+        "probability_out": {k: one.exceeds(goal.tolerance_um) if usable else None for k, one in outlooks.items()},
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
 

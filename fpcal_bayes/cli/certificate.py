@@ -57,9 +57,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
             }
     make_folder(options.output)
     if made.trust.usable and made.valid_until_h is None:
-        warnings.append(
-            "until when it holds is not known: hand over the estimate of fpcal track --estimate, which says"
-        )
+        what = "until when it holds is not known: hand over the estimate of fpcal track --estimate, which says"
+        warnings.append(what)
     files = {"chain.csv": chain_table(made)}
     if made.trust.usable:
         files |= {f"q{joint + 1}.csv": table for joint, table in axis_tables(made).items()}

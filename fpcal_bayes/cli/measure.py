@@ -100,14 +100,12 @@ class _Teller:
         if progress.doubt:
             warn([f"{progress.label}: {progress.doubt}"])
         if self._often or progress.done % max(1, progress.total // 10) == 0 or progress.done == progress.total:
-            self._out.print(
-                f"{progress.done} of {progress.total} sweeps, {progress.left_s / 60.0:.1f} min left", markup=False
-            )
+            what = f"{progress.done} of {progress.total} sweeps, {progress.left_s / 60.0:.1f} min left"
+            self._out.print(what, markup=False)
 
 
 def _report(options: argparse.Namespace, summary: Summary) -> None:
     where = f" -> {options.output}" if summary.rows else ""
     doubtful = f", {summary.doubtful} doubtful" if summary.doubtful else ""
-    console(options).say(
-        f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
-    )
+    what = f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
+    console(options).say(what)

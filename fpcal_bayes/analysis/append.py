@@ -83,14 +83,12 @@ def _refuse_again(sweeps: Sweeps, before: Sweeps) -> None:
         row, held = int(part.rows[0]), [session for content in _contents(part) if (session := known.get(content))]
         twin = names.get(name.strip().casefold())
         if twin is not None:
-            raise located(
-                sweeps.file, f"session {twin!r} is in the campaign, expected a new name", row=row, column="session"
-            )
+            what = f"session {twin!r} is in the campaign, expected a new name"
+            raise located(sweeps.file, what, row=row, column="session")
         # One reading may repeat by chance, since counted fringes are whole numbers; not most of a session.
         if 2 * len(held) > len(part):
-            raise located(
-                sweeps.file, f"session {held[0]!r} of the campaign holds {len(held)} of these {len(part)} rows", row=row
-            )
+            text = f"session {held[0]!r} of the campaign holds {len(held)} of these {len(part)} rows"
+            raise located(sweeps.file, text, row=row)
 
 
 def _refuse_early(sweeps: Sweeps, before: Sweeps) -> None:

@@ -169,8 +169,7 @@ class CampaignFacts:
     @property
     def fit_is_wrong(self) -> bool:
         """Whether nothing on the page is to be used, of any time, since it rests on a fit that is wrong."""
-        first = self.calibration.estimate.trust if self.track is None else self.track.outcomes[0].trust
-        return not first.usable
+        return not (self.calibration.estimate.trust if self.track is None else self.track.outcomes[0].trust).usable
 
 
 def gather(
@@ -255,8 +254,7 @@ def _estimate_now(followed: Track, now_h: float) -> Estimate:
     state, drift = followed.last.state, followed.drift
     _, covariance = drift.propagate(state.mean, state.covariance, now_h - state.time_h)
     grown = replace(state, time_h=now_h, covariance=covariance)
-    now = estimate_of(followed.cell, drift, grown, followed.status, followed.data)
-    return replace(now, trust=followed.trust)
+    return replace(estimate_of(followed.cell, drift, grown, followed.status, followed.data), trust=followed.trust)
 
 
 def _outlook(estimate: Estimate, name: str, asked: bool, goal: Goal) -> TaskStanding:

@@ -104,17 +104,15 @@ def _axis(cell: Cell, i: int, direction: Floats, point: Floats) -> AxisView:
 def _reach(cell: Cell, vector: Floats) -> Reach:
     """Largest circle and tilts of which every point can be driven to."""
     turn = np.linspace(0.0, 2.0 * np.pi, _POINTS)
-    both = np.linspace(-1.0, 1.0, _POINTS)
     ways = {"circle": (0, 2), "tilt_x": (3,), "tilt_z": (5,)}
     found: dict[str, float] = {}
     try:
         for name, columns in ways.items():
             unit = np.zeros((_POINTS, 6))
-            shares = (np.cos(turn), np.sin(turn)) if name == "circle" else (both,)
+            shares = (np.cos(turn), np.sin(turn)) if name == "circle" else (np.linspace(-1.0, 1.0, _POINTS),)
             for column, share in zip(columns, shares, strict=True):
                 unit[:, column] = share
-            far = _FAR_CIRCLE if name == "circle" else _FAR_TILT
-            found[name] = _largest(cell, vector, unit, far)
+            found[name] = _largest(cell, vector, unit, _FAR_CIRCLE if name == "circle" else _FAR_TILT)
     except InputError as error:
         return Reach(why_not=str(error))
     return Reach(found["circle"], found["tilt_x"], found["tilt_z"])
@@ -147,8 +145,7 @@ def _odd(cell: Cell, axes: tuple[AxisView, ...], seen: Sight) -> list[str]:
     if mirror and np.isfinite(seen.length) and _ODD_TILT < seen.tilt < np.pi / 2:
         found.append(f"the mirror stands {np.degrees(seen.tilt):.3g} deg off the light")
     away = float(np.linalg.norm(seen.point_on_mirror[:2]))
-    radius = _ODD_DISTANCE if cell.envelope is None else cell.envelope.mirror_radius
-    if mirror and away > radius:
+    if mirror and away > (_ODD_DISTANCE if cell.envelope is None else cell.envelope.mirror_radius):
         found.append(f"the light meets the mirror's plane {away:.4g} um from the mirror's origin")
     outside = [f"q{i + 1}" for i in range(len(axes)) if not cell.low[i] <= 0.0 <= cell.high[i]]
     if outside:
@@ -165,11 +162,8 @@ def _missing(cell: Cell) -> list[str]:
         "speed": [i for i, j in enumerate(cell.joints) if j.speed is None],
     }
     keys = {"limits": "limits_um", "repeatability": "repeatability_um or _deg", "speed": "speed_um_per_s or _deg_per_s"}
-    found = [
-        f"{keys.get(what, what)} of {', '.join(f'q{i + 1}' for i in joints)}"
-        for what, joints in names.items()
-        if joints
-    ]
+    unknown = ((keys.get(what, what), joints) for what, joints in names.items() if joints)
+    found = [f"{key} of {', '.join(f'q{i + 1}' for i in joints)}" for key, joints in unknown]
     if not cell.drift:
         found.append("drift: without it track and decide refuse to guess")
     if cell.envelope is None:

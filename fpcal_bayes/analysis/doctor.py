@@ -35,14 +35,12 @@ def doctor(sweeps: Sweeps, cell: Cell) -> list[Finding]:
 
 def named(names: Sequence[str]) -> str:
     """Names in a row, the first few of them."""
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
 
 
 def row_names(sweeps: Sweeps, chosen: Bools) -> str:
     """Labels of some rows, or their lines where they have no label."""
-    picked = np.flatnonzero(chosen)
-    return named([str(sweeps.label[i]) or f"row {sweeps.rows[i]}" for i in picked])
+    return named([str(sweeps.label[i]) or f"row {sweeps.rows[i]}" for i in np.flatnonzero(chosen)])
 
 
 def _times(sweeps: Sweeps) -> Iterator[Finding]:
@@ -130,8 +128,7 @@ def _repeats(sweeps: Sweeps, cell: Cell) -> Iterator[Finding]:
                 "show that are repeated without any motion",
             )  # fmt: skip
         yield from _still_readings(name, sweeps.of_session(name))
-    half_wave = 0.5 * cell.wavelength
-    wide = sweeps.sigma > half_wave / 4
+    wide = sweeps.sigma > 0.5 * cell.wavelength / 4
     if wide.any():
         what = f"{counted(int(wide.sum()), 'row')} with a sigma_um above an eighth of a wavelength"
         remedy = "read the fraction of the fringe, not whole fringes only: fpcal ingest does"

@@ -111,8 +111,7 @@ def _commissioned(cell: Cell, name: str, found: Identification) -> Iterator[Find
     if alike:
         remedy = "repeat the sweeps with larger moves, or with a smaller sigma_um"
         yield Finding("doubt", "not told apart", name, f"the rows fit as well if {', or '.join(alike[:3])}", remedy)
-    vector = found.estimate.vector()
-    seen = sight(cell, vector, home(cell))
+    seen = sight(cell, found.estimate.vector(), home(cell))
     yield Finding(
         "note", "commissioned", name,
         "signs, order and scales of the axes, and the side of the fibre, are as the cell says; at joint zero the "

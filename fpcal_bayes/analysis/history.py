@@ -181,8 +181,7 @@ def residuals(facts: CampaignFacts) -> list[SessionResiduals]:
         found = facts.calibration
         sweeps, parameters = found.problem.sweeps, found.estimate.parameters
         model = CavityModel.of(facts.cell, parameters, found.estimate.vector())
-        rows = sweeps.laid_out(model)
-        return [_residuals(sweeps, model.predict(found.estimate.values, rows), sweeps.sigma)]
+        return [_residuals(sweeps, model.predict(found.estimate.values, sweeps.laid_out(model)), sweeps.sigma)]
     model = CavityModel.of(facts.cell, followed.drift.parameters)
     parts = []
     for outcome in followed.outcomes:
@@ -191,8 +190,7 @@ def residuals(facts: CampaignFacts) -> list[SessionResiduals]:
         if len(used):
             # Of a machine: beside the error motions that are known, and what is new in each row.
             taken = SweepMeasurement.of(followed.drift, model, used, outcome.state.mean)
-            sd = np.sqrt(taken.whitening.variance)
-            parts.append(_residuals(used, taken.predict(outcome.state.mean), sd))
+            parts.append(_residuals(used, taken.predict(outcome.state.mean), np.sqrt(taken.whitening.variance)))
     return parts
 
 

@@ -42,8 +42,7 @@ def follow_saved(file: str | Path, cell: Cell, *, now: str | float | None = None
         if followed.campaign is None or found.resumed == len(found.outcomes):
             return followed
         try:
-            record = record_of(found, followed.sweeps, Limits())
-            write_campaign(file, replace(followed.campaign, track=record), cell)
+            write_campaign(file, replace(followed.campaign, track=record_of(found, followed.sweeps, Limits())), cell)
         except InputError as error:
             notes.append(f"the states are not saved: {error}")
         return replace(followed, track=replace(found, data=found.data | {"sha256": file_sha256(Path(file))}))
@@ -103,10 +102,8 @@ class Keeper:
         followed = self._follow(moment)
         found, sweeps, notes = followed.track, followed.sweeps, list(followed.notes)
         began = self._began(found, moment)
-        if (sweeps.utc != "").any():
-            now_h = max(found.last.time_h, hours_of(iso(moment), sweeps))
-        else:
-            now_h = max(found.last.time_h, (moment - began) / 3600.0)
+        since_h = hours_of(iso(moment), sweeps) if (sweeps.utc != "").any() else (moment - began) / 3600.0
+        now_h = max(found.last.time_h, since_h)
         if self._until is None:
             self._until = self._valid_until(found)
         until_h, doubts = self._until
@@ -124,8 +121,7 @@ class Keeper:
         if self._published is None or self._published[:2] != (notes, self._stamps()):
             self._publish(found, until_h, notes, began)
             self._published = notes, self._stamps(), began
-        ticket = self._issue(decision, sweeps, moment)
-        return Round(followed, now_h, until_h, decision, ticket, tuple(notes))
+        return Round(followed, now_h, until_h, decision, self._issue(decision, sweeps, moment), tuple(notes))
 
     def withdraw(self) -> None:
         """Empty the ticket: what it rests on is in doubt."""
@@ -147,9 +143,8 @@ class Keeper:
             fresh = pending.name.startswith(f"{basis_of(sweeps)}-") and moment < pending.expires_utc
             if fresh and str(pending.plan.session[0]) not in sweeps.sessions:
                 return pending
-        ticket = empty_ticket(str(path))
-        if decision is not None:
-            ticket = ticket_of(decision, sweeps, str(path), now_utc=moment)
+        name = str(path)
+        ticket = empty_ticket(name) if decision is None else ticket_of(decision, sweeps, name, now_utc=moment)
         self._write(ticket, pending)
         return ticket
 

@@ -52,8 +52,7 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
     motion, return) are not those that the mechanics know. Traces that are doubtful, that no course fits, whose mirror
     sets out late, or of less than a fringe that the others do not foresee, are left out and named.
     """
-    sessions = index.sweeps.of_session(session).sessions
-    of = np.isin(index.sweeps.session, sessions) & (index.sweeps.kind == "sweep")
+    of = np.isin(index.sweeps.session, index.sweeps.of_session(session).sessions) & (index.sweeps.kind == "sweep")
     index = index.take(np.flatnonzero(of))
     sweeps, errs = index.sweeps, cell.mechanics is not None
     found = ingest(index, cell, settings=IngestSettings(points=1))
@@ -104,10 +103,7 @@ def trace_rows(cell: Cell, index: TraceIndex, *, session: str | None = None) -> 
 def _whole(
     reading: Reading, samples: Samples, near: Floats, prior: Floats, mirror_light: float
 ) -> tuple[Floats, Floats, Floats] | None:
-    """Places on a trace, changes in um there, and a square root of their covariance; None where it is no such course.
-
-    The trace is fitted along the course `near` (_MOST,), in um, with covariance `prior`.
-    """
+    """Places, changes there in um, a root of their covariance; fitted along `near` (_MOST,), um, covariance `prior`."""
     if reading.fit is None:
         return None
     # The reading may be the mirror image of the course.
@@ -175,15 +171,13 @@ class FittedSweep:
             return None
         s = np.linspace(-1.0, 1.0, _CURVE)
         order = np.argsort(samples.s, kind="stable")
-        time = np.interp(s, samples.s[order], samples.time[order])
         there, places = (np.clip(at, reading.set_out, reading.stop) for at in (s, samples.s))
         lengths = lengths_at(reading.profile if len(reading.profile) else fit.profile, there)
-        turned = fit.phase(there, phase_per_um) / (2.0 * np.pi)
         return cls(
             s=s,
-            signal=fit.signal(there, time, phase_per_um),
+            signal=fit.signal(there, np.interp(s, samples.s[order], samples.time[order]), phase_per_um),
             lengths=lengths - lengths[0],
-            tops=np.flatnonzero(np.diff(np.floor(turned)) != 0),
+            tops=np.flatnonzero(np.diff(np.floor(fit.phase(there, phase_per_um) / (2.0 * np.pi))) != 0),
             residual=samples.signal - fit.signal(places, samples.time, phase_per_um),
             noise=fit.noise,
         )

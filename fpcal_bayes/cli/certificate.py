@@ -29,8 +29,6 @@ from fpcal_bayes.report.tasks import NOT_EVALUATED, prediction_content, reach_wa
 
 #: What a task's content keeps: no curves along the path.
 _KEPT = ("method", "points", "points_not_ok", "peak_to_peak_nm", "normal_deg", "compensation")
-
-
 #: Of `LINK_SLOTS`, those that every chain has; others stand in the table where they are used.
 _GEOMETRY = 5
 
@@ -59,9 +57,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
             }
     make_folder(options.output)
     if made.trust.usable and made.valid_until_h is None:
-        warnings.append(
-            "until when it holds is not known: hand over the estimate of fpcal track --estimate, which says"
-        )
+        what = "until when it holds is not known: hand over the estimate of fpcal track --estimate, which says"
+        warnings.append(what)
     files = {"chain.csv": chain_table(made)}
     if made.trust.usable:
         files |= {f"q{joint + 1}.csv": table for joint, table in axis_tables(made).items()}

@@ -65,9 +65,8 @@ def _drift(options: argparse.Namespace, cell: Cell, estimate: Estimate) -> Float
         return None
     hours = options.time_h - estimate.time_h
     if not 0.0 <= hours < 1e6:
-        raise InputError(
-            f"--time-h {options.time_h:g}: expected a time after that of the estimate, {estimate.time_h:g} h"
-        )
+        what = f"--time-h {options.time_h:g}: expected a time after that of the estimate, {estimate.time_h:g} h"
+        raise InputError(what)
     drift = DriftModel.of(cell, estimate.parameters)
     start = drift.initial(estimate.values, np.zeros_like(estimate.covariance))
     return drift.covariance(drift.propagate(*start, hours)[1])

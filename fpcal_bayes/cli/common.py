@@ -72,8 +72,7 @@ class Output(Console):
 
 def console(options: argparse.Namespace) -> Output:
     """Console for tables: coloured on a terminal, plain and wide when piped, silent with ``--quiet``."""
-    terminal = sys.stdout.isatty()
-    return Output(quiet=options.quiet, width=None if terminal else 120, highlight=False)
+    return Output(quiet=options.quiet, width=None if sys.stdout.isatty() else 120, highlight=False)
 
 
 def show(options: argparse.Namespace, parts: Iterable[object], warnings: Iterable[str] = ()) -> None:

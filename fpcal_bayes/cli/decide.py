@@ -52,8 +52,7 @@ def decided(followed: Followed, goal: Goal, costs: Costs, now_h: float | None) -
     until_h = valid_until(found, goal)
     if trust.usable and now_h > until_h:
         until = words.time_text(until_h, found.outcomes)
-        warnings.append(
-            f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
-        )
+        what = f"the estimate of session {found.last.session} was valid until {until}, {now_h - until_h:.1f} h ago"
+        warnings.append(what)
     ticket = ticket_of(decision, sweeps).content()
     return decision, {"decision": words.decision_content(decision, goal, found), "ticket": ticket, "warnings": warnings}

@@ -17,8 +17,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 def run(options: argparse.Namespace, cell: Cell) -> int:
     require_suffix(options.output, ".csv", ".mat")
-    header = read_records(Path(options.file), "a header and a plan or joint path").header
-    if cell.joint_columns[0] in header:
+    if cell.joint_columns[0] in read_records(Path(options.file), "a header and a plan or joint path").header:
         q = read_joint_path(options.file, cell)
         write_path_moves(options.output, q, cell)
         said = f"{len(q)} points of a path"

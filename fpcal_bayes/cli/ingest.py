@@ -88,14 +88,10 @@ def recordings_content(found: Ingested, index: TraceIndex, cell: Cell) -> dict[s
     reasons = dict(zip(found.doubtful.recording.tolist(), found.doubtful.reason.tolist(), strict=True))
     rows = []
     for i, reading in enumerate(found.readings):
-        row: dict[str, Any] = {
-            "session": str(sweeps.session[i]),
-            "label": str(sweeps.label[i]),
-            "kind": str(sweeps.kind[i]),
-            "doubtful": reasons.get(i),
-            "scan_before": _scan_content(found.scans_before[i]),
-            "scan_after": _scan_content(found.scans_after[i]),
-        }
+        row: dict[str, Any] = {name: str(getattr(sweeps, name)[i]) for name in ("session", "label", "kind")}
+        row["doubtful"] = reasons.get(i)
+        row["scan_before"] = _scan_content(found.scans_before[i])
+        row["scan_after"] = _scan_content(found.scans_after[i])
         if reading is not None:
             scale = float(cell.joint_scales[moving_joint(sweeps, i)])
             row |= {

@@ -99,6 +99,5 @@ class _Teller:
         line = f"{where}: {what}"
         if line not in self._said:
             self._out.say(line)
-        new = [text for text in (*verdict_lines(track), *found.notes) if text not in self._said]
-        warn(new)
+        warn([text for text in (*verdict_lines(track), *found.notes) if text not in self._said])
         self._said = {line, *verdict_lines(track), *found.notes}

@@ -45,9 +45,8 @@ def drive(
     options: argparse.Namespace, cell: Cell, rig: Rig, guard: Guard, ticket: Ticket, campaign: Sweeps | None
 ) -> Agenda:
     """Drive a ticket of a campaign, as the options `output` and those of the screen say."""
-    origin = origin_of(ticket, campaign, rig.clock.now())
     command = f"fpcal measure {Path(options.ticket).name} --rig {Path(options.rig).name}"
-    agenda = Agenda(ticket, cell, rig, options.output, origin, command)
+    agenda = Agenda(ticket, cell, rig, options.output, origin_of(ticket, campaign, rig.clock.now()), command)
     if isinstance(rig.instrument, ProgramDevice):
         make_folder(agenda.folder)
     if agenda.resumed:
@@ -98,18 +97,15 @@ class _Teller:
         self._often = sys.stdout.isatty()
 
     def __call__(self, progress: Progress) -> None:
-        tenth = max(1, progress.total // 10)
         if progress.doubt:
             warn([f"{progress.label}: {progress.doubt}"])
-        if self._often or progress.done % tenth == 0 or progress.done == progress.total:
-            self._out.print(
-                f"{progress.done} of {progress.total} sweeps, {progress.left_s / 60.0:.1f} min left", markup=False
-            )
+        if self._often or progress.done % max(1, progress.total // 10) == 0 or progress.done == progress.total:
+            what = f"{progress.done} of {progress.total} sweeps, {progress.left_s / 60.0:.1f} min left"
+            self._out.print(what, markup=False)
 
 
 def _report(options: argparse.Namespace, summary: Summary) -> None:
     where = f" -> {options.output}" if summary.rows else ""
     doubtful = f", {summary.doubtful} doubtful" if summary.doubtful else ""
-    console(options).say(
-        f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
-    )
+    what = f"{summary.done} of {summary.total} sweeps driven{doubtful}, {summary.rows} rows{where}: {summary.reason}"
+    console(options).say(what)

@@ -81,9 +81,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
 def _plan(
     options: argparse.Namespace, cell: Cell, settings: PlanSettings, targets: dict[str, float], bar: "_Bar"
 ) -> int:
-    tasks = _tasks(options, targets, cell)
     # A plan is judged on other draws than those it is made for, else the figures flatter it.
-    ground, check, trust = _grounds(options, cell, tasks)
+    ground, check, trust = _grounds(options, cell, _tasks(options, targets, cell))
     readings, sigma = settings.readings, settings.sigma
     try:
         papers = paper_protocol(cell)
@@ -135,14 +134,12 @@ def _plan(
     if options.frontier is not None:
         frontier = planner.frontier(check, max(len(ordered), _MOST_FRONTIER), bar.part("frontier"))
         points = {name: Point(69, seconds[name], expected[name]) for name in expected if name.startswith("paper")}
-    planned = Ticket(str(options.output), ordered, np.full(len(ordered), readings))
-    plan_validation.write_planned(options, planned, cell)
+    plan_validation.write_planned(options, Ticket(str(options.output), ordered, np.full(len(ordered), readings)), cell)
     if frontier is not None:
         report.save_figure(report.draw_frontier(frontier, points), options.frontier)
     warnings += trust.texts
-    content = plan_content(
-        chosen, ordered, expected if trust.usable else None, seconds, _record(options, settings), warnings
-    )
+    told = expected if trust.usable else None
+    content = plan_content(chosen, ordered, told, seconds, _record(options, settings), warnings)
     if frontier is not None and trust.usable:
         content["frontier"] = frontier_content(frontier)
     write_result(options.json, "plan", about(cell) | content, trust)
@@ -262,10 +259,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
         grounds = [prior_ground(cell, draws=n, seed=number, **common) for n, number in draws]
     extra = [] if first is None else [first]
     if options.absolute:
-        home = np.zeros((1, len(cell.joints)))
-        extra.append(
-            Sweeps.of_um_rad(home, home, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length")
-        )
+        at = np.zeros((1, len(cell.joints)))
+        extra.append(Sweeps.of_um_rad(at, at, kind="absolute", sigma=cell.wavelength / 8.0, label="absolute length"))
     for part in extra:
         grounds = [ground.with_known(part, sigma) for ground in grounds]
     return grounds[0], grounds[1], Trust() if estimate is None else estimate.trust
@@ -273,10 +268,8 @@ def _grounds(options: argparse.Namespace, cell: Cell, tasks: list[str]) -> tuple
 
 def _labelled(sweeps: Sweeps) -> Sweeps:
     """Sweeps named by their usefulness and the joints that move."""
-    moved = sweeps.q_start != sweeps.q_end
-    names = [
-        f"p{number:02d}-" + "".join(f"q{i}" for i, m in enumerate(row, 1) if m) for number, row in enumerate(moved, 1)
-    ]
+    moved = ("".join(f"q{i}" for i, m in enumerate(row, 1) if m) for row in sweeps.q_start != sweeps.q_end)
+    names = [f"p{number:02d}-{joints}" for number, joints in enumerate(moved, 1)]
     return replace(sweeps, label=np.array(names, dtype=np.str_))
 
 
@@ -304,10 +297,9 @@ def _tasks(options: argparse.Namespace, targets: dict[str, float], cell: Cell) -
 
 
 def _settings(options: argparse.Namespace, cell: Cell) -> PlanSettings:
-    readings = (2 if options.midpoints else 1) if options.readings is None else options.readings
     together = cell.envelope is not None and bool(cell.envelope.together)
     return PlanSettings(
-        readings=readings,
+        readings=(2 if options.midpoints else 1) if options.readings is None else options.readings,
         sigma=options.sigma_nm * 1e-3,
         n_candidates=options.candidates,
         several=together if options.coordinated is None else options.coordinated,

@@ -55,8 +55,7 @@ def run(options: argparse.Namespace, cell: Cell, limits: SweepLimits) -> int:
             f"these sweeps may miss an error beyond the tolerance: power {', '.join(weak)}; expected more of them, or "
             "more readings of each"
         )
-    planned = Ticket(str(options.output), made.sweeps, np.full(len(made.sweeps), made.readings))
-    write_planned(options, planned, cell)
+    write_planned(options, Ticket(str(options.output), made.sweeps, np.full(len(made.sweeps), made.readings)), cell)
     content = {"n_sweeps": len(made.sweeps), "readings": made.readings, "level": LEVEL, "power": made.power}
     write_result(options.json, "plan", about(cell) | content | {"warnings": warnings}, found.estimate.trust)
     title = f"{options.output}: {counted(len(made.sweeps), 'sweep')} of {made.readings} readings"

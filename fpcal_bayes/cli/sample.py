@@ -56,8 +56,7 @@ def _sample(options: argparse.Namespace, result: Identification, store: BlockSto
         )
 
     command = f"fpcal sample --draws {options.draws} --seed {options.seed}"
-    tree = data_tree(posterior, seed=options.seed, command=command)
-    write_netcdf(tree, options.output)
+    write_netcdf(data_tree(posterior, seed=options.seed, command=command), options.output)
     write_result(options.json, "sample", content(posterior))
     out = console(options)
     title = f"{options.file}, session {','.join(result.problem.sweeps.sessions)}: posterior"

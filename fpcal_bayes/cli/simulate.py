@@ -83,8 +83,7 @@ def _record(options: argparse.Namespace, cell: Cell, truth: Truth, plan: Sweeps)
     beside = options.output.with_name(f"{options.output.stem}_truth.toml")
     write_truth(beside, truth)
     what = f"{counted(len(plan), 'sweep')} recorded on cell {cell.name!r}{_machine(cell)}"
-    samples = sum(map(len, index.traces))
-    console(options).say(f"{what}, {samples} samples -> {options.output}, truth in {beside}")
+    console(options).say(f"{what}, {sum(map(len, index.traces))} samples -> {options.output}, truth in {beside}")
     return 0
 
 

@@ -47,9 +47,8 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     warnings += estimate.trust.texts
     write_result(options.json, "task-error", {**estimate.content(), "tasks": content, "warnings": warnings})
     source = "to first order from the covariance" if knowledge.draws is None else "from posterior draws"
-    title = f"{Path(options.file).name}: task errors {source}"
     shown: list[object] = [
-        words.prediction_table(predictions, tolerances, title),
+        words.prediction_table(predictions, tolerances, f"{Path(options.file).name}: task errors {source}"),
         words.freedom_table(predictions),
         words.not_evaluated_line(cell),
     ]

@@ -40,12 +40,11 @@ def run(options: argparse.Namespace, cell: Cell) -> int:
     )
     estimate = found.estimate
     trust = estimate.trust.because(*made.reasons)
-    warnings = trust.texts
     content = {"time_h": estimate.time_h, "data": {"session": ",".join(fitted.sessions)}}
-    content |= {"verification": made.content(), "warnings": warnings}
+    content |= {"verification": made.content(), "warnings": trust.texts}
     write_result(options.json, "verify", about(estimate.cell) | content, trust)
     table = power_table(made, f"{options.file}, verified by {fresh.file}, {','.join(fresh.sessions)}")
-    show(options, [table, *verification_lines(made)], warnings)
+    show(options, [table, *verification_lines(made)], trust.texts)
     return 0
 
 

@@ -102,8 +102,7 @@ def _run(options: argparse.Namespace, cell: Cell) -> int:
     out.say(
         f"{len(SESSIONS)} sessions, {len(sweeps)} sweeps in {time.perf_counter() - began:.1f} s -> {options.output}/"
     )
-    sampled = posterior is not None and posterior.converged
-    return 0 if sampled and all(result.converged for result in results.values()) else 1
+    return 0 if posterior is not None and posterior.converged and all(r.converged for r in results.values()) else 1
 
 
 def _write_data(options: argparse.Namespace, week: Week, followed: Followed, command: str) -> None:
@@ -119,9 +118,8 @@ def _write_data(options: argparse.Namespace, week: Week, followed: Followed, com
     save("campaign.h5", week.sweeps, followed.track)
     lived = replace(followed.policy_track, data={"file": "policy.h5", "session": followed.policy_track.last.session})
     estimate = lived.estimate(valid_until(lived, followed.goal)).content() | {"fit": {"converged": lived.converged}}
-    last = {"schema": SCHEMA, "command": "track", **estimate}
     save("policy.h5", followed.policy_sweeps, lived)
-    write_json(folder / "estimate.json", last)
+    write_json(folder / "estimate.json", {"schema": SCHEMA, "command": "track", **estimate})
     for name, found in week.identifications.items():
         write_json(folder / f"{name}.json", {"schema": SCHEMA, "command": "identify", **found.content()})
 

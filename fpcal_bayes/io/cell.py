@@ -133,10 +133,8 @@ class _Reader(Tables):
             "",
             {"schema", "name", "optics", "joint", "beam", "extrinsic", "envelope", "mechanics", "task", _CHECKED},
         )
-        checked = self.flag(table, "", _CHECKED)
         if table.get("schema") != SCHEMA:
             raise self.error("schema", f"expected {SCHEMA!r}, found {literal(table.get('schema'))}")
-        name = self.text(table, "", "name")
         optics = self.table(table, "", "optics")
         self.keys(optics, "optics", {"wavelength_nm", "opd", "optical_axis", "beams", "bits", *_OPTICS_KEYS})
         wavelength = self.number(optics, "optics", "wavelength_nm", low=1e-3, high=20_000.0) * 1e-3
@@ -168,7 +166,7 @@ class _Reader(Tables):
         own = [name for beam in beams[1:] for name in beam.parameters if name.endswith(f"{AT}{beam.name}")]
         parameters = make_parameters(entries, len(joints), beams[0].target, own)
         cell = Cell(
-            name=name,
+            name=self.text(table, "", "name"),
             joints=tuple(joints),
             parameters=parameters,
             wavelength=beams[0].wavelength,
@@ -177,7 +175,7 @@ class _Reader(Tables):
             target=beams[0].target,
             beam=beams[0].name,
             further=tuple(beams[1:]),
-            handedness_checked=checked,
+            handedness_checked=self.flag(table, "", _CHECKED),
             drift=self.drifts(joint_tables, parts, parameters),
             optics=self.interferometer(optics, beams[0].wavelength),
             mechanics=read_mechanics(self, table, joints),
@@ -280,15 +278,14 @@ class _Reader(Tables):
     ) -> tuple[DriftSize, ...]:
         """Drift of the parameters that name one, in the cell's order."""
         found: dict[str, DriftSize] = {}
+        known = [p.name for p in parameters if p.prior_sd > 0]
         links = [(f"joint {number}", table, f"_{number}") for number, table in enumerate(joints, 1)]
         for place, table, suffix in [*links, *beams]:
             if "drift" not in table:
                 continue
             drift = self.table(table, place, "drift")
             stems = {stem: f"{stem}{suffix}" for stem in (*LINK_SLOTS, *EXTRINSICS, "x_et", "y_et")}
-            free = {
-                stem: name for stem, name in stems.items() if name in parameters.names and parameters[name].prior_sd > 0
-            }
+            free = {stem: name for stem, name in stems.items() if name in known}
             self.keys(drift, f"{place}.drift", set(free))
             for stem, name in free.items():
                 if stem in drift:

@@ -34,8 +34,7 @@ def read_beams(
         other = _shared(reader, table, place, made) if "shares" in table else None
         known = first if other is None else {key: getattr(other, key) for key in first}
         target = reader.choice(table, place, "target", get_args(Target), known["target"])
-        stated = known["opd"] if known["opd"] in PATHS[target] else None
-        opd = reader.choice(table, place, "opd", PATHS[target], stated)
+        opd = reader.choice(table, place, "opd", PATHS[target], known["opd"] if known["opd"] in PATHS[target] else None)
         axis = reader.choice(table, place, "optical_axis", get_args(OpticalAxis), known["optical_axis"])
         shown = 1e3 * known["wavelength"]
         wave = reader.number(table, place, "wavelength_nm", low=1e-3, high=20_000.0, default=shown) * 1e-3
@@ -94,9 +93,8 @@ def read_envelope(reader: Tables, cell: dict[str, Any], n_joints: int, beams: Se
     least = number("least_gap_um")
     gap, gap_sd = (number(key) if key in table else None for key in ("gap_um", "gap_sd_um"))
     if gap is not None and gap <= least:
-        raise reader.error(
-            "envelope.gap_um", f"the gap of {gap:g} um is below least_gap_um = {least:g}: no motion is left"
-        )
+        text = f"the gap of {gap:g} um is below least_gap_um = {least:g}: no motion is left"
+        raise reader.error("envelope.gap_um", text)
     return Envelope(
         least_gap=least,
         fibre_radius=number("fibre_radius_um", default=62.5),
@@ -117,9 +115,8 @@ def _groups(reader: Tables, stated: Any, n_joints: int) -> tuple[tuple[int, ...]
         groups = stated
     if (stated and not groups) or any(not isinstance(name, str) or name not in names for g in groups for name in g):
         shown = ", ".join(names)
-        raise reader.error(
-            "envelope.together", f'expected groups of joints such as [["q1", "q2"]], from {shown}; [] for none'
-        )
+        what = f'expected groups of joints such as [["q1", "q2"]], from {shown}; [] for none'
+        raise reader.error("envelope.together", what)
     return tuple(tuple(sorted({names[name] for name in group})) for group in groups if group)
 
 

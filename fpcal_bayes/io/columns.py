@@ -141,9 +141,8 @@ def get_columns(reader: Reader, group: Any, cell: Cell, *, plan: bool) -> dict[s
     for name, values in table.items():
         stated, unit = group[name].attrs.get("unit"), name.rpartition("_")[2]
         if stated is not None and unit in _UNITS and reader.text_attribute(group[name], "unit") != unit:
-            raise InputError(
-                f"{reader.path}: {group.name}/{name}: expected the unit {unit}, found {str(stated)[:20]!r}"
-            )
+            what = f"{reader.path}: {group.name}/{name}: expected the unit {unit}, found {str(stated)[:20]!r}"
+            raise InputError(what)
         if len(values) != expected:
             where = f"{reader.path}: {group.name}/{name}"
             raise InputError(f"{where}: expected {expected} values as in {joint}, found {len(values)}")
@@ -240,9 +239,8 @@ def from_columns(
     readings = readings_of(table, file, rows)
     if whole:
         return sweeps
-    refuse(
-        readings == 0, "readings", "a whole trace is recorded by simulate --traces or measure, expected 1 or more here"
-    )
+    what = "a whole trace is recorded by simulate --traces or measure, expected 1 or more here"
+    refuse(readings == 0, "readings", what)
     return seen_by_all(read_often(sweeps, readings), cell)
 
 

@@ -5,6 +5,7 @@ import io
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,8 +45,7 @@ class Records:
 
     def require_header(self, names: Sequence[str], others: Sequence[str] = ()) -> None:
         """Raise `InputError` unless the header is `names`, then any of `others`."""
-        rest = self.header[len(names) :]
-        if self.header[: len(names)] != list(names) or not set(rest) <= set(others):
+        if self.header[: len(names)] != list(names) or not set(self.header[len(names) :]) <= set(others):
             then = f", then any of {','.join(others)}" if others else ""
             found = shown(",".join(self.header))
             raise located(self.path, f"expected the header {','.join(names)}{then}, found {found}", row=self.header_row)
@@ -63,11 +63,8 @@ class Records:
     ) -> Floats:
         """The numbers of column `name`; `InputError` that names the line of the first text that is none."""
         if _NUMBER_CHARACTERS.issuperset("".join(texts)) and "" not in texts:
-            try:
+            with suppress(ValueError):
                 numbers = np.array(list(map(float, texts)))
-            except ValueError:
-                pass
-            else:
                 if not finite or np.isfinite(numbers).all():
                     return numbers
         is_one = [_NUMBER.fullmatch(text) and not (finite and np.isinf(float(text))) for text in texts]
@@ -122,10 +119,7 @@ def read_blocks(path: Path, expected: str, text: str | None, most: int) -> Itera
 
 
 def read_numbers(path: Path, names: tuple[str, ...]) -> Floats:
-    """The columns of a CSV file that holds nothing but finite numbers, shape (n_columns, n).
-
-    There may be millions: they are read in one call, and line by line only when something is wrong.
-    """
+    """The columns of a CSV file of finite numbers, shape (n_columns, n), read in one call unless something is wrong."""
     text = read_text(path)
     head, _, body = text.lstrip("\r\n").partition("\n")
     if tuple(head.strip().split(",")) != names:

@@ -57,9 +57,8 @@ def read_estimate(path: str | Path, cell: Cell, text: str | None = None) -> Esti
     """Read an estimate file, as ``identify --json`` writes it, or its `text`."""
     content = read_result(path, cell, text)
     if isinstance(content.get("fit"), dict) and content["fit"].get("converged") is False:
-        raise InputError(
-            f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
-        )
+        what = f"{path}: key fit.converged: the fit did not converge, expected an estimate that can be trusted"
+        raise InputError(what)
     found = _Reader(str(path), cell).estimate(content)
     if CONTENT_HASH not in content:
         return replace(found, trust=found.trust.because(UNRECORDED))
@@ -104,16 +103,14 @@ class _Reader(Tables):
         for p, variance in zip(parameters, np.diag(covariance).tolist(), strict=True):
             self.agree(stated[p.name], p.name, variance**0.5 / p.scale)
         known = self.mechanics(content.get("mechanics"), parameters)
-        time_h = self.number(content, "", "time_h", default=0.0)
-        until = content.get("valid_until_h")
         return Estimate(
             cell=self.cell,
             parameters=parameters,
             values=np.array(values),
             covariance=covariance,
             status=tuple(status),
-            time_h=time_h,
-            valid_until_h=None if until is None else self.number(content, "", "valid_until_h"),
+            time_h=self.number(content, "", "time_h", default=0.0),
+            valid_until_h=None if content.get("valid_until_h") is None else self.number(content, "", "valid_until_h"),
             data=content["data"] if isinstance(content.get("data"), dict) else {},
             trust=self.trust(content.get("trust"), known is not None),
             mechanics=known,
@@ -126,9 +123,8 @@ class _Reader(Tables):
             if key in entry:
                 stated = self.number(entry, f"parameters.{name}", key, low=-most, high=most)
                 if abs(stated - other) > 1e-6 * max(abs(stated), abs(other), sd):
-                    raise self.error(
-                        f"parameters.{name}.{key}", f"{stated:g} and {what} ({other:g}) contradict each other"
-                    )
+                    text = f"{stated:g} and {what} ({other:g}) contradict each other"
+                    raise self.error(f"parameters.{name}.{key}", text)
 
     def mechanics(self, stated: Any, parameters: ParameterSet) -> MechanicsKnowledge | None:
         """What is known of the error motions; nothing is asked of it where the mechanism is taken as perfect."""
@@ -136,9 +132,8 @@ class _Reader(Tables):
         if sizes is None or not isinstance(stated, dict) or not stated.get("names"):
             return None
         if stated.get("sizes_sha256") != sizes.sha256:
-            raise self.error(
-                "mechanics.sizes_sha256", "the cell states other sizes of error motions now: identify it anew"
-            )
+            what = "the cell states other sizes of error motions now: identify it anew"
+            raise self.error("mechanics.sizes_sha256", what)
         try:
             return knowledge_of(stated, sizes, parameters, self.cell)
         except (KeyError, TypeError, ValueError) as error:

@@ -122,9 +122,7 @@ def _text(path: Path, names: Sequence[str], wanted: Sequence[str]) -> Floats:
     head = {int(m[1]): m[2].strip() for i in titles if (m := _GCS_NAME.match(lines[i]))}
     step = next((m[1] for i in titles if (m := _GCS_STEP.match(lines[i]))), "")
     # A line of units may stand between names and numbers: the header is the line with most of the wanted names.
-    titles = sorted(
-        titles, key=lambda i: (sum(len(_same(name, _names(lines[i], delimiter))) == 1 for name in wanted), i)
-    )
+    titles.sort(key=lambda i: (sum(len(_same(name, _names(lines[i], delimiter))) == 1 for name in wanted), i))
     row = titles[-1] + 1 if titles else 1
     header = [head[i] for i in sorted(head)] if head else _names(lines[row - 1], delimiter) if titles else []
     if step and not _same(wanted[0], header):

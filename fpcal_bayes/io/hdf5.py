@@ -143,10 +143,7 @@ def reading(path: Path, kind: str = "an HDF5 file") -> Iterator[Reader]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file to write from scratch; equal content gives equal bytes.
-
-    It is made in memory and written as plain bytes: on a full disk HDF5 fails as it closes, where nothing catches it.
-    """
+    """Write an HDF5 file, equal content as equal bytes; made in memory, since closing on a full disk fails uncaught."""
     try:
         with h5py.File(path, "w", libver=("v110", "v110"), driver="core", backing_store=False) as file:
             yield file

@@ -53,10 +53,8 @@ def read_path(path: str | Path) -> Floats:
     path = Path(path)
     records = read_records(path, f"the header {','.join(PATH_COLUMNS)}")
     records.require_header(PATH_COLUMNS)
-    numbers = [
-        records.numbers(name, texts, finite=True, expected="expected a finite number")
-        for name, texts in records.columns().items()
-    ]
+    columns, expected = records.columns().items(), "expected a finite number"
+    numbers = [records.numbers(name, texts, finite=True, expected=expected) for name, texts in columns]
     shown: Floats = np.column_stack(numbers)
     n = len(shown)
     if n < 2:

@@ -162,8 +162,7 @@ def _read(path: Path) -> tuple[dict[str, Any], list[int]]:
         n = np.size(found.get("move", ()))
         rows = list(range(1, n + 1))
         for name in set(found) & {*_TEXTS, *_NUMBERS}:
-            read = mat_texts if name in _TEXTS else mat_numbers
-            table[name] = read(path, name, found[name], n).tolist()
+            table[name] = (mat_texts if name in _TEXTS else mat_numbers)(path, name, found[name], n).tolist()
     else:
         records = read_records(path, "a header and moves")
         rows, header_row = records.rows.tolist(), records.header_row

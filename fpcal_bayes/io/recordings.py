@@ -54,8 +54,7 @@ def write_recordings(path: str | Path, index: TraceIndex, cell: Cell) -> None:
     path = Path(path)
     check_index(index, cell)
     require_suffix(path, ".csv", *HDF5_SUFFIXES)
-    write = _write_csv_index if path.suffix.lower() == ".csv" else write_hdf5_index
-    write(path, index, cell)
+    (_write_csv_index if path.suffix.lower() == ".csv" else write_hdf5_index)(path, index, cell)
 
 
 def _read_csv_index(path: Path, cell: Cell, columns: Mapping[str, str]) -> TraceIndex:
@@ -119,10 +118,8 @@ def _write_csv_index(path: Path, index: TraceIndex, cell: Cell) -> None:
 def _inner_path(index: Path, name: str, row: int, column: str) -> Path:
     """The file that an index names, in the folder of the index or below, else `InputError`."""
     place = f"{shown(name)}: expected a path inside the folder of the index"
-    if len(name) > MAX_TEXT or not name.isprintable():
-        raise located(index, place, row=row, column=column)
-    parts = PureWindowsPath(name).parts
-    if Path(name).is_absolute() or PureWindowsPath(name).anchor or ".." in parts:
+    path = PureWindowsPath(name)
+    if len(name) > MAX_TEXT or not name.isprintable() or Path(name).is_absolute() or path.anchor or ".." in path.parts:
         raise located(index, place, row=row, column=column)
     folder, file = index.parent.resolve(), index.parent / name
     try:

@@ -54,11 +54,10 @@ def put_index(group: Any, index: TraceIndex, cell: Cell, file: object) -> None:
     put_columns(group.create_group("conditions"), dict(zip(CONDITIONS, parts, strict=True)))
     traces = group.create_group("traces")
     scales = [cell.joint_scales[moving_joint(index.sweeps, i)] for i in range(len(index))]
-    joints = [unscaled(trace.joint, scale) for trace, scale in zip(index.traces, scales, strict=True)]
     columns = {
         "trace_end": ends_of(index.traces),
         "t_s": _chain([trace.time_s for trace in index.traces]),
-        "joint": _chain(joints),
+        "joint": _chain([unscaled(trace.joint, scale) for trace, scale in zip(index.traces, scales, strict=True)]),
         "irradiance_v": _chain([trace.irradiance for trace in index.traces]),
     }
     put_columns(traces, columns)

@@ -37,8 +37,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 def read_mat_index(path: Path, cell: Cell) -> TraceIndex:
     """Read an index from a MATLAB file, whose variables are as the module says."""
-    content = load_variables(path)
-    variables = {name: value for name, value in content.items() if not name.startswith("__")}
+    variables = {name: value for name, value in load_variables(path).items() if not name.startswith("__")}
     scan_names = [f"{scan}_{column}" for scan in SCANS for column in SCAN_COLUMNS]
     apart = {*TRACE_COLUMNS, *scan_names, *INDEX}.difference(SCANS)
     for name in (*joint_columns(cell), *TRACE_COLUMNS):

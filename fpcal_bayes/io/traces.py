@@ -31,10 +31,7 @@ from fpcal_bayes.model.cell.cell import Cell, check_joints
 
 
 def read_trace(path: str | Path, scale: float, columns: Mapping[str, str] | None = None) -> Trace:
-    """A trace from a CSV file ``t_s,joint,irradiance_v``, or of another program, whose names `columns` tells.
-
-    `scale` is internal units per shown unit of the joint: 1 for um, pi / 180 for deg.
-    """
+    """A trace from a CSV ``t_s,joint,irradiance_v``, or one of names `columns`; `scale` is um or rad per shown unit."""
     path = Path(path)
     other = is_other(path, ",".join(TRACE_COLUMNS))
     table = read_named(path, TRACE_COLUMNS, columns or {}) if other else read_numbers(path, TRACE_COLUMNS)
@@ -76,8 +73,7 @@ def unscaled(values: Floats, scale: float) -> Floats:
 
 def _line(path: Path, sample: int) -> int:
     """Line of a sample in a CSV file, which is looked at again only when a message needs it."""
-    filled = [number for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    return filled[sample + 1]
+    return [number for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()][sample + 1]
 
 
 def path_columns(cell: Cell) -> tuple[str, ...]:
@@ -87,8 +83,7 @@ def path_columns(cell: Cell) -> tuple[str, ...]:
 
 def write_path_trace(path: str | Path, trace: PathTrace, cell: Cell) -> None:
     """Write a recorded path, whole or not at all."""
-    joints = (trace.q / cell.joint_scales).T
-    columns = (np.where(trace.reference, *PARTS), trace.time_s, *joints, trace.irradiance)
+    columns = (np.where(trace.reference, *PARTS), trace.time_s, *(trace.q / cell.joint_scales).T, trace.irradiance)
     write_table(Path(path), dict(zip(path_columns(cell), columns, strict=True)))
 
 

@@ -10,10 +10,7 @@ from fpcal_bayes.model.cell.cell import Cell
 
 
 def read_truth(path: str | Path, cell: Cell) -> Truth:
-    """Read a truth from a TOML file, in um, deg or ppm; what it does not name is nominal.
-
-    It has a table ``[parameters]``, or several ``[[epoch]]``, each with ``time_h`` and a table ``[epoch.parameters]``.
-    """
+    """Read a truth (um, deg, ppm) of ``[parameters]``, or ``[[epoch]]`` tables with ``time_h``; the rest is nominal."""
     return read_toml(Path(path), lambda table: _truth(Tables(path, shown), table, cell))
 
 

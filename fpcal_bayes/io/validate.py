@@ -137,8 +137,8 @@ class Tables:
         """A whole number from `low` to `high`."""
         value = table.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            found = f"found {self.shown(value)}"
-            raise self.error(_at(place, key), f"expected a whole number from {low} to {high}, {found}")
+            what = f"expected a whole number from {low} to {high}, found {self.shown(value)}"
+            raise self.error(_at(place, key), what)
         return value
 
     def optional(self, parent: dict[str, Any], place: str, key: str) -> dict[str, Any]:

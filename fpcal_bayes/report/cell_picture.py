@@ -22,7 +22,6 @@ def cell_figure(view: CellView) -> Figure:
     figure = Figure(figsize=(max(7.0, 1.4 * (n + 3)), 3.7))
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axis.set_axis_off()
-    axis.set_aspect("equal")
     places = [np.array([_APART * i, 0.0]) for i in range(n)]
     if places:
         axis.plot([-1.3, places[-1][0]], [0, 0], color="0.8", linewidth=6, solid_capstyle="butt", zorder=0)
@@ -43,8 +42,7 @@ def cell_figure(view: CellView) -> Figure:
     axis.text(-1.6, 2.3, title, fontsize=11, va="top", parse_math=False)
     note = "Directions are true; axes are drawn apart, lengths not to scale."
     axis.text(-1.6, -3.15, note, fontsize=8, color="0.35", va="bottom")
-    axis.set_xlim(-2.1, end[0] + 4.6)
-    axis.set_ylim(-3.3, 2.5)
+    axis.set(aspect="equal", xlim=(-2.1, end[0] + 4.6), ylim=(-3.3, 2.5))
     return figure
 
 
@@ -56,9 +54,7 @@ def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
         _arrow(axis, tail, tip, colour, 2.6)
     else:
         axis.plot(*zip(tail, tip, strict=True), color=colour, linewidth=1.0, linestyle=(0, (5, 2)))
-        first, second = _across(along)
-        angle = np.radians(np.linspace(20.0, 320.0, 60))[:, None]
-        ring = place + (_TURN * (np.cos(angle) * first + np.sin(angle) * second)) @ _PAGE.T
+        ring = _circle(place, along, _TURN, np.linspace(20.0, 320.0, 60))
         axis.plot(*ring.T[:, :-3], color=colour, linewidth=2.4)
         _arrow(axis, ring[-6], ring[-1], colour, 2.4)
         _arrow(axis, place + 0.8 * (tip - place), tip, colour, 1.0)
@@ -75,13 +71,10 @@ def _draw_joint(axis: Axes, place: Floats, joint: AxisView) -> None:
 
 def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     seen = view.sight
-    first, second = _across(seen.normal)
-    angle = np.radians(np.linspace(0.0, 360.0, 90))[:, None]
-    disc = place + (_MIRROR * (np.cos(angle) * first + np.sin(angle) * second)) @ _PAGE.T
+    disc = _circle(place, seen.normal, _MIRROR, np.linspace(0.0, 360.0, 90))
     back = disc - 0.16 * _PAGE @ seen.normal
     # What lies behind is drawn first: the mirror's front hides its body, or the body its front.
-    front = float(_TOWARDS_READER @ seen.normal) >= 0
-    axis.fill(*back.T, facecolor="0.55", edgecolor="0.25", zorder=2 if front else 4)
+    axis.fill(*back.T, facecolor="0.55", edgecolor="0.25", zorder=2 if float(_TOWARDS_READER @ seen.normal) >= 0 else 4)
     axis.fill(*disc.T, facecolor="#dceefb", edgecolor="0.25", linewidth=1.2, zorder=3)
     normal = place + 0.95 * _PAGE @ seen.normal
     _arrow(axis, place, normal, GREEN, 2.0, zorder=6)
@@ -100,10 +93,8 @@ def _draw_optics(axis: Axes, place: Floats, view: CellView) -> None:
     axis.plot(*zip(root, fibre, strict=True), color="0.5", linewidth=9, solid_capstyle="butt", zorder=5)
     axis.plot(*zip(root, fibre, strict=True), color="white", linewidth=6, solid_capstyle="butt", zorder=5)
     axis.plot(*zip(root, fibre, strict=True), color=ORANGE, linewidth=1.6, solid_capstyle="butt", zorder=5)
-    reach = fibre + (abs(ahead) if ahead > 0 else 1.2) * _PAGE @ seen.light
-    _arrow(axis, fibre, reach, ORANGE, 2.0, zorder=5.5)
-    middle = (root + fibre) / 2.0
-    label = middle + ([0.55, 0.0] if upright else [0.0, 0.32])
+    _arrow(axis, fibre, fibre + (abs(ahead) if ahead > 0 else 1.2) * _PAGE @ seen.light, ORANGE, 2.0, zorder=5.5)
+    label = (root + fibre) / 2.0 + ([0.55, 0.0] if upright else [0.0, 0.32])
     axis.text(label[0], label[1], "fibre", fontsize=9, ha="center", va="center", color="0.3")
     wrong = bool(view.refused) or seen.length < 0 or not np.isfinite(seen.length)
     gap = f"gap {seen.length:.4g} um" if np.isfinite(seen.length) else "no gap"
@@ -118,9 +109,10 @@ def _arrow(axis: Axes, start: Floats, end: Floats, colour: str, width: float, zo
     axis.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style, zorder=zorder)
 
 
-def _across(direction: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors across a direction, right-handed with it."""
-    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    first = np.cross(helper, direction)
+def _circle(place: Floats, direction: Floats, radius: float, angles_deg: Floats) -> Floats:
+    """Points (n, 2) on the page of a circle about a direction, right-handed with it."""
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(direction)))], direction)
     first /= np.linalg.norm(first)
-    return first, np.cross(direction, first)
+    angle = np.radians(angles_deg)[:, None]
+    points = radius * (np.cos(angle) * first + np.sin(angle) * np.cross(direction, first))
+    return np.asarray(place + points @ _PAGE.T)

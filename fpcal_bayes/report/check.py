@@ -19,7 +19,10 @@ def check_sentences(check: PathCheck, tolerance: float | None) -> list[str]:
         f"Predicted by the estimate: {low:.1f} to {high:.1f} nm (95 %); with the noise of this recording "
         f"up to {found.noisy:.1f} nm.",
     ]
-    chance = f"probability of so much if the calibration holds: {_shown_probability(check)}"
+    # The draws cannot tell less than this.
+    least = 1.0 / (1.0 + len(check.expected))
+    shown = f"below {2 * least:.1g}" if check.probability < 1.5 * least else f"{check.probability:.2g}"
+    chance = f"probability of so much if the calibration holds: {shown}"
     if check.verdict == "confirmed":
         lines.append(f"The calibration is confirmed on the cell ({chance}).")
     elif check.verdict == "refuted":
@@ -75,12 +78,6 @@ def check_content(check: PathCheck, tolerance: float | None) -> dict[str, Any]:
         content["tolerance_nm"] = 1e3 * tolerance
         content["within_tolerance_probability"] = found.within if check.trust.usable else None
     return content
-
-
-def _shown_probability(check: PathCheck) -> str:
-    """The probability, or that it is below what the draws can tell."""
-    least = 1.0 / (1.0 + len(check.expected))
-    return f"below {2 * least:.1g}" if check.probability < 1.5 * least else f"{check.probability:.2g}"
 
 
 def _reason(check: PathCheck) -> str:

@@ -45,9 +45,8 @@ def draw_sweep(reading: Reading, samples: Samples, start: float, end: float, nam
 
     left.plot(joint, fitted.residual[::step], ".", color=_DATA, markersize=2 if len(joint) > 400 else 5)
     left.axhspan(-fitted.noise, fitted.noise, color=BLUE, alpha=0.2, linewidth=0, label="noise, one sd")
-    left.set_ylabel("residual [V]")
+    left.set(xlabel=name, ylabel="residual [V]")
     left.legend(loc="upper right", fontsize=7)
-    left.set_xlabel(name)
     for axis in (trace, profile, left):
         for turn in reading.turns:
             axis.axvline((start + end) / 2.0 + turn * (end - start) / 2.0, color=VERMILION, linewidth=1.0)

@@ -93,8 +93,7 @@ def _(result: Identification) -> Shown:
 @shown.register
 def _(result: Observability) -> Shown:
     def columns() -> dict[str, Any]:
-        names = result.parameters.names
-        return {"parameter": names, "contraction": result.contraction, "status": list(result.status)}
+        return {"parameter": result.parameters.names, "contraction": result.contraction, "status": list(result.status)}
 
     def draw() -> Figure:
         figure, axis = _axes("seen by the data: share of the prior variance taken away", len(result.parameters))
@@ -192,8 +191,4 @@ def _axes(title: str, lines: int) -> tuple[Figure, Axes]:
     return figure, axis
 
 
-def _task_content(result: TaskPrediction) -> dict[str, Any]:
-    return {"tasks": {result.task.name: prediction_content(result, None, result.task)}}
-
-
-CONTENTS[TaskPrediction] = "task-error", _task_content
+CONTENTS[TaskPrediction] = "task-error", lambda r: {"tasks": {r.task.name: prediction_content(r, None, r.task)}}

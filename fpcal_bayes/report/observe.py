@@ -79,9 +79,7 @@ def parameter_table(result: Observability) -> Table:
 
 def percent(share: float) -> str:
     """A share from 0 to 1 as a percentage; one and zero are kept for what is exact within rounding."""
-    if share > 0.9995:
-        return "> 99.9 %"
-    return f"{100 * max(share, 0.0):.1f} %"
+    return "> 99.9 %" if share > 0.9995 else f"{100 * max(share, 0.0):.1f} %"
 
 
 def gauge_sentence(gauge: Gauge) -> str:
@@ -92,11 +90,8 @@ def gauge_sentence(gauge: Gauge) -> str:
 
 def gauge_direction(gauge: Gauge, result: Observability) -> str:
     """How far each parameter moves along one unseen direction."""
-    moves = [
-        f"{name} {move:+.4g} {result.parameters[name].unit}"
-        for name, move in zip(gauge.parameters, gauge.direction, strict=True)
-    ]
-    return shortened(moves, 6)
+    moves = zip(gauge.parameters, gauge.direction, strict=True)
+    return shortened([f"{name} {move:+.4g} {result.parameters[name].unit}" for name, move in moves], 6)
 
 
 def base_sentence(result: Observability) -> str:
@@ -180,8 +175,7 @@ def bounds_table(result: Observability) -> Table:
 
 def shortened(names: Sequence[str], most: int) -> str:
     """Names in a row, the first `most` of them."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _capital(sentence: str) -> str:
@@ -194,10 +188,8 @@ def mechanics_sentences(result: Observability) -> list[str]:
     """What the rows say of the stated error motions, and which terms the residuals show most."""
     if result.mechanics is None:
         return []
-    scales = [
-        f"{name} {one['median']:.2g} ({one['low']:.2g} .. {one['high']:.2g})"
-        for name, one in result.mechanics["scales"].items()
-    ]
+    known = result.mechanics["scales"].items()
+    scales = [f"{name} {one['median']:.2g} ({one['low']:.2g} .. {one['high']:.2g})" for name, one in known]
     tests = [f"{test['term']} (p = {test['p_value']:.2g})" for test in result.mechanics["tests"][:3]]
     return [
         "",
@@ -207,10 +199,7 @@ def mechanics_sentences(result: Observability) -> list[str]:
 
 
 def print_observability(result: Observability, title: str, out: Console) -> None:
-    """Print what sweeps can tell about a cell.
-
-    The title says what was analysed: file and session. Nothing in it is taken as markup.
-    """
+    """Print what sweeps can tell about a cell; the title, file and session, is not taken as markup."""
 
     def lines(*sentences: str) -> None:
         for sentence in sentences:

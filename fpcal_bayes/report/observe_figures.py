@@ -25,8 +25,7 @@ def spectrum_figure(result: Observability) -> str:
         spectrum, n = result.spectrum, len(result.parameters)
         number = np.arange(1, n + 1)
         # Exact zeros have no place on the scale: they stand at its foot.
-        foot = 1e-18 * max(float(spectrum.singular_values[0]), 1e-300)
-        values = np.maximum(spectrum.singular_values, foot)
+        values = np.maximum(spectrum.singular_values, 1e-18 * max(float(spectrum.singular_values[0]), 1e-300))
         seen = number <= spectrum.rank
         axis.semilogy(number[seen], values[seen], "o", color=BLUE, label=f"seen ({spectrum.rank})")
         if not seen.all():
@@ -36,8 +35,7 @@ def spectrum_figure(result: Observability) -> str:
         axis.axhline(1.0, color=GREY, linestyle=":", label="data tell as much as the prior")
         if spectrum.tolerance > 0:
             axis.axhline(spectrum.tolerance, color="black", linestyle="--", linewidth=1, label="tolerance of the rank")
-        axis.set_xlabel("direction, best seen first")
-        axis.set_ylabel("singular value\n[prior sd / noise sd]")
+        axis.set(xlabel="direction, best seen first", ylabel="singular value\n[prior sd / noise sd]")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.grid(alpha=0.3)
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
@@ -60,9 +58,7 @@ def contraction_figure(result: Observability) -> str:
         axis.axvline(100 * (1 - WEAK_SHARE), color="black", linestyle="--", linewidth=1, label="limit of weak")
         marks = ["" if status == "identified" else f" ({status})" for status in result.status]
         axis.set_yticks(place, [name + mark for name, mark in zip(result.parameters.names, marks, strict=True)])
-        axis.set_ylim(n - 0.4, -0.6)
-        axis.set_xlim(0, 112)
-        axis.set_xticks(np.arange(0, 101, 20))
+        axis.set(ylim=(n - 0.4, -0.6), xlim=(0, 112), xticks=np.arange(0, 101, 20))
         axis.set_xlabel("prior variance that the data take away [%]")
         axis.grid(axis="x", alpha=0.3)
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
@@ -79,10 +75,7 @@ def correlation_figure(result: Observability) -> str:
         mesh = axis.pcolormesh(edges, edges, result.correlation, cmap="PuOr", vmin=-1.0, vmax=1.0)
         axis.set_xticks(np.arange(n), result.parameters.names, rotation=90)
         axis.set_yticks(np.arange(n), result.parameters.names)
-        axis.set_ylim(n - 0.5, -0.5)
-        axis.set_aspect("equal")
-        axis.set_xlabel("parameter")
-        axis.set_ylabel("parameter")
+        axis.set(ylim=(n - 0.5, -0.5), aspect="equal", xlabel="parameter", ylabel="parameter")
         bar = figure.colorbar(mesh, label="correlation [1]", shrink=0.8)
         # Else the bar is a bitmap.
         if bar.solids is not None:
@@ -100,18 +93,15 @@ def information_figure(result: Observability) -> str:
             single.bar(np.arange(n), information.bits, color=BLUE)
         else:
             single.plot(information.bits, color=BLUE, linewidth=0.8)
-        single.set_ylabel("information lost\nwithout the sweep [bits]")
-        single.set_xlim(-0.6, n - 0.4)
+        single.set(xlim=(-0.6, n - 0.4), ylabel="information lost\nwithout the sweep [bits]")
         if n <= _MOST_LABELS:
             labels = [drawable(label) for label in information.labels]
             single.set_xticks(np.arange(n), labels, rotation=90, fontsize=7 if n > 40 else 8, parse_math=False)
         else:
             single.set_xlabel("sweep, in order of measurement")
         grown.plot(information.cumulative_rows, information.cumulative_bits, color=VERMILION)
-        grown.set_xlim(0, int(information.cumulative_rows[-1]))
-        grown.set_ylim(bottom=0)
-        grown.set_xlabel("first so many rows [1]")
-        grown.set_ylabel("information together [bits]")
+        grown.set(xlim=(0, int(information.cumulative_rows[-1])), ylim=(0, None))
+        grown.set(xlabel="first so many rows [1]", ylabel="information together [bits]")
         single.grid(axis="y", alpha=0.3)
         grown.grid(alpha=0.3)
     return svg[0]

@@ -66,8 +66,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     with matplotlib.rc_context({"svg.hashsalt": "fpcal"}), replacing(path) as temporary:
         kind = path.suffix.lstrip(".")
         # The date would make two runs differ.
-        metadata = {"Date": None} if kind == "svg" else {"Software": None}
-        figure.savefig(temporary, format=kind, dpi=130, metadata=metadata)
+        figure.savefig(temporary, format=kind, dpi=130, metadata={"Date" if kind == "svg" else "Software": None})
 
 
 def drawable(text: str) -> str:

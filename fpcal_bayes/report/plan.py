@@ -14,10 +14,7 @@ TaskForecast = Mapping[str, Mapping[str, float]]
 
 
 def accuracy_table(expected: TaskForecast, title: str) -> Table:
-    """One line per task: expected worst-point standard deviation, a column for each thing that could be measured.
-
-    What is called ``plan`` is compared with the one called ``paper`` if it is there.
-    """
+    """One line per task: expected worst-point sd, a column per thing to measure; ``plan`` compared with ``paper``."""
     ratio = "paper" in expected and "plan" in expected
     heads = ["task", "", *(f"{name} [nm]" for name in expected), *(["plan / paper"] if ratio else [])]
     table = plain_table(title, heads)
@@ -49,10 +46,7 @@ def plan_content(
     settings: Mapping[str, Any],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """What ``plan --json`` writes, without schema and command; `ordered` are the sweeps as they are made.
-
-    `expected` is None where the plan is made from what is not to be used.
-    """
+    """What ``plan --json`` writes of the sweeps `ordered`; `expected` is None where what is known is not to be used."""
     return {
         "n_sweeps": len(chosen),
         "should_stop": False,

@@ -51,18 +51,10 @@ def draw_frontier(frontier: Frontier, papers: Mapping[str, Point]) -> Figure:
             knee = frontier.knee
             axis.plot(x[knee], sd[knee], "o", color=BLUE, markersize=10, fillstyle="none", label="knee")
             for (name, point), colour, marker in zip(papers.items(), (VERMILION, GREEN), "s^", strict=False):
-                axis.plot(
-                    point.sweeps if row == 0 else point.seconds / 60.0,
-                    1e3 * point.sd[task],
-                    marker,
-                    color=colour,
-                    label=name,
-                )
-            axis.set_yscale("log")
-            axis.set_xlabel(across)
+                at = point.sweeps if row == 0 else point.seconds / 60.0
+                axis.plot(at, 1e3 * point.sd[task], marker, color=colour, label=name)
+            axis.set(yscale="log", xlabel=across, title=task if row == 0 else "")
             axis.grid(alpha=0.3)
-            if row == 0:
-                axis.set_title(task)
     for axis in axes[:, 0]:
         axis.set_ylabel("expected sd [nm]")
     handles, names = axes[0, 0].get_legend_handles_labels()

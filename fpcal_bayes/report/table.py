@@ -65,7 +65,8 @@ class Table:
             head = f"{column.name} {column.unit}".rstrip()
             shown.add_column(escape(head), justify="left" if column.words else "right", no_wrap=True)
         for row in self.rows:
-            shown.add_row(*map(_coloured, row))
+            styled = [(escape(cell.text), _COLOURS.get(cell.style)) for cell in row]
+            shown.add_row(*(f"[{style}]{text}[/{style}]" if style else text for text, style in styled))
         yield shown
 
     def __str__(self) -> str:
@@ -93,8 +94,3 @@ def number(value: float, sd: float) -> str:
     decimals = int(np.clip(1 - np.floor(np.log10(sd)), 0, 6))
     # Adding zero turns -0 into 0.
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
-
-
-def _coloured(cell: TableCell) -> str:
-    style = _COLOURS.get(cell.style)
-    return f"[{style}]{escape(cell.text)}[/{style}]" if style else escape(cell.text)

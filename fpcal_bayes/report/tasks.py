@@ -25,12 +25,7 @@ NOT_EVALUATED = (
 def prediction_content(
     prediction: TaskPrediction, tolerance: float | None, task: Task, tolerances: dict[str, float] | None = None
 ) -> dict[str, Any]:
-    """A prediction as JSON: bands along the path in nm, peak to peak, angles in deg.
-
-    tolerance: in um, or None.
-    task: the whole task, of which the points that are ok are predicted; the others have nulls.
-    tolerances: of every degree of freedom that the cell states one for, in um and rad.
-    """
+    """A prediction in nm and deg as JSON, null where `task` is not ok; `tolerance` in um, `tolerances` um and rad."""
     found = TaskNumbers.of(prediction, tolerance)
     content: dict[str, Any] = {
         "method": "linear" if found.linear else "draws",
@@ -43,12 +38,7 @@ def prediction_content(
         "sd_nm": _whole(found.sd, task),
         "band_nm": {"share": BAND, "low": _whole(found.low, task), "high": _whole(found.high, task)},
         "worst_sd_nm": known(found.worst_sd),
-        "peak_to_peak_nm": {
-            "median": known(found.median),
-            "low": known(found.least),
-            "high": known(found.most),
-            "share": BAND,
-        },
+        "peak_to_peak_nm": _peak_content(found),
         "normal_deg": dict(zip(("median", "q95"), map(known, found.normal), strict=True)),
         "turn_deg": dict(zip(("median", "q95"), map(known, found.turn), strict=True)),
         "freedoms": {
@@ -69,10 +59,7 @@ def prediction_content(
 
 
 def prediction_table(predictions: list[TaskPrediction], tolerances: list[float | None], title: str) -> Table:
-    """One line per task: worst standard deviation, peak to peak with its band, angles, probability of exceeding.
-
-    tolerances: of each task, in um, or None.
-    """
+    """One line per task: worst sd, peak to peak with its band, angles, probability of exceeding; `tolerances` in um."""
     asked = dict.fromkeys(limit for limit in tolerances if limit is not None)
     exceeds = ["P(> tolerance)"] if len(asked) > 1 else [f"P(> {1e3 * limit:g} nm)" for limit in asked]
     heads = ["task", "path", "worst sd [nm]", "pk-pk [nm]", f"{BAND:.0%} band [nm]"]
@@ -130,8 +117,9 @@ def freedom_table(predictions: list[TaskPrediction]) -> Table:
         if not prediction.trust.usable:
             table.add_row(prediction.task.name, "not to be used", *[""] * 5)
             continue
-        told = freedom_numbers(prediction, {})
-        table.add_row(prediction.task.name, *(_told(f, f.most) for f in told))
+        edges = [(found.most, found.unit) for found in freedom_numbers(prediction, {})]
+        told = (angle_text(most) if unit == "deg" else f"{most:.1f}" for most, unit in edges)
+        table.add_row(prediction.task.name, *told)
     return table
 
 
@@ -153,20 +141,14 @@ def tolerance_lines(task: OwnTask, found: dict[str, float | None]) -> list[str]:
     return [f"task {task.name}: {', '.join(told)}"] if told else []
 
 
-def _told(freedom: FreedomNumbers, value: float) -> str:
-    """A number with its digits; what rounding leaves is nothing."""
-    return angle_text(value) if freedom.unit == "deg" else f"{value:.1f}"
+def _peak_content(found: TaskNumbers | FreedomNumbers) -> dict[str, Any]:
+    return {"median": known(found.median), "low": known(found.least), "high": known(found.most), "share": BAND}
 
 
 def _freedom_content(found: FreedomNumbers, task: Task) -> dict[str, Any]:
     unit = found.unit
     content: dict[str, Any] = {
-        f"peak_to_peak_{unit}": {
-            "median": known(found.median),
-            "low": known(found.least),
-            "high": known(found.most),
-            "share": BAND,
-        },
+        f"peak_to_peak_{unit}": _peak_content(found),
         "worst": {
             "along": float(task.along[task.ok][found.worst]) if found.worst_sd == found.worst_sd else None,
             f"sd_{unit}": known(found.worst_sd),

@@ -102,10 +102,9 @@ def outlook_table(decision: Decision, goal: Goal, track: Track) -> Table:
         for name, held in _other_tolerances(goal, track.cell).items()
     ]
     table = plain_table(f"{title}; as a share of the tolerance also {', '.join(others)}" if others else title, heads)
-    after = "at the end of the hold" if decision.action == "hold" else "after these sweeps"
     for name, outlook in (
         ("now", decision.now),
-        (after, decision.after),
+        ("at the end of the hold" if decision.action == "hold" else "after these sweeps", decision.after),
         ("at the horizon, nothing measured", decision.at_horizon),
     ):
         low, high = outlook.band()
@@ -125,15 +124,11 @@ def _other_tolerances(goal: Goal, cell: Cell) -> dict[str, dict[str, float]]:
 
 def sweep_table(sweeps: Sweeps, cell: Cell) -> Table:
     """One line per sweep, the most useful first."""
-    numbers = [str(i) for i in range(1, len(sweeps) + 1)]
-    return sweeps_table(cell, sweeps, "sweeps, the most useful first", numbers)
+    return sweeps_table(cell, sweeps, "sweeps, the most useful first", [str(i) for i in range(1, len(sweeps) + 1)])
 
 
 def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, Any]:
-    """A decision as JSON; errors are medians of the worst task's peak to peak in nm.
-
-    Errors and probabilities are null where the track is not to be used.
-    """
+    """A decision as JSON: medians of the worst peak to peak in nm, chances; null where the track is not to be used."""
     outlooks = {"now": decision.now, "at_horizon": decision.at_horizon, "after": decision.after}
     usable = track.trust.usable
     return {
@@ -154,11 +149,9 @@ def decision_content(decision: Decision, goal: Goal, track: Track) -> dict[str, 
         "sweeps": [] if decision.sweeps is None else sweeps_content(decision.sweeps, track.cell),
         "task_error_nm": {name: 1e3 * outlook.median if usable else None for name, outlook in outlooks.items()},
         "task_error_band_nm": {
-            name: [1e3 * edge for edge in outlook.band()] if usable else None for name, outlook in outlooks.items()
+            k: [1e3 * edge for edge in one.band()] if usable else None for k, one in outlooks.items()
         },
-        "probability_out": {
-            name: outlook.exceeds(goal.tolerance_um) if usable else None for name, outlook in outlooks.items()
-        },
+        "probability_out": {k: one.exceeds(goal.tolerance_um) if usable else None for k, one in outlooks.items()},
         "horizon_h": decision.at_horizon.time_h - decision.now_h,
     }
 

@@ -60,15 +60,12 @@ def course_table(courses: Sequence[Scenario]) -> Table:
     return table
 
 
-#: Line styles tell them apart in grey print.
-_STYLES = ((VERMILION, "-"), (SKY, "--"), (BLUE, "-"))
-
-
 def draw_courses(courses: Sequence[Scenario]) -> Figure:
     """Draw the error at each time above, the number of sweeps spent after day 0 below."""
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     error, spent = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    for course, (colour, style) in zip(courses, _STYLES, strict=True):
+    # Line styles tell them apart in grey print.
+    for course, (colour, style) in zip(courses, ((VERMILION, "-"), (SKY, "--"), (BLUE, "-")), strict=True):
         text = f"{course.name}: {100 * course.share:.1f} % of the time in tolerance, {counted(course.spent, 'sweep')}"
         error.plot(course.times_h / 24.0, 1e3 * course.peaks, style, color=colour, linewidth=0.9, label=text)
         days = np.append(course.session_h, course.times_h[-1]) / 24.0

@@ -144,13 +144,9 @@ def make_app(served: Served) -> FastAPI:
     @app.get("/health")
     async def health() -> Response:
         """Whether there is an estimate to be driven with."""
-        content: dict[str, Any] = {
-            "status": "ok",
-            "version": __version__,
-            "cell": served.cell.name,
-            "opd": served.cell.opd,
-        }
-        content |= {"joint_names": list(served.cell.joint_columns), "campaign": served.files.campaign.is_file()}
+        cell = served.cell
+        content: dict[str, Any] = {"status": "ok", "version": __version__, "cell": cell.name, "opd": cell.opd}
+        content |= {"joint_names": list(cell.joint_columns), "campaign": served.files.campaign.is_file()}
         try:
             found, _ = await within(quick, served.estimate)
             content |= {name: found[name] for name in ("trust", "valid_until_utc", CONTENT_HASH)}

@@ -22,8 +22,7 @@ _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
 def answer(status: int, content: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> Response:
     """JSON in ASCII, so that any text of a request may be repeated in it."""
-    text = json.dumps(content, allow_nan=False)
-    return Response(text, status, dict(headers or {}), media_type="application/json")
+    return Response(json.dumps(content, allow_nan=False), status, dict(headers or {}), media_type="application/json")
 
 
 class Guard:

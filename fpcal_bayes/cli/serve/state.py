@@ -170,10 +170,7 @@ class Served:
         return current.answers[key]
 
     def joints(self, asked: Asked) -> dict[str, Any]:
-        """Joint values of a path with what is predicted of its error.
-
-        `RefusedError` if the estimate is not to be used, or out of date, and the request does not say the reason.
-        """
+        """Joints of a path and their predicted error; `RefusedError` where the estimate may not be used."""
         current = self.current()
         estimate, cell = current.judged(self.now()), self.cell
         trust = estimate.trust
@@ -182,8 +179,7 @@ class Served:
         start = None
         if asked.q_now is not None:
             # A list of another length is refused as it is.
-            n = len(asked.q_now)
-            start = checked_joints(cell, np.array(asked.q_now) * np.resize(cell.joint_scales, n))
+            start = checked_joints(cell, np.array(asked.q_now) * np.resize(cell.joint_scales, len(asked.q_now)))
         task = self._path(current, asked, start)
         q = task.q[task.ok]
         if len(q) == 1 and current.prepared:
@@ -266,8 +262,7 @@ class Served:
         last_h, now_h = float(sweeps.time_h.max()), hours_at(self.now(), sweeps)
         if now_h is None:
             try:
-                began = self.current().content["campaign_began_utc"]
-                now_h = (self.now() - clock(began).timestamp()) / 3600.0
+                now_h = (self.now() - clock(self.current().content["campaign_began_utc"]).timestamp()) / 3600.0
             except (KeyError, StateError):
                 now_h = last_h
         return max(now_h, last_h)

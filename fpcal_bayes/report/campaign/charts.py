@@ -14,8 +14,6 @@ from fpcal_bayes.report.track import LEAST_HOURS
 
 #: Rows of the residual chart at most: the latest ones.
 _MOST_ROWS = 5000
-#: Digits that are shown.
-_DIGITS = 4
 
 
 def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
@@ -32,8 +30,7 @@ def outlook_chart(facts: CampaignFacts, found: TaskForecasts) -> dict[str, Any]:
 def residual_chart(parts: list[SessionResiduals]) -> dict[str, Any]:
     """Residuals of the rows of all sessions, one after the other, with their names."""
     names = [f"{part.session}: {label}" for part in parts for label in part.labels][-_MOST_ROWS:]
-    values = np.concatenate([part.values for part in parts])[-_MOST_ROWS:]
-    return {"names": names, "values": _numbers(values, 4)}
+    return {"names": names, "values": _numbers(np.concatenate([part.values for part in parts])[-_MOST_ROWS:])}
 
 
 def _increasing(hours: Floats) -> Floats:
@@ -44,7 +41,7 @@ def _increasing(hours: Floats) -> Floats:
     return apart
 
 
-def _numbers(values: Iterable[float], digits: int = _DIGITS) -> list[float | None]:
+def _numbers(values: Iterable[float], digits: int = 4) -> list[float | None]:
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]
 
 

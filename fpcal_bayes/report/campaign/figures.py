@@ -42,10 +42,9 @@ def task_figure(facts: CampaignFacts) -> str:
             axis.axhline(half, color=VERMILION, linestyle="--", linewidth=1, label=label)
             axis.axhline(-half, color=VERMILION, linestyle="--", linewidth=1)
             most = 1.15 * max(half, float(np.abs([low, high, typical]).max()))
-            axis.set_ylim(-most, most)
             title = drawable(outlook.name) + (" (to be held)" if outlook.asked else "")
             axis.set_title(title, fontsize=9, parse_math=False)
-            axis.set_xlabel(f"along the path [{found.task.unit}]")
+            axis.set(ylim=(-most, most), xlabel=f"along the path [{found.task.unit}]")
             if i % 3 == 0:
                 axis.set_ylabel("error of cavity length [nm]")
             axis.grid(alpha=0.3)
@@ -66,8 +65,7 @@ def outlook_figure(facts: CampaignFacts, found: TaskForecasts) -> str:
         axis.set_yscale("log")
         # What is far below the tolerance needs no room.
         axis.set_ylim(bottom=min(tolerance / 50, 1e3 * float(found.median.min()) / 2))
-        axis.set_xlabel("time [days]")
-        axis.set_ylabel("peak to peak of the\nworst task [nm]")
+        axis.set(xlabel="time [days]", ylabel="peak to peak of the\nworst task [nm]")
         axis.grid(alpha=0.3)
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return svg[0]
@@ -123,8 +121,8 @@ def residual_figure(parts: list[SessionResiduals], alarmed: set[str]) -> str:
             axis.axhline(0, color=GREY, linewidth=0.8)
             axis.plot(place[~outside], part.values[~outside], "o", color="black", markersize=3)
             axis.plot(place[outside], part.values[outside], "D", color=VERMILION, markersize=4)
-            axis.set_ylim(-1.15 * max(3.2, np.abs(part.values).max()), 1.15 * max(3.2, np.abs(part.values).max()))
-            axis.set_xlim(-1, len(place))
+            most = 1.15 * max(3.2, np.abs(part.values).max())
+            axis.set(xlim=(-1, len(place)), ylim=(-most, most))
             axis.set_ylabel(f"{drawable(part.session)}\n[sigma]", parse_math=False)
             axis.grid(axis="y", alpha=0.3)
             axis.tick_params(labelbottom=False)
@@ -179,9 +177,7 @@ def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) 
             grid, density, _ = array_stats.kde(values[:: -(-values.size // _SHOWN_DRAWS)], grid_len=200)
             axis.plot(grid, density, style, color=colour, linewidth=1.4, label=label)
         low, high = np.quantile(own, [0.002, 0.998])
-        axis.set_xlim(low - 0.2 * (high - low), high + 0.2 * (high - low))
-        axis.set_xlabel(name)
-        axis.set_yticks([])
+        axis.set(xlim=(low - 0.2 * (high - low), high + 0.2 * (high - low)), xlabel=name, yticks=[])
         axis.grid(alpha=0.3)
     for axis in axes[len(names) :]:
         axis.remove()
@@ -193,5 +189,4 @@ def prior_posterior_figure(names: Sequence[str], draws: Floats, before: Floats) 
 def posterior_figure(found: PosteriorSummary) -> str:
     """Densities of prior and draws of each parameter."""
     names = [f"{parameter.name} [{parameter.unit}]" for parameter in found.parameters]
-    draws = found.draws.reshape(-1, len(names))
-    return svg_text(prior_posterior_figure(names, draws, found.prior))
+    return svg_text(prior_posterior_figure(names, found.draws.reshape(-1, len(names)), found.prior))

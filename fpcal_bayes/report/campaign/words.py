@@ -282,8 +282,7 @@ def posterior_sentence(facts: CampaignFacts) -> str:
             f"fpcal sample {facts.file} -o posterior.nc, then give the report --posterior posterior.nc."
         )
     worth = found.diagnostics
-    good = bool(worth.rhat.max() < MOST_RHAT)
-    word = "The draws have converged" if good else "The draws have NOT converged"
+    word = "The draws have converged" if worth.rhat.max() < MOST_RHAT else "The draws have NOT converged"
     outside = int((np.abs(found.residuals) > 1.96).sum())
     return (
         f"{word}: largest nested R-hat {worth.rhat.max():.4f} over {found.n_ensembles} independent ensembles (expected "

@@ -86,8 +86,7 @@ class Reading:
         """
         s = np.linspace(-1.0, 1.0, points + 2)[1:]
         changes, covariance = self.changes(s)
-        shape = 0.5 * (np.eye(len(s)) + 1.0)
-        root = np.linalg.inv(np.linalg.cholesky(shape))
+        root = np.linalg.inv(np.linalg.cholesky(0.5 * (np.eye(len(s)) + 1.0)))
         largest = np.linalg.eigvalsh(root @ covariance @ root.T)[-1]
         return s, changes, float(np.sqrt(max(largest, self.sigma**2)))
 

@@ -137,8 +137,7 @@ def damping(profile: Floats, s: Floats, spread: Floats | float, phase_per_um: fl
     """What averages over places of a `spread` (n,) around `s` (n,) leave of the height of the fringes, (n,)."""
     if not np.any(spread):
         return np.ones(len(s))
-    slope = phase_per_um * slopes_at(profile, s)
-    return np.asarray(np.exp(-0.5 * slope**2 * spread))
+    return np.asarray(np.exp(-0.5 * (phase_per_um * slopes_at(profile, s)) ** 2 * spread))
 
 
 def fit_course(

@@ -254,8 +254,7 @@ def rows_along(one: Sweeps, s: Floats) -> Sweeps:
     rows = one.take(np.zeros(n, dtype=np.int64))
     label = str(one.label[0]) or f"row {one.rows[0]}"
     names = [f"{label}-mid"] if n == 2 else [f"{label}-{i}of{n}" for i in range(1, n)]
-    share = (s[:, None] + 1.0) / 2.0
-    q_end = rows.q_start + share * (rows.q_end - rows.q_start)
+    q_end = rows.q_start + (s[:, None] + 1.0) / 2.0 * (rows.q_end - rows.q_start)
     q_end[-1] = one.q_end[0]
     labels = np.array([*names, label], dtype=np.str_)
     return replace(rows, q_end=q_end, label=labels, group=np.array([label] * n, dtype=np.str_))

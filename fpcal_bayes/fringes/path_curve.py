@@ -70,8 +70,7 @@ class Levels:
         else:
             expected[2], expected[3] = last.mean, last.amplitude / self.ratio[-1]
             covariance[[2, 3], [2, 3]] = last.covariance[0, 0], last.covariance[1, 1] / self.ratio[-1] ** 2
-        change = expected[2:4] - expected[:2]
-        covariance[[5, 6], [5, 6]] = change**2 / 2.0 + (self.stability * expected[:2]) ** 2
+        covariance[[5, 6], [5, 6]] = (expected[2:4] - expected[:2]) ** 2 / 2.0 + (self.stability * expected[:2]) ** 2
         return expected, covariance
 
     def weights(self) -> tuple[Floats, Floats]:
@@ -173,8 +172,7 @@ class _Fit:
         sine = np.abs(np.sin(phase))
         # The ends have no neighbour, so that a curve that only just reaches an extreme counts too.
         padded = np.concatenate([[np.inf], sine, [np.inf]])
-        lowest = (sine < _EXTREME) & (sine <= padded[:-2]) & (sine < padded[2:])
-        for place in np.flatnonzero(lowest)[:_TURNS]:
+        for place in np.flatnonzero((sine < _EXTREME) & (sine <= padded[:-2]) & (sine < padded[2:]))[:_TURNS]:
             other = 2.0 * np.round(phase[place] / np.pi) * np.pi - phase
             yield curve.error + np.where(np.arange(len(phase)) >= place, other - phase, 0.0) / self.first.wave_number
 

@@ -102,8 +102,7 @@ def rescaled(solution: FringeSolution, noise: float) -> FringeSolution:
 
 def path_fringes(profile: Floats, phase_per_um: float, grid: Floats = _GRID) -> float:
     """Fringes that pass along a profile (DEGREE,), those that pass back included."""
-    lengths = lengths_at(profile, grid)
-    return float(np.abs(np.diff(lengths)).sum() * phase_per_um / (2.0 * np.pi))
+    return float(np.abs(np.diff(lengths_at(profile, grid))).sum() * phase_per_um / (2.0 * np.pi))
 
 
 def noise_of(fit: Fit, before: float) -> float:

@@ -52,8 +52,7 @@ class Design:
             n = root.shape[1]
         base = None
         if known is not None:
-            identity = np.broadcast_to(np.eye(n), (n_draws, n, n))
-            base = np.linalg.qr(np.concatenate([identity, known], axis=1), mode="r")
+            base = np.linalg.qr(np.concatenate([np.broadcast_to(np.eye(n), (n_draws, n, n)), known], axis=1), mode="r")
         return cls(np.ascontiguousarray(rows), np.ascontiguousarray(points), tuple(tasks), of_point, base)
 
     @property
@@ -70,8 +69,7 @@ class Design:
 
     def task_variance(self, chosen: Sequence[int]) -> Floats:
         """Variance at every task point after the chosen candidates, in um^2, shape (n_draws, n_points)."""
-        scaled = self.tasks @ self.roots(chosen)
-        return (scaled**2).sum(axis=-1)
+        return ((self.tasks @ self.roots(chosen)) ** 2).sum(axis=-1)
 
     def worst_points(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
         """Variance of each task's worst point after the chosen candidates, in um^2, shape (n_draws, n_tasks).

@@ -76,8 +76,7 @@ class Machine:
         kept = [np.where(moved, 0.0, part[:, :, 1:] - part[:, :, :1]) for part in (reached, lost)]
         common = np.concatenate([started, *kept], axis=-1)
         common = common.reshape(len(poses), -1, common.shape[-1])
-        share = np.arange(1, k + 1) / k
-        drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * share
+        drift = 0.5e-3 * terms.sizes.drift_nm_per_min * terms.sizes.minutes_per_sweep * (np.arange(1, k + 1) / k)
         noise: Floats = common @ common.transpose(0, 2, 1) + np.kron(np.eye(drive.shape[1]), np.outer(drift, drift))
         return noise + felt_alike(ends[:, :, 1:])
 
@@ -112,8 +111,7 @@ def felt_alike(felt: Floats) -> Floats:
     """
     n, beams, k, _ = felt.shape
     shared = (felt[:, :, None] * felt[:, None]).sum(axis=-1)
-    spread = shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]
-    result: Floats = spread.reshape(n, beams * k, beams * k)
+    result: Floats = (shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]).reshape(n, beams * k, beams * k)
     return result
 
 

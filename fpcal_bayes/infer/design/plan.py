@@ -99,8 +99,7 @@ class Planner:
     ) -> None:
         self.ground, self.tell = ground, tell
         settings = PlanSettings() if settings is None else settings
-        limits = settings.limits.within_envelope(ground.model, ground.draws)
-        self.settings = settings = replace(settings, limits=limits)
+        self.settings = settings = replace(settings, limits=settings.limits.within_envelope(ground.model, ground.draws))
         self._tolerances = tolerances
         self.reference = reference_of(tuple(ground.goals.jacobians), tolerances)
         self.candidates = candidate_sweeps(
@@ -115,8 +114,7 @@ class Planner:
     @property
     def _centre(self) -> Floats:
         """Values of the cell's own free parameters at which visibility is judged."""
-        vector = self.ground.model.vector(self.ground.centre)
-        return vector[self.ground.cell.free.slots]
+        return self.ground.model.vector(self.ground.centre)[self.ground.cell.free.slots]
 
     def judge(self, sweeps: Sweeps, ground: Ground | None = None) -> Criterion:
         """The criterion over sweeps as candidates, by default over all draws."""

@@ -103,8 +103,7 @@ def _at(
 ) -> Iterator[tuple[Floats, Floats, Floats]]:
     """Derivatives of each task's points by the free parameters, what error motions add, and the joints' reach."""
     starts = np.concatenate([np.repeat(task.start[None], len(task), axis=0) for task in paths])
-    rows = model.rows(starts, np.concatenate([task.q for task in paths]))
-    _, jacobian = model.predict_with_jacobian(values, rows)
+    _, jacobian = model.predict_with_jacobian(values, model.rows(starts, np.concatenate([task.q for task in paths])))
     for task, part in zip(paths, np.split(jacobian, np.cumsum([len(task) for task in paths])[:-1]), strict=True):
         motions = np.zeros((len(task), 0))
         if terms is not None:
@@ -170,8 +169,7 @@ class Ground:
 
     def design(self, sweeps: Sweeps, *, readings: int, sigma: float) -> Design:
         """The sweeps as candidates, each by itself."""
-        rows = self.padded(self.sweep_rows(readings, sigma).of(sweeps))
-        return Design.of(rows, self.tasks, known=self.known)
+        return Design.of(self.padded(self.sweep_rows(readings, sigma).of(sweeps)), self.tasks, known=self.known)
 
     def padded(self, rows: Floats) -> Floats:
         """Rows with nothing of what no sweep tells."""
@@ -209,8 +207,7 @@ class Ground:
         used = replace(sweeps, sigma=np.where(np.isfinite(sweeps.sigma), sweeps.sigma, sigma))
         if self.machine is None:
             return plan_rows(self.model, self.goals.values, used) @ self.root
-        rows = used.laid_out(self.model)
-        _, jacobian = self.model.predict_with_jacobian(self.goals.values, rows)
+        _, jacobian = self.model.predict_with_jacobian(self.goals.values, used.laid_out(self.model))
         return self.padded(self.machine.whitened(used, jacobian @ self.root))
 
     def at_draws(self, chosen: Ints) -> "Ground":

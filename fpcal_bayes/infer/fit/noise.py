@@ -36,8 +36,7 @@ class Batch:
         own = 1.0 / own_sd[members]
         shared = common[members] * own[..., None]
         products = shared[..., :, None] * shared[..., None, :]
-        before = np.pad(products[:, :-1], ((0, 0), (1, 0), (0, 0), (0, 0)))
-        known = np.eye(shared.shape[-1]) + np.cumsum(before, axis=1)
+        known = np.eye(shared.shape[-1]) + np.cumsum(np.pad(products[:, :-1], ((0, 0), (1, 0), (0, 0), (0, 0))), axis=1)
         gain = np.linalg.solve(known, shared[..., None])[..., 0]
         return cls(members, own, shared, gain, 1.0 / np.sqrt(1.0 + (shared * gain).sum(axis=-1)))
 
@@ -119,8 +118,7 @@ class Whitening(Brief):
 
     def scaled(self, factor: float) -> "Whitening":
         """The whitening of rows whose errors are `factor` times as large."""
-        batches = tuple(replace(batch, own=batch.own / factor) for batch in self.batches)
-        return Whitening(self.scale / factor, batches)
+        return Whitening(self.scale / factor, tuple(replace(batch, own=batch.own / factor) for batch in self.batches))
 
     def unwhiten(self, rows: Floats) -> Floats:
         """Undo `apply` on the columns of a matrix (n_rows, n)."""

@@ -249,8 +249,7 @@ class Problem(Brief):
         if self.considered is None:
             return symmetric(transform @ scaled @ transform.T)
         # x = K (y - f(x, c0)): the free error is -K e - K J_c dc, so its covariance with dc is -K J_c P_c.
-        gain = scaled[:n] @ jacobian.T
-        cross = -gain @ jacobian[:, n:]
+        cross = -(scaled[:n] @ jacobian.T) @ jacobian[:, n:]
         transform[n:, n:] = self.considered.factor
         scaled[:n, n:], scaled[n:, :n], scaled[n:, n:] = cross, cross.T, np.eye(self.n_unknowns - n)
         return symmetric(transform @ scaled @ transform.T)

@@ -129,8 +129,7 @@ class _Alike:
         predicted: change of each row in um, known but for the noise and what `spread` (n, n_rows), a root of the
         covariance, adds.
         """
-        added = 0.0 if spread is None else (spread**2).sum(axis=0)
-        told = target * predicted / (self.variance + added)
+        told = target * predicted / (self.variance + (0.0 if spread is None else (spread**2).sum(axis=0)))
         for rows, noise in self.blocks:
             covariance = noise if spread is None else noise + spread[:, rows].T @ spread[:, rows]
             told[rows] = target[rows] @ np.linalg.solve(covariance, predicted[rows])

@@ -116,8 +116,7 @@ class ModelResult:
         if self.spec.likelihood != "gaussian":
             return self.misfit is not None
         fit = self.identification
-        total = chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))
-        return min(fit.fit.p_value, total) < POOR_FIT_BELOW
+        return min(fit.fit.p_value, chi2_tail(fit.solution.sum_of_squares, len(fit.problem.target))) < POOR_FIT_BELOW
 
     @property
     def fits(self) -> bool:
@@ -298,8 +297,7 @@ def _sampled(model: ModelResult, draws: int, seed: int) -> ModelResult:
         if likelihood != "gaussian":
             p = known.target.predictive_p(known.equal(draws, random), random)
             model = replace(model, misfit=misfit_of(known.target, p))
-        loo = left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed)
-        return replace(model, loo=loo)
+        return replace(model, loo=left_out_each(model.identification, known, likelihood, most_refits=refits, seed=seed))
     if model.poor:
         return replace(model, failures=("too few draws of it can be made",))
     posterior = sample(model.identification, draws=draws, likelihood=likelihood, scales_held=True, seed=seed)

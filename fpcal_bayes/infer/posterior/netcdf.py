@@ -328,6 +328,5 @@ def _pointwise(posterior: Posterior, unknowns: Floats, rng: np.random.Generator)
         if problem.sensitivity is not None:
             mean = mean + unknowns[part, problem.n_free : problem.n_unknowns] @ problem.sensitivity.T
         likelihood[part] = posterior.target.log_likelihoods(unknowns[part])
-        noise = posterior.target.draw_noise(unknowns[part], rng)
-        predicted[part] = mean + problem.whitening.unwhiten(noise.T).T
+        predicted[part] = mean + problem.whitening.unwhiten(posterior.target.draw_noise(unknowns[part], rng).T).T
     return likelihood, predicted

@@ -81,10 +81,7 @@ class Fit:
         return float(np.exp(self.unknowns[self.nuisance.counts[0]]))
 
     def told(self, s: Floats) -> tuple[Floats, Floats]:
-        """Changes of L from the start to places on the sweep by the signal alone, without the prior of the profile.
-
-        Returns in um, shape (n,), and a square root of their covariance, shape (n, n_modes).
-        """
+        """Changes of L in um (n,) from the start by the signal alone, and a root of their covariance (n, n_modes)."""
         n = self.modes.shape[1]
         z, spread = self.unknowns[-n:], self.unknowns_covariance[-n:, -n:]
         variance, vectors = np.linalg.eigh(spread)

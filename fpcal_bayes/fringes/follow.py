@@ -105,10 +105,7 @@ def follow(
     mirror_light: float = 0.0,
     errs: bool = False,
 ) -> Followed | None:
-    """The most likely course of a mirror, the `smooth` one on the joint's course among others; None where no fringe is.
-
-    noise: standard deviation of one reading in V to begin with. errs: whether the mirror is known to leave that course.
-    """
+    """The likeliest course of a mirror, or None: `noise` of a reading in V, `errs`: it is known to leave `smooth`."""
     found = [smooth.best.profile] if smooth else find_profiles(samples, loosened(profile, DEGREE, 0.3), phase_per_um, 1)
     if not len(found):
         return None

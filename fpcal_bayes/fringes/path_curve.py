@@ -52,10 +52,7 @@ class Levels:
     stability: float = STABILITY  # how mean and amplitude may bow between the scans, relative, one standard deviation
 
     def prior(self) -> tuple[Floats, Floats]:
-        """Expected nuisances and their covariance: mean and amplitude at either end, phase, bows of mean and amplitude.
-
-        Returns shapes (7,) and (7, 7), in V and rad.
-        """
+        """Mean, amplitude at both ends, phase, bows of both: expected (7,) and covariance (7, 7), in V and rad."""
         first, last = self.first, self.last
         c, s = np.cos(first.phase), np.sin(first.phase)
         turn = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s / first.amplitude, c / first.amplitude]])
@@ -104,10 +101,7 @@ class Curve:
 
 
 def fit_curve(irradiance: Floats, expected: Floats, levels: Levels) -> Curve:
-    """Fit the error along a path: the best of several starts.
-
-    irradiance (n,) in V; expected: phase in rad (n,) that the estimate expects beyond that of the first reference scan.
-    """
+    """The best fit of several starts: irradiance (n,) in V, `expected` phase in rad beyond the first scan's."""
     fit = _Fit.of(irradiance, expected, levels)
     curves = [fit.minimise(start) for start in fit.starts()]
     best = min(curves, key=lambda curve: curve.objective)

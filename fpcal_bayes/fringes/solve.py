@@ -42,11 +42,7 @@ def solve(
     mirror_light: float = 0.0,
     fading: Nuisance = LIVELY,
 ) -> FringeSolution | None:
-    """Find the profiles that explain a signal; None where nothing resembles a fringe.
-
-    noise: sd of one reading in V to begin with; None takes a hundredth of half the signal's range. fading: what the
-    signal may do beside its fringes where it does not stay calm.
-    """
+    """Profiles that explain a signal, or None; noise: sd of a reading in V; fading: what else the signal may do."""
     found = find_profiles(samples, profile, phase_per_um)
     if len(found) == 0:
         return None

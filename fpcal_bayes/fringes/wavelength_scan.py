@@ -64,11 +64,7 @@ def read_wavelength_scan(
     noise: float | None = None,
     full_scale: float | None = None,
 ) -> ScanReading:
-    """Read the absolute cavity length near `expected` um; it and its sd are widened.
-
-    air: its temperature in deg C, pressure in hPa and humidity in %, without all three of which its index is 1. noise:
-    sd of one sample in V to begin with.
-    """
+    """The length near `expected` um, both widened; air: deg C, hPa, % (else index 1); noise: sd of a sample in V."""
     wave_number = air_index(scan.wavelength, *air) / scan.wavelength
     middle, half = wave_number[[0, -1]].mean(), abs(wave_number[-1] - wave_number[0]) / 2.0
     s = (wave_number - middle) / half

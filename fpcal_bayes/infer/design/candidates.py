@@ -141,10 +141,7 @@ def candidate_sweeps(
 
 
 def visible_ranges(model: CavityModel, values: Floats, limits: SweepLimits) -> tuple[Floats, Floats]:
-    """Lowest and highest value of each joint at which it alone keeps the fringes visible, shape (n_joints,) each.
-
-    A joint that can use less than a hundredth of its range stays where it is.
-    """
+    """Lowest and highest value of each joint (n_joints,) at which it alone keeps fringes; narrow ones stay."""
     low, high = limits.ranges(model.cell)
     home = np.clip(0.0, low, high)
     if not tilts(model, values, home[None])[0] <= limits.tilt:

@@ -38,11 +38,7 @@ class Machine:
         return np.flatnonzero(self.terms.reversal > 0).astype(np.int64)
 
     def rows(self, poses: Floats) -> Floats:
-        """What the state adds to sweeps at poses (n_sweeps, places, n_joints), beam by beam.
-
-        The readings are approached along the sweep, its start from an unknown side (see `noise`). Shape (n_sweeps,
-        n_beams (places - 1), n).
-        """
+        """What the state adds at poses (n_sweeps, places, n_joints), (n_sweeps, n_beams (places - 1), n), by beam."""
         sides, parts = np.sign(poses[:, -1] - poses[:, 0])[:, None], []
         for at, drive in self._columns(poses):
             columns = np.concatenate([at[:, 1:] - at[:, :1], (drive * self.terms.reversal)[:, 1:] * sides], axis=-1)
@@ -105,10 +101,7 @@ class Machine:
 
 
 def felt_alike(felt: Floats) -> Floats:
-    """Covariance of rows that feel errors of the joints at their places, alike for all beams, anew at each place.
-
-    `felt` (n_sweeps, n_beams, places, n_joints); returns (n_sweeps, n_beams places, n_beams places), beam by beam.
-    """
+    """Covariance by joint errors `felt` (n_sweeps, n_beams, places, n_joints), beam by beam, anew at each place."""
     n, beams, k, _ = felt.shape
     shared = (felt[:, :, None] * felt[:, None]).sum(axis=-1)
     result: Floats = (shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]).reshape(n, beams * k, beams * k)

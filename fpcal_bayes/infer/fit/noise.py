@@ -163,10 +163,7 @@ def whitening_of(model: CavityModel, sweeps: Sweeps, values: Floats) -> Whitenin
 def shared_whitening(
     sharing: Sharing, sigma: Floats, absolute: Bools, starts: Floats, ends: Floats, stated: Floats
 ) -> Whitening:
-    """Whitening of rows with readings `sigma` (n,) and what joints miss at start and end, shape (n, n_joints) each.
-
-    `stated` is what rows say that they share with their group beside `sigma`, shape (n, n_stated).
-    """
+    """Whitening of rows: `sigma` (n,), misses of joints at both ends (n, n_joints), `stated` (n, n_stated)."""
     missed = (ends**2).sum(axis=1)
     variance = sigma**2 + missed + (starts**2).sum(axis=1) + (stated**2).sum(axis=1)
     # Of a group's rows: half of the reading's variance and the joints at the start are common.

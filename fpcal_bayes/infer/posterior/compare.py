@@ -264,10 +264,7 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
-    """Fit and sample each model, `draws` effective draws, and compare predictions; `progress` is told what comes next.
-
-    `InputError` if the sweeps carry no measurement, or a likelihood does not take them.
-    """
+    """Fit and sample each model, `draws` effective draws, and compare; `InputError` if the sweeps do not allow it."""
     fits: dict[tuple[str, str], Identification] = {}
     models = []
     for spec in specs:

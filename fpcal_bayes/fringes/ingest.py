@@ -92,8 +92,8 @@ def read_index(
             sweeps.file, f"{wanted}: a path is held against an estimate, by fpcal check", row=row, column="kind"
         )
     light, optics = _light(index, cell, settings), cell.interferometer
-    before = _read_scans(index, cell, index.sweeps.q_start, index.scans_before)
-    after = _read_scans(index, cell, index.sweeps.q_end, index.scans_after)
+    before = _read_scans(index, cell, sweeps.q_start, index.scans_before)
+    after = _read_scans(index, cell, sweeps.q_end, index.scans_after)
     recorded = _record(index, cell, light, estimate, before, after)
     found = read_traces(
         [each for each in recorded if each],
@@ -113,8 +113,7 @@ def read_index(
             parts.append(absolute_rows(sweeps, i, None, scan, light[1][i]))
         if reading is not None and settings.absolute:
             parts.append(absolute_rows(sweeps, i, before[i], after[i], light[1][i]))
-    doubtful = _doubtful(index, readings, after)
-    parts = [part for part in parts if len(part)]
+    doubtful, parts = _doubtful(index, readings, after), [part for part in parts if len(part)]
     rows = join(parts, sweeps.file) if parts else sweeps.take(np.zeros(0, dtype=np.int64))
     if parts:
         check_sweeps(rows, cell)

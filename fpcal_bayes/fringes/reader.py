@@ -339,8 +339,7 @@ def _density(samples: Samples, profile: Floats, phase_per_um: float) -> tuple[fl
     """Samples a fringe along a profile: on average over the moving part, and where it is least dense."""
     turned = np.abs(np.diff(lengths_at(profile, samples.s))) * phase_per_um / (2.0 * np.pi)
     moving = np.abs(np.diff(samples.s)) > 0.05 * 2.0 / len(samples)
-    passed = float(turned.sum())
-    fast = float(np.quantile(turned, 0.98)) if len(turned) else 0.0
+    passed, fast = float(turned.sum()), float(np.quantile(turned, 0.98)) if len(turned) else 0.0
     return (float(moving.sum()) / passed if passed > 0 else np.inf), (1.0 / fast if fast > 0 else np.inf)
 
 

@@ -123,5 +123,4 @@ def sweep_numbers(sweeps: Sweeps) -> Ints:
     """Number of each row's sweep: neighbouring rows of one group share it, every other row is its own, shape (n,)."""
     new = np.ones(len(sweeps), dtype=bool)
     new[1:] = (sweeps.group[1:] != sweeps.group[:-1]) | (sweeps.group[1:] == "")
-    numbers: Ints = np.cumsum(new).astype(np.int64) - 1
-    return numbers
+    return np.asarray(np.cumsum(new).astype(np.int64) - 1)

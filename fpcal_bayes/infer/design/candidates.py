@@ -55,8 +55,7 @@ class SweepLimits:
         if self.reach is None:
             return np.ones(len(sweeps), dtype=bool)
         ends = np.stack([sweeps.q_start, sweeps.q_end])
-        inside: Bools = ((ends >= self.reach[0]) & (ends <= self.reach[1])).all(axis=(0, 2))
-        return inside
+        return np.asarray(((ends >= self.reach[0]) & (ends <= self.reach[1])).all(axis=(0, 2)))
 
     def ranges(self, cell: Cell) -> tuple[Floats, Floats]:
         """Lowest and highest value of each joint, shape (n_joints,) each."""
@@ -168,8 +167,7 @@ def tilts(model: CavityModel, values: Floats, q: Floats) -> Floats:
         return np.max([np.zeros(len(q)), *(tilts(view, values[own], q) for view, own in mirrors)], axis=0)
     normals, _ = model.mirrors(values, q)
     axis = np.asarray(chain.optical_axis(model.cell, model.vector(values)), dtype=float)
-    angle: Floats = np.arctan2(np.linalg.norm(np.cross(normals, axis), axis=1), np.abs(normals @ axis))
-    return angle
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(normals, axis), axis=1), np.abs(normals @ axis)))
 
 
 def can_be_followed(model: CavityModel, values: Floats, start: Floats, end: Floats, limits: SweepLimits) -> Bools:

@@ -104,8 +104,7 @@ def felt_alike(felt: Floats) -> Floats:
     """Covariance by joint errors `felt` (n_sweeps, n_beams, places, n_joints), beam by beam, anew at each place."""
     n, beams, k, _ = felt.shape
     shared = (felt[:, :, None] * felt[:, None]).sum(axis=-1)
-    result: Floats = (shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]).reshape(n, beams * k, beams * k)
-    return result
+    return np.asarray((shared.swapaxes(2, 3)[..., None] * np.eye(k)[:, None]).reshape(n, beams * k, beams * k))
 
 
 def motions_of_path(terms: Terms, vector: Floats, start: Floats, q: Floats) -> tuple[Floats, Floats]:

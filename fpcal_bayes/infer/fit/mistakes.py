@@ -208,11 +208,10 @@ def axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
 def _axis_rivals(problem: Problem, solution: Solution) -> list[Reason]:
     sweeps, cell = problem.sweeps, problem.model.cell
     known = sweeps.signed | sweeps.absolute
-    sets = axis_sets(cell, (sweeps.q_start != sweeps.q_end).any(axis=0))
     if not solution.converged:
         return []
     told = []
-    for axes in sets:
+    for axes in axis_sets(cell, (sweeps.q_start != sweeps.q_end).any(axis=0)):
         way = np.ones(len(cell.joints))
         way[list(axes)] = -1.0
         # The whitening stays: that of another machine hardly differs where it fits as well.

@@ -148,8 +148,7 @@ class Problem(Brief):
         whitening = row_whitening(self.model, self.sweeps, values, self.log_scales)
         sensitivity = None
         if self.considered is not None:
-            vector = self.model.vector(values)
-            held = self.considered.parameters
+            held, vector = self.considered.parameters, self.model.vector(values)
             around = CavityModel.of(self.model.cell, held, vector)
             _, jacobian = around.predict_with_jacobian(vector[held.slots], self.rows)
             sensitivity = jacobian @ self.considered.factor

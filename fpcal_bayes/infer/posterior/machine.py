@@ -135,8 +135,7 @@ class MachineCharts:
 
     def _mixed(self, parts: Floats) -> Floats:
         with np.errstate(divide="ignore"):
-            mixed: Floats = special.logsumexp(parts + np.log(self.shares)[:, None], axis=0)
-        return mixed
+            return np.asarray(special.logsumexp(parts + np.log(self.shares)[:, None], axis=0))
 
 
 class MachineMove(Move):  # type: ignore[misc]

@@ -173,8 +173,7 @@ def learn_proposals(target: PosteriorTarget, minima: Floats, rng: np.random.Gene
     while len(references) < max(_MOST_CHARTS, len(minima) + 1):
         atlas = ProposalMixture(target, references)
         solved = atlas.propose(rng.standard_normal((_TRIALS, target.n_unknowns)), rng.random(_TRIALS))
-        log_weights = np.full(_TRIALS, -np.inf)
-        found = solved.inside
+        log_weights, found = np.full(_TRIALS, -np.inf), solved.inside
         log_weights[found] = solved.log_density[found] - solved.log_proposal[found]
         log_mean = special.logsumexp(log_weights) - np.log(_TRIALS)
         heaviest = int(np.argmax(log_weights))
